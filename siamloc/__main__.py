@@ -1,0 +1,7 @@
+"""`python -m siamloc`."""
+
+import sys
+
+from siamloc.cli import main
+
+sys.exit(main())

@@ -1,0 +1,38 @@
+"""The exceptions of siamloc: one base class, one clear sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class SiamlocError(Exception):
+    """Base of every error that siamloc raises on purpose.
+
+    The message says what was expected, what came, which file or key it concerns, and what to do. The command
+    line prints it in one line and exits with status 2.
+    """
+
+
+class DataError(SiamlocError, ValueError):
+    """Files, tables or images that cannot be used as they are."""
+
+
+class ConfigError(SiamlocError, ValueError):
+    """A parameter or a configuration key that has no meaning, or that contradicts another one."""
+
+
+class FormatError(SiamlocError, ValueError):
+    """A file that siamloc wrote and cannot read back: cut short, altered, or of another version."""
+
+
+class StorageError(SiamlocError, OSError):
+    """The disk refused: full, read-only, or gone."""
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Return a hint that names the valid spellings, the nearest one first: for the end of an error message."""
+    options = [str(option) for option in valid]
+    close = get_close_matches(str(name), options, n=1, cutoff=0.5)
+    listed = ", ".join(options) if options else "none"
+    return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {listed}"

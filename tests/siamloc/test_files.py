@@ -1,0 +1,95 @@
+import errno
+import json
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from siamloc.errors import FormatError, StorageError, nearest
+from siamloc.files import atomic_path, content_key, file_hash, plain, read_json, write_json, write_text
+
+
+def write_half(path):
+    with atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise ZeroDivisionError
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "deep" / "file.txt"
+    with pytest.raises(ZeroDivisionError):
+        write_half(path)
+    assert list(path.parent.iterdir()) == []
+    write_text(path, "whole")
+    with pytest.raises(ZeroDivisionError):
+        write_half(path)
+    assert path.read_text() == "whole"
+    assert [item.name for item in path.parent.iterdir()] == ["file.txt"]
+
+
+def test_a_file_has_the_usual_permissions(tmp_path):
+    write_text(tmp_path / "ours", "a")
+    (tmp_path / "usual").write_text("a")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [(errno.ENOSPC, "no space left"), (errno.EROFS, "not permitted"), (errno.ENOTDIR, "a file stands where")],
+)
+def test_refusals_of_the_disk_are_one_sentence(tmp_path, code, says):
+    with pytest.raises(StorageError, match=says), atomic_path(tmp_path / "file"):
+        raise OSError(code, os.strerror(code))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_system_errors_pass_through(tmp_path):
+    with pytest.raises(TimeoutError), atomic_path(tmp_path / "file"):
+        raise TimeoutError
+
+
+def test_json_makes_numpy_plain_and_refuses_nothing(tmp_path):
+    value = {"a": np.float32(1.5), "b": np.arange(2), "c": float("nan"), 3: (1, None), "p": tmp_path}
+    write_json(tmp_path / "v.json", value)
+    assert read_json(tmp_path / "v.json") == {"a": 1.5, "b": [0, 1], "c": None, "3": [1, None], "p": str(tmp_path)}
+
+
+@pytest.mark.parametrize("content", ["", "{", '{"a": ', "\xff"])
+def test_json_cut_short_is_said_to_be(tmp_path, content):
+    (tmp_path / "v.json").write_bytes(content.encode("latin-1"))
+    with pytest.raises(FormatError, match="not whole JSON"):
+        read_json(tmp_path / "v.json")
+    with pytest.raises(FormatError, match="does not exist"):
+        read_json(tmp_path / "w.json")
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+)
+
+
+@given(values)
+def test_plain_leaves_plain_values_alone(value):
+    assert plain(value) == value
+    assert json.loads(json.dumps(plain(value))) == value
+
+
+@given(st.dictionaries(st.text(), st.integers(), min_size=2))
+def test_content_key_looks_at_contents_only(value):
+    backwards = dict(reversed(value.items()))
+    assert content_key(value) == content_key(backwards)
+    changed = {**value, next(iter(value)): None}
+    assert content_key(value) != content_key(changed)
+
+
+def test_file_hash_is_sha256(tmp_path):
+    (tmp_path / "f").write_bytes(b"abc")
+    assert file_hash(tmp_path / "f") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_nearest_names_the_valid_ones():
+    assert nearest("vgg61", ["alexnet", "vgg16"]) == "did you mean 'vgg16'? valid: alexnet, vgg16"
+    assert nearest("zzz", ["alexnet"]) == "valid: alexnet"

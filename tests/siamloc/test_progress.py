@@ -1,0 +1,34 @@
+import io
+import sys
+
+from siamloc.progress import track
+
+
+def test_plain_lines_where_nobody_watches(monkeypatch):
+    screen = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", screen)
+    assert list(track(iter("abc"), 3, "counting", every_seconds=0)) == ["a", "b", "c"]
+    first, second, last = screen.getvalue().splitlines()
+    assert first.startswith("counting: 1 of 3")
+    assert "s left" in first
+    assert second.startswith("counting: 2 of 3")
+    assert last.startswith("counting: 3 of 3 in ")
+
+
+def test_a_bar_where_a_person_watches(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    assert list(track(range(5), 5, "counting")) == [0, 1, 2, 3, 4]
+    assert "counting" in screen.getvalue()
+    assert "5/5" in screen.getvalue()
+
+
+def test_nothing_to_do_is_said_too(monkeypatch):
+    screen = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", screen)
+    assert list(track([], 0, "counting")) == []
+    assert screen.getvalue().startswith("counting: 0 of 0")
