@@ -1,0 +1,53 @@
+"""The raw thumbnail: the baseline that every descriptor has to beat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analytic.descriptors.base import Description, Descriptor, as_grey
+from analytic.errors import AnalyticError
+
+
+class Thumbnail(Descriptor):
+    """The grey image, averaged down to a few pixels.
+
+    It has no position part in the strict sense: turning the robot shifts it. It stands in tables as what one gets
+    without any method.
+
+    Args:
+        rows: height of the thumbnail in pixels.
+        columns: width of the thumbnail in pixels.
+
+    Raises:
+        AnalyticError: sizes that are not positive, or larger than the image described.
+    """
+
+    name = "thumbnail"
+    default_distance = "correlation"
+
+    def __init__(self, rows: int = 8, columns: int = 32) -> None:
+        if rows < 1 or columns < 1:
+            raise AnalyticError(f"a thumbnail needs at least 1 x 1 pixels, got {rows} x {columns}")
+        self.rows = int(rows)
+        self.columns = int(columns)
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Name and parameters."""
+        return {"name": self.name, "rows": self.rows, "columns": self.columns}
+
+    def describe(self, batch: ArrayLike) -> Description:
+        """Describe images; position (B, rows * columns), values in [0, 1]."""
+        grey = as_grey(batch)
+        if grey.shape[1] < self.rows or grey.shape[2] < self.columns:
+            raise AnalyticError(
+                f"the image has {grey.shape[1]} x {grey.shape[2]} pixels, fewer than the thumbnail's "
+                f"{self.rows} x {self.columns}: ask for a smaller thumbnail"
+            )
+        size = (self.columns, self.rows)
+        small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA).ravel() for image in grey]
+        return Description(position=np.stack(small).astype(np.float32))

@@ -1,0 +1,104 @@
+"""Distances between sets of descriptors ([T] eq. 3.8-3.12, [C] eq. 3-6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from difflib import get_close_matches
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.errors import AnalyticError
+
+Pairwise = Callable[[ArrayLike, ArrayLike], NDArray[np.float64]]
+
+
+def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | None = None) -> NDArray[np.float64]:
+    """Return the weighted Minkowski distances (n, m): (sum_i w_i |a_i - b_i|^p)^(1/p) ([T] eq. 3.8).
+
+    Args:
+        a: (n, D).
+        b: (m, D).
+        p: order, at least 1; 1 is Manhattan, 2 Euclidean.
+        weights: (D,), not negative; ones if None.
+
+    Raises:
+        AnalyticError: p below 1, weights of another length or negative, sets of different D.
+    """
+    a, b = _checked(a, b)
+    if not p >= 1:
+        raise AnalyticError(f"the Minkowski distance needs p >= 1, got {p}")
+    if weights is not None:
+        w = np.asarray(weights, dtype=np.float64)
+        if w.shape != (a.shape[1],) or (w < 0).any():
+            raise AnalyticError(f"weights must be {a.shape[1]} numbers that are not negative, got shape {w.shape}")
+        a, b = a * w ** (1 / p), b * w ** (1 / p)
+    from scipy.spatial.distance import cdist
+
+    if p == 1:
+        return cdist(a, b, "cityblock")
+    if p == 2:
+        return cdist(a, b, "euclidean")
+    return cdist(a, b, "minkowski", p=p)
+
+
+def manhattan(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Return the Manhattan distances (n, m) ([T] eq. 3.9)."""
+    return minkowski(a, b, p=1)
+
+
+def euclidean(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Return the Euclidean distances (n, m) ([T] eq. 3.10)."""
+    return minkowski(a, b, p=2)
+
+
+def cosine(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector is at 1 from everything."""
+    a, b = _checked(a, b)
+    return np.clip(1 - _unit(a) @ _unit(b).T, 0, 2)
+
+
+def correlation(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.11). A constant vector is at 1 from everything."""
+    a, b = _checked(a, b)
+    return cosine(_centred(a), _centred(b))
+
+
+DISTANCES: dict[str, Pairwise] = {
+    "manhattan": manhattan,
+    "euclidean": euclidean,
+    "minkowski": minkowski,
+    "correlation": correlation,
+    "cosine": cosine,
+}
+
+
+def distance(name: str) -> Pairwise:
+    """Return the distance of that name: a function of (n, D) and (m, D) that returns (n, m).
+
+    Raises:
+        AnalyticError: an unknown name.
+    """
+    if name not in DISTANCES:
+        close = get_close_matches(str(name), DISTANCES, n=1)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        raise AnalyticError(f"unknown distance {name!r}: {hint}valid: {', '.join(DISTANCES)}")
+    return DISTANCES[name]
+
+
+def _checked(a: ArrayLike, b: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    if a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
+        raise AnalyticError(f"distances need two sets of shape (n, D) and (m, D), got {a.shape} and {b.shape}")
+    return a, b
+
+
+def _centred(a: NDArray[np.float64]) -> NDArray[np.float64]:
+    centred = a - a.mean(axis=1, keepdims=True)
+    rounding = 1e-12 * np.abs(a).max(axis=1, keepdims=True, initial=0)
+    return np.where(np.abs(centred).max(axis=1, keepdims=True, initial=0) <= rounding, 0.0, centred)
+
+
+def _unit(a: NDArray[np.float64]) -> NDArray[np.float64]:
+    norm = np.linalg.norm(a, axis=1, keepdims=True)
+    return np.divide(a, norm, out=np.zeros_like(a), where=norm > 0)

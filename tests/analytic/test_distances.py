@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.distance import cdist
+
+from analytic import DISTANCES, AnalyticError, distance
+from analytic.distances import minkowski
+
+SCIPY = {"manhattan": "cityblock", "euclidean": "euclidean", "minkowski": "euclidean"}
+SCIPY |= {"correlation": "correlation", "cosine": "cosine"}
+
+
+@pytest.mark.parametrize("name", DISTANCES)
+def test_distances_are_those_of_scipy(name):
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(7, 12)), rng.normal(size=(5, 12))
+    np.testing.assert_allclose(distance(name)(a, b), cdist(a, b, SCIPY[name]), rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("p", [1, 1.5, 2, 3])
+def test_weighted_minkowski_follows_its_equation(p):
+    rng = np.random.default_rng(1)
+    a, b, w = rng.normal(size=(4, 6)), rng.normal(size=(3, 6)), rng.uniform(0, 2, 6)
+    slow = [[sum(w[i] * abs(x[i] - y[i]) ** p for i in range(6)) ** (1 / p) for y in b] for x in a]
+    np.testing.assert_allclose(minkowski(a, b, p, w), slow, rtol=1e-12)
+
+
+vectors = arrays(np.float64, (3, 5), elements=st.floats(-1e3, 1e3))
+
+
+@given(vectors, vectors)
+def test_every_distance_is_finite_symmetric_and_not_negative(a, b):
+    for name in DISTANCES:
+        d = distance(name)(a, b)
+        assert np.isfinite(d).all()
+        assert (d >= 0).all()
+        np.testing.assert_allclose(d, distance(name)(b, a).T, atol=1e-9)
+
+
+@given(vectors, st.floats(0.1, 10), st.floats(-10, 10))
+def test_correlation_ignores_gain_and_offset(a, gain, offset):
+    a = a + np.arange(5)  # at least something varies
+    b = np.roll(a, 1, axis=0)
+    np.testing.assert_allclose(distance("correlation")(gain * a + offset, b), distance("correlation")(a, b), atol=1e-6)
+
+
+def test_vectors_without_direction_are_at_one_from_everything():
+    flat, other = np.full((1, 4), 3.7), np.array([[1.0, 2, 3, 4], [0, 0, 0, 0]])
+    assert distance("correlation")(flat, other).tolist() == [[1, 1]]
+    assert distance("cosine")(np.zeros((1, 4)), other).tolist() == [[1, 1]]
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: distance("euclidian"), "did you mean 'euclidean'"),
+        (lambda: distance("cosine")(np.zeros((2, 3)), np.zeros((2, 4))), r"\(2, 3\) and \(2, 4\)"),
+        (lambda: distance("cosine")(np.zeros(3), np.zeros((2, 3))), r"\(n, D\)"),
+        (lambda: minkowski(np.zeros((1, 2)), np.zeros((1, 2)), p=0.5), "p >= 1, got 0.5"),
+        (lambda: minkowski(np.zeros((1, 2)), np.zeros((1, 2)), weights=[1]), "2 numbers that are not negative"),
+        (lambda: minkowski(np.zeros((1, 2)), np.zeros((1, 2)), weights=[1, -1]), "not negative"),
+    ],
+)
+def test_mistakes_are_one_sentence(call, says):
+    with pytest.raises(AnalyticError, match=says):
+        call()
