@@ -1,0 +1,76 @@
+"""Painting on 8-bit frames in the main memory: each frame in place, frames side by side in threads.
+
+A brush is a function that alters one frame (3, H, W) uint8. Working frame by frame keeps the data in the
+processor's cache, and a frame pays only for the effects it got.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+Frame = NDArray[np.uint8]
+Brush = Callable[[Frame], None]
+
+_pool: ThreadPoolExecutor | None = None
+
+
+def paint(frames: Frame, brushes: Sequence[Sequence[Brush]]) -> None:
+    """Alter frames (B, 3, H, W) in place, each by its own brushes in their order; uses torch's number of threads."""
+    threads = min(torch.get_num_threads(), len(frames))
+    if threads <= 1:
+        _paint_some(frames, brushes, 0, 1)
+        return
+    work = [_threads().submit(_paint_some, frames, brushes, first, threads) for first in range(1, threads)]
+    _paint_some(frames, brushes, 0, threads)
+    for future in work:
+        future.result()
+
+
+def padded(frame: Frame, columns: int, circular: bool) -> Frame:
+    """Return a frame (3, H, W + 2 columns): what lies beyond the seam, or the edge repeated, on either side."""
+    width = frame.shape[2]
+    out = np.empty((*frame.shape[:2], width + 2 * columns), dtype=np.uint8)
+    out[:, :, columns : columns + width] = frame
+    if circular and columns <= width:
+        out[:, :, :columns] = frame[:, :, width - columns :]
+        out[:, :, columns + width :] = frame[:, :, :columns]
+    elif circular:
+        out[:] = np.take(frame, np.arange(-columns, width + columns) % width, axis=2)
+    else:
+        out[:, :, :columns] = frame[:, :, :1]
+        out[:, :, columns + width :] = frame[:, :, -1:]
+    return out
+
+
+def flat(frame: Frame) -> Frame:
+    """Return a view (3 H, W) of a frame, for what treats every pixel alike."""
+    return frame.reshape(-1, frame.shape[2])
+
+
+def _paint_some(frames: Frame, brushes: Sequence[Sequence[Brush]], first: int, step: int) -> None:
+    for index in range(first, len(frames), step):
+        for brush in brushes[index]:
+            brush(frames[index])
+
+
+def _threads() -> ThreadPoolExecutor:
+    global _pool
+    if _pool is None:
+        _pool = ThreadPoolExecutor(thread_name_prefix="augment")
+    return _pool
+
+
+def _forget_threads() -> None:
+    global _pool
+    _pool = None
+
+
+# A forked loader process inherits the object but not its threads.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_threads)

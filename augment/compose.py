@@ -1,0 +1,250 @@
+"""`Policy`: effects put together by chance: all of these, one of those, each with a probability."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from numbers import Real
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from augment.base import Effect, Params
+from augment.brushes import Brush
+from augment.errors import AugmentError, nearest
+from augment.ranges import Range
+from augment.registry import EFFECTS, effect
+from augment.rotation import wrapped
+
+_KINDS = ("effect", "all_of", "one_of")
+_UNIT = Range(0, 1)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A node of a policy's tree.
+
+    Attributes:
+        kind: "effect", "all_of" (its steps one after the other) or "one_of" (one of its steps).
+        steps: the children, none of an effect.
+        effect: what an effect node does.
+        slot: number of an effect node among all effects of the policy, in the order of application; -1 for others.
+        probability: of a frame that comes to this node to take it.
+        weight: against its siblings in "one_of".
+    """
+
+    kind: str
+    steps: tuple[Step, ...] = ()
+    effect: Effect | None = None
+    slot: int = -1
+    probability: float = 1.0
+    weight: float = 1.0
+    name: str = field(default="", compare=False)
+
+
+class Policy(Effect):
+    """Effects by chance, with the interface of one effect.
+
+    Every frame draws its own way through the tree and its own parameters. The parameters of slot 3, say, a bulb, are
+    `3.bulb.on` (whether this frame got it) and `3.bulb.radius` and so on; `heading` is what all rotations together
+    add to the robot's heading, rad in (-pi, pi]. Nothing in a policy moves the robot or changes its room.
+
+    Args:
+        tree: nested plain values. {"effect": name, **its parameters}, {"all_of": [...]} or {"one_of": [...]}, each
+            with an optional `probability` (1 if left out) and, inside one_of, `weight` (1 if left out).
+        name: of the policy.
+        circular: False turns wrap-around off in all effects that do not say otherwise.
+
+    Raises:
+        AugmentError: an unknown effect, parameter or key, or a probability outside [0, 1].
+    """
+
+    name = "policy"
+
+    def __init__(self, tree: Mapping[str, Any], name: str = "policy", circular: bool = True) -> None:
+        super().__init__(circular=circular)
+        self.name = name  # type: ignore[misc]
+        slots = iter(range(1 << 20))
+        self.tree = _step(tree, circular, slots, name)
+        self.slots: tuple[Step, ...] = tuple(step for step in _walk(self.tree) if step.effect is not None)
+        self._inner = [step for step in _walk(self.tree) if step.probability < 1]
+        self._choices = [step for step in _walk(self.tree) if step.kind == "one_of"]
+
+    def __repr__(self) -> str:
+        return f"Policy({self.name!r}, {len(self.slots)} slots)"
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects by slot."""
+        return tuple(step.effect for step in self.slots if step.effect is not None)
+
+    def places(self, height: int, width: int) -> dict[str, Range]:
+        """The parameters of all slots, and a number for each decision."""
+        spans = {f"gate{number}": _UNIT for number in range(len(self._inner))}
+        spans.update({f"choice{number}": _UNIT for number in range(len(self._choices))})
+        for prefix, inner in self._prefixed():
+            spans.update({f"{prefix}.{key}": span for key, span in inner.spans(height, width).items()})
+        return spans
+
+    def param_names(self, height: int, width: int) -> list[str]:
+        """The names of the parameters, decisions taken."""
+        names = []
+        for prefix, inner in self._prefixed():
+            names += [f"{prefix}.on", *(f"{prefix}.{key}" for key in inner.param_names(height, width))]
+        return [*names, "heading"]
+
+    def complete(self, params: Params, height: int, width: int) -> Params:
+        """Take the decisions, and add up the headings."""
+        taken = self._decide(params)
+        done: Params = {}
+        count = len(next(iter(params.values()))) if params else 0
+        heading = torch.zeros(count)
+        for slot, (prefix, inner) in enumerate(self._prefixed()):
+            own = {key: params[f"{prefix}.{key}"] for key in inner.spans(height, width)}
+            own = inner.complete(own, height, width)
+            done[f"{prefix}.on"] = taken[slot]
+            done.update({f"{prefix}.{key}": value for key, value in own.items()})
+            if "heading" in own:
+                heading = heading + own["heading"] * taken[slot]
+        return {**done, "heading": wrapped(heading)}
+
+    def draw(self, generator: torch.Generator, batch: Tensor) -> Params:
+        """Return parameters for every frame of a batch. See `Effect.draw`."""
+        params = super().draw(generator, batch)
+        if not self.slots:
+            params["heading"] = torch.zeros(len(batch))
+        return params
+
+    def at(self, strength: float, batch: Tensor) -> Params:
+        """Return every effect of the policy at one strength. See `Effect.at`."""
+        params = super().at(strength, batch)
+        for prefix, _ in self._prefixed():
+            params[f"{prefix}.on"] = torch.ones(len(batch), dtype=torch.bool)
+        if not self.slots:
+            params["heading"] = torch.zeros(len(batch))
+        return params
+
+    def describe(self, params: Mapping[str, Tensor]) -> list[str]:
+        """Return what happens to each frame: "darken + bulb light + rotate", or "original"."""
+        words: list[list[str]] = [[] for _ in range(len(params["heading"]))]
+        for prefix, inner in self._prefixed():
+            on = torch.as_tensor(params[f"{prefix}.on"])
+            if not on.any():
+                continue
+            texts = inner.describe(_without(prefix, params))
+            for frame in on.nonzero()[:, 0].tolist():
+                words[frame].append(texts[frame])
+        return [" + ".join(some) or "original" for some in words]
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the brushes of the effects it got, in their order."""
+        brushes: list[list[Brush]] = [[] for _ in range(len(params["heading"]))]
+        for prefix, inner in self._prefixed():
+            frames = params[f"{prefix}.on"].nonzero()[:, 0]
+            if len(frames):
+                own = {key: value[frames] for key, value in _without(prefix, params).items() if key != "on"}
+                some = inner.brushes(own, height, width)
+                for frame, strokes in zip(frames.tolist(), some, strict=True):
+                    brushes[frame].extend(strokes)
+        return list(brushes)
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the batch after all effects; each works on the frames that got it."""
+        out = batch
+        for prefix, inner in self._prefixed():
+            frames = params[f"{prefix}.on"].nonzero()[:, 0]
+            if len(frames) == 0:
+                continue
+            own = {key: value[frames] for key, value in _without(prefix, params).items() if key != "on"}
+            if out is batch:
+                out = batch.clone()
+            where = frames.to(batch.device)
+            out[where] = inner.render(out[where], own).clamp(0, 1)
+        return out
+
+    def _prefixed(self) -> Iterator[tuple[str, Effect]]:
+        for step in self.slots:
+            if step.effect is not None:
+                yield step.name, step.effect
+
+    def _decide(self, params: Params) -> list[Tensor]:
+        """Return for each slot which frames got it (B,)."""
+        gates = {id(step): params[f"gate{i}"] < step.probability for i, step in enumerate(self._inner)}
+        choices = {id(step): params[f"choice{i}"].contiguous() for i, step in enumerate(self._choices)}
+        count = len(next(iter(params.values()))) if params else 0
+        taken: list[Tensor] = [torch.zeros(0)] * len(self.slots)
+
+        def visit(step: Step, here: Tensor) -> None:
+            if id(step) in gates:
+                here = here & gates[id(step)]
+            if step.effect is not None:
+                taken[step.slot] = here
+            elif step.kind == "all_of":
+                for child in step.steps:
+                    visit(child, here)
+            else:
+                chosen = torch.bucketize(choices[id(step)], _bounds(tuple(child.weight for child in step.steps)))
+                for number, child in enumerate(step.steps):
+                    visit(child, here & (chosen == number))
+
+        visit(self.tree, torch.ones(count, dtype=torch.bool))
+        return taken
+
+
+def _without(prefix: str, params: Mapping[str, Tensor]) -> Params:
+    start = len(prefix) + 1
+    return {key[start:]: value for key, value in params.items() if key.startswith(f"{prefix}.")}
+
+
+@lru_cache(maxsize=256)
+def _bounds(weights: tuple[float, ...]) -> Tensor:
+    """Return the inner boundaries of the intervals of [0, 1) that belong to weights."""
+    share = torch.tensor(weights, dtype=torch.float64)
+    return (share.cumsum(0) / share.sum())[:-1].float()
+
+
+def _walk(step: Step) -> Iterator[Step]:
+    yield step
+    for child in step.steps:
+        yield from _walk(child)
+
+
+def _step(tree: Any, circular: bool, slots: Iterator[int], where: str) -> Step:
+    if not isinstance(tree, Mapping):
+        raise AugmentError(f"a step of policy {where} must be a mapping with effect, all_of or one_of, got {tree!r}")
+    rest = dict(tree)
+    kinds = [kind for kind in _KINDS if kind in rest]
+    if len(kinds) != 1:
+        raise AugmentError(
+            f"a step of policy {where} has exactly one of {', '.join(_KINDS)}, "
+            f"got {', '.join(map(str, rest)) or 'nothing'}"
+        )
+    kind = kinds[0]
+    content = rest.pop(kind)
+    probability = _number(rest.pop("probability", 1.0), f"a probability of policy {where}", 0, 1)
+    weight = _number(rest.pop("weight", 1.0), f"a weight of policy {where}", 0, 1e9)
+    if kind == "effect":
+        if content not in EFFECTS:
+            raise AugmentError(f"unknown effect {content!r} in policy {where}: {nearest(content, EFFECTS)}")
+        slot = next(slots)
+        built = effect(content, **{"circular": circular, **rest})
+        return Step(kind, (), built, slot, probability, weight, f"{slot}.{content}")
+    if rest:
+        raise AugmentError(
+            f"{kind} in policy {where} has no key {next(iter(rest))!r}: "
+            f"{nearest(next(iter(rest)), (kind, 'probability', 'weight'))}"
+        )
+    if not isinstance(content, Sequence) or isinstance(content, str):
+        raise AugmentError(f"{kind} in policy {where} must be a list of steps, got {content!r}")
+    steps = tuple(_step(child, circular, slots, where) for child in content)
+    if kind == "one_of" and not sum(step.weight for step in steps) > 0:
+        raise AugmentError(f"one_of in policy {where} needs at least one step with a weight above 0")
+    return Step(kind, steps, None, -1, probability, weight)
+
+
+def _number(value: Any, what: str, low: float, high: float) -> float:
+    if isinstance(value, Real) and not isinstance(value, bool) and low <= float(value) <= high:
+        return float(value)
+    raise AugmentError(f"{what} must be a number in [{low:g}, {high:g}], got {value!r}")

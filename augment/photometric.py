@@ -1,0 +1,182 @@
+"""Effects that map every level of a channel to another one, wherever the pixel lies."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import ClassVar
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from augment.base import Effect, Params, column_of
+from augment.brushes import Brush, Frame, flat
+from augment.ranges import Range
+
+
+class PointEffect(Effect):
+    """I' = curve(I). 8-bit frames are looked up in a table of 256 levels, one for each frame."""
+
+    @abstractmethod
+    def curve(self, level: Tensor, params: Params) -> Tensor:
+        """Return the new level for levels in [0, 1], (B, 3, H, W) or (1, 1, 1, 256); parameters (B, 1, 1, 1).
+
+        The second dimension of the result may be 3 where it was 1: the colours then differ.
+        """
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the lookup of its table."""
+        levels = (torch.arange(256, dtype=torch.float32) / 255).view(1, 1, 1, 256)
+        values = self.curve(levels, {key: column_of(value, levels) for key, value in params.items()})
+        tables = (values.clamp(0, 1) * 255).round().to(torch.uint8).squeeze(2).numpy()
+        return [[partial(look_up, table)] for table in tables]
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the curve of every value."""
+        return self.curve(batch, {key: column_of(value, batch) for key, value in params.items()})
+
+
+class Brighten(PointEffect):
+    """More light everywhere: I' = I + c ([T] 5.3.2, global illumination, figure 5.4 b).
+
+    Args:
+        amount: c, whole levels of 0 ... 255. 35 ... 75 as published.
+    """
+
+    name = "brighten"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        "amount": Range(35, 75, minimum=0, maximum=255, neutral=0, whole=True),
+    }
+    sign: ClassVar[int] = 1
+
+    def curve(self, level: Tensor, params: Params) -> Tensor:
+        """I + c."""
+        return level + params["amount"] * (self.sign / 255)
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame a saturating addition, which is faster than the table."""
+        return [[partial(_add, self.sign * int(amount))] for amount in params["amount"].tolist()]
+
+
+class Darken(Brighten):
+    """Less light everywhere: I' = I - c ([T] 5.3.2, global illumination, figure 5.4 c).
+
+    Args:
+        amount: c, whole levels of 0 ... 255. 35 ... 75 as published.
+    """
+
+    name = "darken"
+    sign: ClassVar[int] = -1
+
+
+class Contrast(PointEffect):
+    """Contrast about a dark grey: I' = 64 + c (I - 64) ([T] 5.3.2, figure 5.4 f).
+
+    Args:
+        factor: c, above 1 for more contrast and below for less. The thesis gives no range.
+        pivot: the level that stays; 64 as published.
+    """
+
+    name = "contrast"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        "factor": Range(0.5, 1.8, minimum=0, maximum=20, neutral=1),
+        "pivot": Range(64, 64, minimum=0, maximum=255),
+    }
+
+    def curve(self, level: Tensor, params: Params) -> Tensor:
+        """I + (c - 1) (I - 64), which leaves I alone at c = 1 to the last bit."""
+        return level + (params["factor"] - 1) * (level - params["pivot"] / 255)
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame a saturating scaling, which is faster than the table."""
+        pairs = zip(params["factor"].tolist(), params["pivot"].tolist(), strict=True)
+        return [[partial(_scale, factor, pivot * (1 - factor))] for factor, pivot in pairs]
+
+
+class Gamma(PointEffect):
+    """Another response of the camera: I' = I^gamma, on [0, 1].
+
+    Args:
+        gamma: below 1 for brighter shadows, above 1 for darker ones; drawn evenly in the logarithm.
+    """
+
+    name = "gamma"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        "gamma": Range(0.5, 2.0, minimum=0.05, maximum=20, neutral=1, log=True),
+    }
+
+    def curve(self, level: Tensor, params: Params) -> Tensor:
+        """I^gamma."""
+        return level ** params["gamma"]
+
+
+class Exposure(PointEffect):
+    """A longer or a shorter exposure, clipped as a sensor clips.
+
+    I' = encode(min(1, 2^stops decode(I))) with the transfer curve of sRGB (IEC 61966-2-1): the light is scaled
+    before the camera's curve, and what exceeds the sensor's range is white.
+
+    Args:
+        stops: binary logarithm of the change of light.
+    """
+
+    name = "exposure"
+    RANGES: ClassVar[Mapping[str, Range]] = {"stops": Range(-1.5, 1.5, minimum=-10, maximum=10, neutral=0)}
+
+    def curve(self, level: Tensor, params: Params) -> Tensor:
+        """Decode, scale, clip, encode."""
+        stops = params["stops"]
+        light = torch.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+        light = (light * torch.exp2(stops)).clamp(max=1)
+        coded = torch.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
+        return torch.where(stops == 0, level, coded)
+
+
+class WhiteBalance(PointEffect):
+    """Light of another colour, or a camera that took it for another one.
+
+    I'_k = g_k I_k with log2 g = temperature (1/2, 0, -1/2) + tint (1/3, -2/3, 1/3) for red, green, blue. The
+    geometric mean of the three gains is 1.
+
+    Args:
+        temperature: stops between red and blue; positive is warmer.
+        tint: stops between magenta and green; positive is more magenta.
+    """
+
+    name = "white_balance"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        "temperature": Range(-0.6, 0.6, minimum=-4, maximum=4, neutral=0),
+        "tint": Range(-0.15, 0.15, minimum=-4, maximum=4, neutral=0),
+    }
+
+    def curve(self, level: Tensor, params: Params) -> Tensor:
+        """The gain of each colour."""
+        warm = torch.tensor([0.5, 0.0, -0.5], device=level.device).view(1, 3, 1, 1)
+        magenta = torch.tensor([1 / 3, -2 / 3, 1 / 3], device=level.device).view(1, 3, 1, 1)
+        return level * torch.exp2(params["temperature"] * warm + params["tint"] * magenta)
+
+
+def look_up(table: NDArray[np.uint8], frame: Frame) -> None:
+    """Replace every level of a frame by its entry in a table (1 or 3, 256), one for all channels or one for each."""
+    if len(table) == 1:
+        cv2.LUT(flat(frame), table[0], dst=flat(frame))
+        return
+    for channel in range(3):
+        cv2.LUT(frame[channel], table[channel], dst=frame[channel])
+
+
+def _scale(factor: float, offset: float, frame: Frame) -> None:
+    cv2.addWeighted(flat(frame), factor, flat(frame), 0, offset, dst=flat(frame))
+
+
+def _add(amount: int, frame: Frame) -> None:
+    if amount >= 0:
+        np.minimum(frame, 255 - amount, out=frame)
+        np.add(frame, np.uint8(amount), out=frame)
+    else:
+        np.maximum(frame, -amount, out=frame)
+        np.subtract(frame, np.uint8(-amount), out=frame)

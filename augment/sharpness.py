@@ -1,0 +1,148 @@
+"""Sharpening, blur, and the blur of a turning robot: convolutions that wrap around in azimuth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from augment.base import Effect, Params, column_of
+from augment.brushes import Brush, Frame, padded
+from augment.errors import AugmentError
+from augment.ranges import Range
+
+
+class Sharpen(Effect):
+    """Crisper edges: I' = I + strength (m * I - I), m = [0 -1 0; -1 5 -1; 0 -1 0] ([T] 5.3.2, table 5.3).
+
+    Columns wrap around; the first and the last row are repeated beyond the border.
+
+    Args:
+        strength: 1 as published; 0 leaves the picture.
+    """
+
+    name = "sharpen"
+    RANGES: ClassVar[Mapping[str, Range]] = {"strength": Range(1, 1, minimum=0, maximum=10, neutral=0)}
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the convolution with its mask."""
+        brushes: list[Sequence[Brush]] = []
+        for s in params["strength"].tolist():
+            mask = np.array([[0, -s, 0], [-s, 1 + 4 * s, -s], [0, -s, 0]], dtype=np.float32)
+            brushes.append([partial(_convolve, mask, self.circular)] if s else [])
+        return brushes
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the batch with its scaled Laplacian added."""
+        wide = _extended(batch, 1, 1, self.circular)
+        across = wide[:, :, 1:-1, :-2] + wide[:, :, 1:-1, 2:]
+        down = wide[:, :, :-2, 1:-1] + wide[:, :, 2:, 1:-1]
+        return batch + column_of(params["strength"], batch) * (4 * batch - across - down)
+
+
+class Blur(Effect):
+    """A picture out of focus: I' = I + strength (m * I - I), m a box of size x size ones over its area.
+
+    Columns wrap around; the first and the last row are repeated beyond the border ([T] 5.3.2, table 5.3).
+
+    Args:
+        strength: 1 as published; 0 leaves the picture.
+        size: pixels, odd; 5 as published.
+    """
+
+    name = "blur"
+    RANGES: ClassVar[Mapping[str, Range]] = {"strength": Range(1, 1, minimum=0, maximum=1, neutral=0)}
+    OPTIONS: ClassVar[Mapping[str, Any]] = {"size": 5}
+
+    def __init__(self, **params: Any) -> None:
+        super().__init__(**params)
+        size = self.options["size"]
+        if not isinstance(size, int) or size < 1 or size % 2 == 0:
+            raise AugmentError(f"size of {self.name} must be an odd number of pixels, got {size!r}")
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the box filter, or the mixture of it with the original in one mask."""
+        size = self.options["size"]
+        brushes: list[Sequence[Brush]] = []
+        for strength in params["strength"].tolist():
+            if strength == 1:
+                brushes.append([partial(_box, size, size, self.circular)])
+            elif strength:
+                mask = np.full((size, size), strength / size**2, dtype=np.float32)
+                mask[size // 2, size // 2] += 1 - strength
+                brushes.append([partial(_convolve, mask, self.circular)])
+            else:
+                brushes.append([])
+        return brushes
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the mean of the neighbours, mixed by strength."""
+        size = self.options["size"]
+        wide = _extended(batch, size // 2, size // 2, self.circular)
+        mean = F.avg_pool2d(F.avg_pool2d(wide, (1, size), 1), (size, 1), 1)
+        return batch + column_of(params["strength"], batch) * (mean - batch)
+
+
+class MotionBlur(Effect):
+    """The robot turns while the shutter is open: I'(y, x) = mean of I(y, x + i), i = -r ... r, n = 2 r + 1.
+
+    Args:
+        length: n in columns of a frame of 512 columns, brought to the nearest odd number; it grows with the frame.
+            1 leaves the picture.
+    """
+
+    name = "motion_blur"
+    RANGES: ClassVar[Mapping[str, Range]] = {"length": Range(3, 15, minimum=1, maximum=255, neutral=1)}
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame a box filter along its rows."""
+        lengths = [_odd(length, width) for length in params["length"].tolist()]
+        return [[partial(_box, length, 1, self.circular)] if length > 1 else [] for length in lengths]
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the means; frames of one length are treated together."""
+        lengths = torch.tensor([_odd(length, batch.shape[3]) for length in params["length"].tolist()])
+        out = batch.clone()
+        for length in lengths.unique().tolist():
+            if length > 1:
+                frames = (lengths == length).nonzero()[:, 0].to(batch.device)
+                wide = _extended(batch[frames], length // 2, 0, self.circular)
+                out[frames] = F.avg_pool2d(wide, (1, length), 1)
+        return out
+
+
+def _odd(length: float, width: int) -> int:
+    return 2 * round((length * width / 512 - 1) / 2) + 1
+
+
+def _extended(batch: Tensor, columns: int, rows: int, circular: bool) -> Tensor:
+    """Return a batch with more columns on both sides and more rows above and below."""
+    width = batch.shape[3]
+    if circular:
+        index = torch.arange(-columns, width + columns, device=batch.device) % width
+        batch = batch.index_select(3, index)
+    else:
+        batch = F.pad(batch, (columns, columns, 0, 0), mode="replicate")
+    return F.pad(batch, (0, 0, rows, rows), mode="replicate") if rows else batch
+
+
+def _convolve(mask: np.ndarray, circular: bool, frame: Frame) -> None:
+    radius = mask.shape[1] // 2
+    wide = padded(frame, radius, circular)
+    for channel in range(3):
+        done = cv2.filter2D(wide[channel], -1, mask, borderType=cv2.BORDER_REPLICATE)
+        frame[channel] = done[:, radius : radius + frame.shape[2]]
+
+
+def _box(columns: int, rows: int, circular: bool, frame: Frame) -> None:
+    radius = columns // 2
+    wide = padded(frame, radius, circular)
+    for channel in range(3):
+        done = cv2.blur(wide[channel], (columns, rows), borderType=cv2.BORDER_REPLICATE)
+        frame[channel] = done[:, radius : radius + frame.shape[2]]

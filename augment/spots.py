@@ -1,0 +1,146 @@
+"""Spots of light and darkness: lamps, reflections and windows ([T] 5.3.2, local effects)."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from math import ceil, floor
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from augment.errors import AugmentError, nearest
+from augment.layers import Layer
+from augment.ranges import Range
+
+TONES = ("light", "dark", "any")
+
+_SPOT = {
+    "radius": Range(15, 40, minimum=0.5),
+    "intensity": Range(100, 160, minimum=0, maximum=255, neutral=0),
+    "rim": Range(5, 5, minimum=0, maximum=255),
+}
+
+
+class Spot(Layer):
+    """A patch of light or shadow that fades from its centre to its rim.
+
+    I' = I +- a(rho), with a(rho) = c + (rim - c) rho for rho <= 1 and 0 beyond; rho is 0 at the centre and 1 at the
+    rim, and the shape of the spot says what lies between. A rim above c counts as c. All channels alike.
+
+    Args:
+        tone: "light", "dark" or "any", drawn evenly.
+        radius: in pixels of a frame of 128 rows; it grows with the frame. 15 ... 40 as published.
+        intensity: c, in levels of 0 ... 255. 100 ... 160 as published.
+        rim: what is left of it at the rim. 5 as published.
+        aspect: width over height; the area stays as it is.
+        circular: a spot across the seam goes on at the other side.
+    """
+
+    additive: ClassVar[bool] = True
+    OPTIONS: ClassVar[Mapping[str, Any]] = {"tone": "any"}
+
+    def __init__(self, **params: Any) -> None:
+        super().__init__(**params)
+        if self.options["tone"] not in TONES:
+            raise AugmentError(f"unknown tone {self.options['tone']!r} of {self.name}: {nearest(self.tone, TONES)}")
+
+    @property
+    def tone(self) -> str:
+        """Light, dark or any."""
+        return str(self.options["tone"])
+
+    def places(self, height: int, width: int) -> dict[str, Range]:
+        """Centre and tone: 1 light, 0 dark."""
+        low, high, neutral = {"light": (1, 1, None), "dark": (0, 0, None), "any": (0, 1, 0.5)}[self.tone]
+        return {
+            "column": Range(0, width - 1, whole=True),
+            "row": Range(0, height - 1, whole=True),
+            "light": Range(low, high, neutral=neutral, whole=True),
+        }
+
+    def describe(self, params: Mapping[str, Tensor]) -> list[str]:
+        """Return name and tone of each frame's spot."""
+        return [f"{self.name} {'light' if light else 'dark'}" for light in params["light"].tolist()]
+
+    @abstractmethod
+    def distance(self, across: Tensor, down: Tensor, params: Mapping[str, Any]) -> Tensor:
+        """Return rho at offsets from the centre, in units of the half width and the half height."""
+
+    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
+        """Return what is added, in levels."""
+        half_height = params["radius"] * (height / 128) / params["aspect"] ** 0.5
+        half_width = half_height * params["aspect"]
+        across = self.offset(columns, params["column"], width) / half_width
+        rho = self.distance(across, (rows - params["row"]) / half_height, params)
+        centre = params["intensity"]
+        rim = torch.minimum(torch.as_tensor(params["rim"]), torch.as_tensor(centre)).to(rho.device)
+        sign = 2 * params["light"] - 1
+        return torch.where(rho <= 1, rho * (rim - centre) + centre, 0) * sign
+
+    def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:
+        """Return the rows and columns that the spot covers."""
+        half_height = params["radius"] * (height / 128) / params["aspect"] ** 0.5
+        half_width = half_height * params["aspect"]
+        row, column = params["row"], params["column"]
+        return (
+            ceil(row - half_height),
+            floor(row + half_height) + 1,
+            ceil(column - half_width),
+            floor(column + half_width) + 1,
+        )
+
+
+class Bulb(Spot):
+    """A round spot, as of a light bulb ([T] 5.3.2, figure 5.3 a, b).
+
+    rho = sqrt(u^2 + v^2) at offsets u, v from the centre, counted in half widths and half heights. Everything else
+    as in `Spot`.
+    """
+
+    name = "bulb"
+    RANGES: ClassVar[Mapping[str, Range]] = {**_SPOT, "aspect": Range(0.8, 1.25, minimum=0.05, maximum=20, log=True)}
+
+    def distance(self, across: Tensor, down: Tensor, params: Mapping[str, Any]) -> Tensor:
+        """Euclidean."""
+        return (across * across + down * down).sqrt_()
+
+
+class Square(Spot):
+    """A rectangular spot, as of a reflection ([T] 5.3.2, figure 5.3 c).
+
+    rho = max(|u|, |v|) at offsets u, v from the centre, counted in half widths and half heights. Everything else as
+    in `Spot`.
+    """
+
+    name = "square"
+    RANGES: ClassVar[Mapping[str, Range]] = {**_SPOT, "aspect": Range(0.7, 1.4, minimum=0.05, maximum=20, log=True)}
+
+    def distance(self, across: Tensor, down: Tensor, params: Mapping[str, Any]) -> Tensor:
+        """Maximum of both."""
+        return torch.maximum(across.abs(), down.abs())
+
+
+class Trapezoid(Spot):
+    """A spot with a horizontal upper and lower edge of different lengths, as of a window ([T] 5.3.2, figure 5.3 d).
+
+    rho = max(|v|, |u| / w(v)) with w(v) = (1 + taper v) / (1 + |taper|): the half width w changes from the upper
+    edge (v = -1) to the lower edge (v = 1). Everything else as in `Spot`.
+
+    Args:
+        taper: positive for the wider edge below, negative for the wider edge above; 0 gives a square.
+    """
+
+    name = "trapezoid"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        **_SPOT,
+        "aspect": Range(0.8, 2.0, minimum=0.05, maximum=20, log=True),
+        "taper": Range(-0.6, 0.6, minimum=-0.95, maximum=0.95),
+    }
+
+    def distance(self, across: Tensor, down: Tensor, params: Mapping[str, Any]) -> Tensor:
+        """Maximum of both, the width changing from row to row."""
+        taper = params["taper"]
+        half = (1 + taper * down.clamp(-1, 1)) / (1 + abs(taper))
+        return torch.maximum(across.abs() / half, down.abs())

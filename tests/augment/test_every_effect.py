@@ -1,0 +1,192 @@
+"""What every effect and every policy has to hold."""
+
+import json
+
+import pytest
+import torch
+
+import augment
+from tests.augment.pictures import generator, panoramas
+
+NAMES = [*augment.EFFECTS, *(f"policy {name}" for name in augment.POLICIES)]
+DTYPES = [torch.uint8, torch.float32]
+
+
+def build(name, **params):
+    kind, _, policy = name.partition(" ")
+    return augment.policy(policy, **params) if policy else augment.effect(kind, **params)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("name", NAMES)
+def test_keeps_shape_dtype_range_and_the_batch_given(name, dtype):
+    batch = panoramas(dtype=dtype)
+    before = batch.clone()
+    out = build(name)(batch, generator())
+    assert out.shape == batch.shape
+    assert out.dtype == dtype
+    assert 0 <= float(out.min()) <= float(out.max()) <= (255 if dtype == torch.uint8 else 1)
+    assert torch.equal(batch, before)
+    assert out.data_ptr() != batch.data_ptr()
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("name", augment.EFFECTS)
+def test_changes_pictures_at_full_strength_and_leaves_them_at_zero(name, dtype):
+    effect, batch = augment.effect(name), panoramas(height=32, width=128, dtype=dtype)
+    assert torch.equal(effect.apply(batch, effect.at(0, batch)), batch)
+    assert not torch.equal(effect.apply(batch, effect.at(0.9, batch)), batch)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("name", NAMES)
+def test_replay_from_plain_values_is_exact(name, dtype):
+    effect, batch = build(name), panoramas(5, dtype=dtype)
+    params = effect.draw(generator(3), batch)
+    stored = json.loads(json.dumps({key: value.tolist() for key, value in params.items()}))
+    assert torch.equal(effect.apply(batch, params), effect.apply(batch, stored))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_one_generator_state_gives_one_draw_for_both_dtypes(name):
+    effect = build(name)
+    first = effect.draw(generator(5), panoramas())
+    second = effect.draw(generator(5), panoramas(dtype=torch.float32))
+    other = effect.draw(generator(6), panoramas())
+    assert first.keys() == second.keys()
+    assert all(torch.equal(first[key], second[key]) for key in first)
+    if name not in ("policy none", "sharpen", "blur", "equalize"):  # published with fixed strengths
+        assert any(not torch.equal(first[key], other[key]) for key in first)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("name", NAMES)
+def test_every_frame_has_its_own_parameters_and_is_treated_alone(name, dtype):
+    effect, batch = build(name), panoramas(4, dtype=dtype)
+    params = effect.draw(generator(1), batch)
+    together = effect.apply(batch, params)
+    for frame in range(4):
+        own = {key: value[frame : frame + 1] for key, value in params.items()}
+        alone = effect.apply(batch[frame : frame + 1], own)[0]
+        assert torch.allclose(alone.float(), together[frame].float(), atol=1e-6)
+    assert all(value.shape == (4,) for value in params.values())
+    spread = [value for key, value in params.items() if key not in ("rim", "pivot", "horizon", "level")]
+    if name not in ("policy none", "sharpen", "blur", "equalize"):
+        assert any(len(value.unique()) > 1 for value in spread)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("jpeg", "policy strong")])
+def test_turning_before_equals_turning_after(name, dtype):
+    """Turning the panorama, then the effect with turned parameters = the effect, then turning."""
+    effect, batch = build(name), panoramas(8, dtype=dtype)
+    params = effect.draw(generator(2), batch)
+    for columns in (1, 13, 63):
+        before = effect.apply(batch.roll(columns, 3), effect.turned(params, columns, 64))
+        after = effect.apply(batch, params).roll(columns, 3)
+        assert torch.allclose(before.float(), after.float(), atol=1e-6 if dtype == torch.float32 else 0)
+
+
+def test_jpeg_turns_by_whole_blocks():
+    effect, batch = augment.effect("jpeg"), panoramas(4, 32, 128)
+    params = effect.draw(generator(2), batch)
+    inner = slice(8, -8)  # the codec smooths colours between neighbouring blocks, but not across the seam
+    before = effect.apply(batch.roll(16, 3), params).roll(-16, 3)[..., 24:-24].float()
+    after = effect.apply(batch, params)[..., 24:-24].float()
+    assert torch.equal(before[:, :, inner], after[:, :, inner])
+
+
+@pytest.mark.parametrize("name", augment.EFFECTS)
+def test_8_bit_and_float_follow_one_formula(name):
+    effect, batch = augment.effect(name), panoramas(6)
+    params = effect.draw(generator(4), batch)
+    bits = effect.apply(batch, params).float()
+    exact = effect.apply(batch.float() / 255, params) * 255
+    assert float((bits - exact).abs().max()) <= 0.5 + 1e-3
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize("name", NAMES)
+def test_the_gpu_gives_the_same_pictures(name):
+    effect, batch = build(name), panoramas(4, dtype=torch.float32)
+    params = effect.draw(generator(1), batch)
+    there = effect.apply(batch.cuda(), params).cpu()
+    assert torch.allclose(there, effect.apply(batch, params), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_wrapping_for_ordinary_cameras(name):
+    effect, batch = build(name, circular=False), panoramas(6)
+    params = effect.draw(generator(), batch)
+    out = effect.apply(batch, params)
+    assert out.shape == batch.shape
+    if "heading" in params:
+        assert not params["heading"].any()
+    float_out = effect.apply(batch.float() / 255, params)
+    if "policy" not in name:
+        assert float((out.float() - 255 * float_out).abs().max()) <= 0.5 + 1e-3
+
+
+@pytest.mark.parametrize("name", ["bulb", "equalize", "noise", "policy strong"])
+def test_an_empty_batch_stays_empty(name):
+    effect, batch = build(name), panoramas(0)
+    assert effect(batch, generator()).shape == (0, 3, 24, 64)
+
+
+@pytest.mark.parametrize("name", ["blur", "bulb", "policy thesis"])
+def test_any_memory_layout(name):
+    effect, batch = build(name), panoramas(3)
+    params = effect.draw(generator(), batch)
+    other = batch.to(memory_format=torch.channels_last)
+    assert torch.equal(effect.apply(other, params), effect.apply(batch, params))
+
+
+@pytest.mark.parametrize("name", ["gamma", "policy thesis"])
+@pytest.mark.parametrize(
+    ("batch", "message"),
+    [
+        (torch.zeros(3, 8, 8), r"a batch has shape \(B, 3, H, W\), got \(3, 8, 8\)"),
+        (torch.zeros(1, 1, 8, 8), r"a batch has shape \(B, 3, H, W\), got \(1, 1, 8, 8\)"),
+        (torch.zeros(1, 3, 0, 8), r"a batch has shape \(B, 3, H, W\)"),
+        (torch.zeros(1, 3, 8, 8, dtype=torch.float64), "a batch is uint8, or float32 in .0, 1., got torch.float64"),
+        (torch.full((1, 3, 8, 8), 7.0), "this one runs from 7 to 7: divide 8-bit values by 255"),
+        (torch.full((1, 3, 8, 8), -0.5), "this one runs from -0.5 to -0.5"),
+        (torch.full((1, 3, 8, 8), float("nan")), "the batch holds NaN"),
+        ([[1]], "a batch is a torch tensor of shape .B, 3, H, W., got list"),
+    ],
+)
+def test_wrong_batches(name, batch, message):
+    with pytest.raises(augment.AugmentError, match=message):
+        build(name)(batch, generator())
+
+
+def test_wrong_parameters_of_apply():
+    effect, batch = augment.effect("brighten"), panoramas(2)
+    with pytest.raises(augment.AugmentError, match="the parameters of brighten lack 'amount'"):
+        effect.apply(batch, {})
+    with pytest.raises(augment.AugmentError, match=r"'amount' of brighten has shape \(3,\), expected \(2,\)"):
+        effect.apply(batch, {"amount": [1, 2, 3]})
+    with pytest.raises(augment.AugmentError, match="the parameters of brighten hold 'amuont', which it has not"):
+        effect.apply(batch, {"amuont": [1, 2]})
+
+
+def test_unknown_names():
+    with pytest.raises(augment.AugmentError, match="unknown effect 'bulp': did you mean 'bulb'"):
+        augment.effect("bulp")
+    with pytest.raises(augment.AugmentError, match="bulb has no parameter 'radios': did you mean 'radius'"):
+        augment.effect("bulb", radios=3)
+    with pytest.raises(AttributeError, match="module 'augment' has no attribute 'efect'"):
+        _ = augment.efect
+
+
+def test_strength_of_at_is_bounded():
+    with pytest.raises(augment.AugmentError, match=r"strength of gamma must lie in \[-1, 1\], got 2"):
+        augment.effect("gamma").at(2, panoramas(1))
+
+
+def test_strengths_go_both_ways():
+    batch = panoramas(1)
+    assert float(augment.effect("gamma").at(-1, batch)["gamma"]) == pytest.approx(0.5)
+    assert float(augment.effect("gamma").at(1, batch)["gamma"]) == pytest.approx(2.0)
+    assert float(augment.effect("darken").at(-1, batch)["amount"]) == 75

@@ -1,0 +1,79 @@
+import pytest
+import torch
+
+import augment
+from tests.augment.pictures import generator, panoramas
+
+GREY = torch.full((1, 3, 128, 512), 100, dtype=torch.uint8)
+
+
+def placed(name, column, row, intensity=100.0, **params):
+    effect = augment.effect(name, radius=30, intensity=intensity, **params)
+    drawn = effect.at(1, GREY)
+    drawn["column"][0], drawn["row"][0] = column, row
+    return effect.apply(GREY, drawn)[0, 0].int()
+
+
+@pytest.mark.parametrize("name", ["bulb", "square", "trapezoid"])
+def test_intensity_at_the_centre_and_at_the_rim_as_published(name):
+    light = placed(name, 256, 64, tone="light", aspect=1)
+    dark = placed(name, 256, 64, tone="dark", aspect=1)
+    assert light[64, 256] == 200
+    assert dark[64, 256] == 0
+    assert light[94, 256] == dark[64 + 30, 256] + 10 == 105
+    assert light[95, 256] == 100
+    assert light[64, 256 + 31] == 100
+
+
+@pytest.mark.parametrize("name", ["bulb", "square", "trapezoid"])
+def test_a_spot_across_the_seam_goes_on_at_the_other_side(name):
+    inside, across = placed(name, 256, 64), placed(name, 3, 64)
+    assert torch.equal(across, inside.roll(3 - 256, 1))
+    assert across[64, 511] > 100
+
+
+@pytest.mark.parametrize("name", ["bulb", "square", "trapezoid"])
+def test_without_wrapping_a_spot_ends_at_the_border(name):
+    across = placed(name, 3, 64, circular=False)
+    assert across[64, 0] > 100
+    assert (across[:, 256:] == 100).all()
+
+
+def test_the_radius_grows_with_the_frame():
+    effect = augment.effect("bulb", radius=20, aspect=1, tone="light")
+    batch = torch.zeros(1, 3, 64, 256, dtype=torch.uint8)
+    touched = effect.apply(batch, effect.at(1, batch))[0, 0] > 0
+    assert int(touched.any(1).sum()) == int(touched.any(0).sum()) == 21  # 10 px on both sides
+
+
+def test_tapers():
+    wide_below = placed("trapezoid", 256, 64, taper=0.5, tone="light", aspect=1) > 100
+    assert wide_below[92].sum() > 2 * wide_below[36].sum()
+
+
+def test_tone_any_draws_both():
+    batch = panoramas(64, 8, 16)
+    light = augment.effect("square").draw(generator(), batch)["light"]
+    assert 15 < int(light.sum()) < 49
+    assert augment.effect("square", tone="dark").draw(generator(), batch)["light"].sum() == 0
+
+
+def test_published_ranges():
+    params = augment.effect("bulb").draw(generator(), panoramas(500, 4, 4))
+    assert 15 <= float(params["radius"].min()) < 16
+    assert 39 < float(params["radius"].max()) <= 40
+    assert 100 <= float(params["intensity"].min()) < 102
+    assert 158 < float(params["intensity"].max()) <= 160
+    assert (params["rim"] == 5).all()
+
+
+def test_unknown_tone():
+    with pytest.raises(augment.AugmentError, match="unknown tone 'lihgt' of bulb: did you mean 'light'"):
+        augment.effect("bulb", tone="lihgt")
+
+
+@pytest.mark.parametrize("name", ["bulb", "square", "trapezoid"])
+def test_describes_tone(name):
+    effect = augment.effect(name)
+    params = effect.draw(generator(), panoramas(20, 8, 8))
+    assert set(effect.describe(params)) == {f"{name} light", f"{name} dark"}
