@@ -1,0 +1,213 @@
+"""Reader of the COLD database and of its lists of rooms."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from siamloc.data.frames import FrameTable, image_files
+from siamloc.data.names import parse_name
+from siamloc.data.policy import check_policy, leave_out, logger
+from siamloc.data.sequences import SequenceName, name_sequence
+from siamloc.errors import ConfigError, DataError, nearest
+
+CAMERAS = ("omni_cam", "std_cam")
+
+_LIST_SUFFIX = ".places.lst"
+_DEPTH = 5
+_LAYOUT = (
+    "<building>/part_<a|b>/seq<path>_<lighting><run>/omni_cam/*.jpeg with localization/places.lst, "
+    "folders such as cold-freiburg_part_a_seq2_cloudy1, or files *.places.lst"
+)
+
+
+def read_cold(
+    root: str | Path | None = None,
+    *,
+    places: str | Path | None = None,
+    camera: str = "omni_cam",
+    on_error: str = "skip",
+) -> FrameTable:
+    """Read the sequences of the COLD database that lie under a folder.
+
+    A sequence is a folder with a camera's folder inside, or with `localization/places.lst` or `places.lst`; or a list
+    named after its sequence, such as `freiburg_seq2_cloudy1.places.lst`, whose images are looked for in
+    `freiburg_seq2_cloudy1/<camera>` beside it and need not be there. Frames are ordered by time inside each sequence;
+    sequences are called `freiburg_a_seq2_cloudy3`, their building `freiburg_a`. Without a list the frames are the
+    images of the camera's folder, without rooms. Pronobis & Caputo 2009, IJRR 28(5).
+
+    Args:
+        root: the database, a building, a part, or one sequence.
+        places: exactly one list, instead of `root`.
+        camera: "omni_cam" or "std_cam".
+        on_error: "skip" or "raise", for images that are listed but missing and for sequences without this camera.
+
+    Raises:
+        ConfigError: neither or both of root and places, or an unknown camera or policy.
+        DataError: nothing found, a malformed line (with file and line number), or the same sequence found twice.
+    """
+    check_policy(on_error)
+    if camera not in CAMERAS:
+        raise ConfigError(f"COLD has no camera {camera!r}; {nearest(camera, CAMERAS)}")
+    if (root is None) == (places is None):
+        raise ConfigError("COLD is read from a folder or from one list: give either root=FOLDER or places=FILE")
+    if places is not None:
+        sources = [_source_of_list(Path(places).expanduser(), camera)]
+    else:
+        sources = _with_camera(_find(Path(str(root)).expanduser(), camera), camera, on_error)
+    named: dict[str, tuple[_Source, list[dict[str, Any]]]] = {}
+    for source in sources:
+        frames, name = _read_sequence(source, on_error)
+        if name.sequence in named:
+            first = named[name.sequence][0]
+            raise DataError(
+                f"sequence {name.sequence} is there twice, as {first.list or first.folder} and as "
+                f"{source.list or source.folder}: remove one, or give the folder of one of them as root"
+            )
+        named[name.sequence] = (source, frames)
+    return FrameTable.from_rows([frame for name in sorted(named) for frame in named[name][1]])
+
+
+@dataclass(frozen=True)
+class _Source:
+    """One sequence on disk: its folder, the folder of its images, its list, and what it is called within the root."""
+
+    folder: Path
+    images: Path
+    list: Path | None
+    label: str
+
+
+def _find(root: Path, camera: str) -> list[_Source]:
+    if not root.is_dir():
+        hint = "; one list is read with places=FILE" if root.is_file() else ""
+        raise DataError(f"{root} is not a folder{hint}. Expected {_LAYOUT}")
+    found: dict[Path, _Source] = {}
+    named_lists: list[Path] = []
+    for folder, files in _folders(root):
+        own_list = next((path for path in _own_lists(folder) if path.is_file()), None)
+        if own_list is not None or any((folder / name).is_dir() for name in CAMERAS):
+            label = folder.absolute().name if folder == root else folder.relative_to(root).as_posix()
+            found[folder] = _Source(folder, folder / camera, own_list, label)
+        named_lists += [folder / name for name in sorted(files) if name.endswith(_LIST_SUFFIX) and name != _LIST_SUFFIX]
+    for path in named_lists:
+        source = _source_of_list(path, camera)
+        if source.folder not in found or found[source.folder].list is None:
+            found[source.folder] = source
+    if not found:
+        there = sorted(path.name for path in root.iterdir())
+        listed = ", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
+        raise DataError(f"no sequence found under {root}, which holds: {listed or 'nothing'}. Expected {_LAYOUT}")
+    return list(found.values())
+
+
+def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Yield the folders under a root, down to the depth at which sequences lie, and the names of their files."""
+    visited: set[str] = set()
+    for name, children, files in os.walk(root, followlinks=True):
+        folder = Path(name)
+        # A link back to a folder above would show the same sequences again.
+        if (real := os.path.realpath(folder)) in visited:
+            children.clear()
+            continue
+        visited.add(real)
+        inside = len(folder.relative_to(root).parts) < _DEPTH
+        children[:] = sorted(
+            child for child in children if inside and child not in CAMERAS and not child.startswith(".")
+        )
+        yield folder, files
+
+
+def _own_lists(folder: Path) -> list[Path]:
+    """Where a sequence's folder keeps its list; a folder `localization` is no sequence itself."""
+    if folder.name == "localization":
+        return []
+    return [folder / "localization" / "places.lst", folder / "places.lst"]
+
+
+def _source_of_list(path: Path, camera: str) -> _Source:
+    if path.name.endswith(_LIST_SUFFIX):
+        folder = path.with_name(path.name.removesuffix(_LIST_SUFFIX))
+    elif path.parent.name == "localization":
+        folder = path.parent.parent
+    elif path.name == "places.lst":
+        folder = path.parent
+    else:
+        folder = path.with_suffix("")
+    return _Source(folder, folder / camera, path, folder.absolute().name)
+
+
+def _with_camera(sources: list[_Source], camera: str, on_error: str) -> list[_Source]:
+    """Leave out the sequences that hold another camera's images but none of this one's."""
+    lacking = [
+        source
+        for source in sources
+        if not source.images.is_dir() and any((source.folder / other).is_dir() for other in CAMERAS)
+    ]
+    what = f"sequences have no folder {camera}, only another camera's"
+    leave_out([str(source.folder) for source in lacking], len(sources), what, on_error)
+    return [source for source in sources if source not in lacking]
+
+
+def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]], SequenceName]:
+    if source.list is not None:
+        frames = _listed(source.list)
+        if source.images.is_dir():
+            there = set(os.listdir(source.images))  # noqa: PTH208 (names, not paths)
+            missing = [str(source.images / frame["image"]) for frame in frames if frame["image"] not in there]
+            leave_out(missing, len(frames), f"images listed in {source.list} do not exist", on_error)
+            frames = [frame for frame in frames if frame["image"] in there]
+    else:
+        frames = _unlisted(source.images, on_error)
+    name = name_sequence(source.folder, source.label, [frame["room"] for frame in frames])
+    for frame in frames:
+        frame["path"] = str(source.images / frame.pop("image"))
+        frame.update(sequence=name.sequence, building=name.building, lighting=name.lighting)
+    frames.sort(key=lambda frame: frame["time"])
+    return frames, name
+
+
+def _listed(path: Path) -> list[dict[str, Any]]:
+    """Read a list: `<image name> <room code>` in each line."""
+    try:
+        lines = path.read_bytes().decode("utf-8-sig").split("\n")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path} is not a list of rooms in UTF-8 ({error})") from error
+    except OSError as error:
+        raise DataError(f"the list {path} cannot be read: {error.strerror or error}") from error
+    frames: dict[str, dict[str, Any]] = {}
+    for number, line in enumerate(lines, start=1):
+        words = line.split()
+        if not words:
+            continue
+        pose = parse_name(words[0])
+        if len(words) != 2 or pose is None or "\0" in words[1]:
+            raise DataError(
+                f"{path}, line {number}: expected t<seconds>_x<metres>_y<metres>_a<radians>.jpeg and a room code, "
+                f"got {line.strip()[:120]!r}"
+            )
+        if words[0] in frames:
+            raise DataError(f"{path}, line {number}: image {words[0]} stands in the list already")
+        frames[words[0]] = {"image": words[0], "room": words[1], **pose._asdict()}
+    if not frames:
+        raise DataError(f"{path} lists no images")
+    return list(frames.values())
+
+
+def _unlisted(folder: Path, on_error: str) -> list[dict[str, Any]]:
+    """Take the frames from the names of a camera's images."""
+    images = image_files(folder)
+    if not images:
+        raise DataError(f"{folder} holds no images, and there is no list of rooms beside it")
+    poses = [parse_name(image.name) for image in images]
+    nameless = [image.name for image, pose in zip(images, poses, strict=True) if pose is None]
+    leave_out(nameless, len(images), f"images of {folder} carry no pose in their names", on_error)
+    logger.info("%s has no list of rooms: its %d frames carry none", folder.parent, len(images) - len(nameless))
+    return [
+        {"image": image.name, "room": "", **pose._asdict()}
+        for image, pose in zip(images, poses, strict=True)
+        if pose is not None
+    ]

@@ -1,0 +1,67 @@
+"""Reader of image folders: `<split>/<room>/<image>`, the layout that the field's published code uses."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from siamloc.data.frames import FrameTable, image_files
+from siamloc.data.names import lighting_in, parse_name
+from siamloc.data.policy import check_policy, leave_out
+from siamloc.errors import DataError
+
+_LAYOUT = "<split>/<room>/<image>, such as test_cloudy/KT-A/t1152889564.947_x0.2_y0.1_a0.0.jpeg"
+
+
+def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
+    """Read an image folder.
+
+    The split becomes the sequence, the room's folder the room, and the split's name may say the lighting. Where the
+    images of a split all have COLD names they are ordered by time, else by room and name; an image without such a
+    name has no pose (NaN).
+
+    Args:
+        root: the folder that holds the splits.
+        on_error: "skip" or "raise", for images that lie beside the rooms' folders and so have no room.
+
+    Raises:
+        ConfigError: an unknown policy.
+        DataError: the folder is missing, or holds no image in this layout.
+    """
+    check_policy(on_error)
+    root = Path(root).expanduser()
+    if not root.is_dir():
+        raise DataError(f"{root} is not a folder: expected one with {_LAYOUT}")
+    frames: list[dict[str, Any]] = []
+    stray: list[str] = []
+    for split in _subfolders(root):
+        stray += [str(image) for image in image_files(split)]
+        rows = [_frame(image, split.name) for room in _subfolders(split) for image in image_files(room)]
+        if not any(math.isnan(row["time"]) for row in rows):
+            rows.sort(key=lambda row: row["time"])
+        frames += rows
+    if not frames:
+        found = sorted(path.name for path in root.iterdir())[:5]
+        raise DataError(
+            f"{root} holds no images laid out as {_LAYOUT}; it holds: {', '.join(found) or 'nothing'}"
+            + (f"; images without a room's folder: {len(stray)}, the first {stray[0]}" if stray else "")
+        )
+    leave_out(stray, len(stray) + len(frames), "images lie beside the rooms' folders", on_error)
+    return FrameTable.from_rows(frames)
+
+
+def _subfolders(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+
+
+def _frame(image: Path, split: str) -> dict[str, Any]:
+    pose = parse_name(image.name)
+    values: dict[str, Any] = pose._asdict() if pose is not None else {"time": math.nan}
+    return {
+        "path": str(image),
+        "room": image.parent.name,
+        "sequence": split,
+        "lighting": lighting_in(split),
+        **values,
+    }

@@ -1,0 +1,223 @@
+"""`FrameTable`: what every reader returns and everything else takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import ConfigError, DataError, nearest
+
+_TEXT = ("path", "room", "sequence", "lighting", "building")
+_NUMBER = ("x", "y", "theta", "time")
+
+
+@dataclass(frozen=True)
+class FrameTable:
+    """Frames as columns of equal length, in capture order inside each sequence.
+
+    Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a
+    missing label is the empty text. Columns that are left out are filled with these.
+
+    Attributes:
+        path: image files (n,).
+        x: metres (n,), or whatever unit the data set counts in.
+        y: metres (n,).
+        theta: heading in radians (n,), counter-clockwise, 0 along +x.
+        room: room labels (n,).
+        sequence: names of the drives the frames belong to (n,).
+        lighting: "cloudy", "night", "sunny", or "" (n,).
+        time: seconds (n,).
+        building: name of the building, so that equal room codes of two buildings stay apart (n,).
+        index: row number in the table the reader returned (n,); selections keep it.
+
+    Raises:
+        DataError: columns of different lengths.
+    """
+
+    path: NDArray[np.str_]
+    x: NDArray[np.float64] = None  # type: ignore[assignment]
+    y: NDArray[np.float64] = None  # type: ignore[assignment]
+    theta: NDArray[np.float64] = None  # type: ignore[assignment]
+    room: NDArray[np.str_] = None  # type: ignore[assignment]
+    sequence: NDArray[np.str_] = None  # type: ignore[assignment]
+    lighting: NDArray[np.str_] = None  # type: ignore[assignment]
+    time: NDArray[np.float64] = None  # type: ignore[assignment]
+    building: NDArray[np.str_] = None  # type: ignore[assignment]
+    index: NDArray[np.int64] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        n = len(self.path)
+        for name in (field.name for field in fields(self)):
+            value = getattr(self, name)
+            column = _filled(name, n) if value is None else _as_column(name, value)
+            if column.shape != (n,):
+                raise DataError(f"column {name!r} has shape {column.shape}, expected ({n},) like 'path'")
+            column.flags.writeable = False
+            object.__setattr__(self, name, column)
+
+    def __len__(self) -> int:
+        return len(self.path)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, FrameTable):
+            return NotImplemented
+        return len(self) == len(other) and all(
+            np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+            for a, b in zip(self.columns().values(), other.columns().values(), strict=True)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        """Yield each frame as a plain dictionary."""
+        columns = {name: column.tolist() for name, column in self.columns().items()}
+        for row in range(len(self)):
+            yield {name: values[row] for name, values in columns.items()}
+
+    @property
+    def xy(self) -> NDArray[np.float64]:
+        """Positions (n, 2)."""
+        return np.column_stack([self.x, self.y])
+
+    @property
+    def has_position(self) -> NDArray[np.bool_]:
+        """True where a frame's position is known (n,)."""
+        return np.isfinite(self.x) & np.isfinite(self.y)
+
+    @property
+    def place(self) -> NDArray[np.str_]:
+        """Room labels that differ between buildings (n,): "building/room", or the room where there is no building."""
+        prefix = np.where(self.building != "", np.char.add(self.building, "/"), "")
+        return np.char.add(prefix, self.room)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def take(self, rows: ArrayLike | slice) -> FrameTable:
+        """Return the rows given by positions, a mask (n,) or a slice, in that order."""
+        key: Any = rows if isinstance(rows, slice) else np.asarray(rows)
+        if not isinstance(key, slice) and key.size == 0:
+            key = key.astype(np.int64)
+        return FrameTable(**{name: column[key] for name, column in self.columns().items()})
+
+    def select(self, **wanted: str | Iterable[str]) -> FrameTable:
+        """Return the frames whose labels are among the wanted ones.
+
+        Args:
+            **wanted: by column (`sequence`, `room`, `lighting`, `building`): one label or several; shell patterns
+                such as "*seq2_cloudy?" are understood.
+
+        Raises:
+            ConfigError: an unknown column, or a label that no frame carries (the valid ones are named).
+        """
+        mask = np.ones(len(self), dtype=bool)
+        for column, labels in wanted.items():
+            if column not in _TEXT:
+                raise ConfigError(f"frames cannot be selected by {column!r}; {nearest(column, _TEXT)}")
+            values = getattr(self, column)
+            present = sorted(set(values.tolist()))
+            labelled = [value for value in present if value]
+            chosen: set[str] = set()
+            for label in [labels] if isinstance(labels, str) else labels:
+                matches = [value for value in present if value == label or fnmatchcase(value, str(label))]
+                if not matches and not labelled:
+                    raise ConfigError(f"no frame has a {column} label, so {str(label)!r} cannot be selected")
+                if not matches:
+                    raise ConfigError(f"no frame has {column} {str(label)!r}; {nearest(str(label), labelled)}")
+                chosen.update(matches)
+            mask &= np.isin(values, sorted(chosen))
+        return self.take(mask)
+
+    def every(self, k: int) -> FrameTable:
+        """Return every k-th frame of each sequence, beginning with its first.
+
+        Raises:
+            ConfigError: k is not a positive whole number.
+        """
+        if k != int(k) or k < 1:
+            raise ConfigError(f"every k-th frame needs a whole k >= 1, got {k}")
+        keep = np.zeros(len(self), dtype=bool)
+        for rows in self.rows_by("sequence").values():
+            keep[rows[:: int(k)]] = True
+        return self.take(keep)
+
+    def spaced(self, metres: float) -> FrameTable:
+        """Return, of each sequence, the first frame and then each that is `metres` away from the last one kept.
+
+        Raises:
+            ConfigError: the distance is not positive.
+            DataError: a frame without a position.
+        """
+        if not metres > 0:
+            raise ConfigError(f"the spacing must be a positive number of metres, got {metres}")
+        if not self.has_position.all():
+            missing = int((~self.has_position).sum())
+            raise DataError(f"{missing} of {len(self)} frames have no position, so they cannot be spaced by distance")
+        keep = np.zeros(len(self), dtype=bool)
+        xy = self.xy
+        for rows in self.rows_by("sequence").values():
+            last = None
+            for row in rows:
+                if last is None or np.hypot(*(xy[row] - xy[last])) >= metres:
+                    keep[row] = True
+                    last = row
+        return self.take(keep)
+
+    def rows_by(self, column: str) -> dict[str, NDArray[np.int64]]:
+        """Return the row numbers of each label of a column, labels in order of first appearance."""
+        values = getattr(self, column)
+        labels, first, inverse = np.unique(values, return_index=True, return_inverse=True)
+        return {str(labels[i]): np.flatnonzero(inverse == i) for i in np.argsort(first, kind="stable")}
+
+    def with_columns(self, **columns: ArrayLike) -> FrameTable:
+        """Return the table with some columns replaced."""
+        return replace(self, **columns)  # type: ignore[arg-type]
+
+    def describe(self) -> str:
+        """Say in one line how many frames there are and of which sequences, rooms and lightings."""
+        counts = ", ".join(f"{name or '(unnamed)'} {len(rows)}" for name, rows in self.rows_by("sequence").items())
+        rooms = sorted(set(self.room.tolist()) - {""})
+        lightings = sorted(set(self.lighting.tolist()) - {""})
+        return (
+            f"{len(self)} frames; sequences: {counts}; rooms: {', '.join(rooms) or 'none'}; "
+            f"lightings: {', '.join(lightings) or 'none'}"
+        )
+
+    @classmethod
+    def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> FrameTable:
+        """Build a table from dictionaries; keys that are missing become NaN or the empty text."""
+        names = [field.name for field in fields(cls) if field.name != "index"]
+        empty = {name: "" if name in _TEXT else np.nan for name in names}
+        return cls(**{name: [row.get(name, empty[name]) for row in rows] for name in names})  # type: ignore[arg-type]
+
+
+def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
+    """Join tables one after the other; `index` counts anew."""
+    if not tables:
+        return FrameTable(path=np.array([], dtype=np.str_))
+    names = [name for name in tables[0].columns() if name != "index"]
+    return FrameTable(**{name: np.concatenate([getattr(table, name) for table in tables]) for name in names})
+
+
+def image_files(folder: Path) -> list[Path]:
+    """Return the image files directly inside a folder, in name order."""
+    suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+
+
+def _filled(name: str, n: int) -> NDArray[Any]:
+    if name == "index":
+        return np.arange(n)
+    return np.full(n, "", dtype=np.str_) if name in _TEXT else np.full(n, np.nan)
+
+
+def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
+    dtype: Any = np.str_ if name in _TEXT else np.float64 if name in _NUMBER else np.int64
+    return np.array(value, dtype=dtype)

@@ -1,0 +1,155 @@
+"""Reader of manifests: a CSV table with one row for each image, for QuorumV, INNOVA and a user's own images."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Iterable, Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.policy import check_policy, leave_out, logger
+from siamloc.errors import ConfigError, DataError
+
+COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
+
+_NUMBERS = ("x", "y", "theta", "time")
+
+
+def read_manifest(
+    path: str | Path | None = None, *, manifest: str | Path | None = None, on_error: str = "skip"
+) -> FrameTable:
+    """Read a manifest.
+
+    The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
+    `sequence`, `lighting`, `time` (s), `building`; others are ignored
+    with a warning. Images are relative to the table's folder. An
+    empty number is unknown (NaN); blank lines do not count.
+
+    Args:
+        path: the CSV file, in UTF-8.
+        manifest: the same under another name; give one of the two.
+        on_error: "skip" or "raise", for images that do not exist.
+
+    Raises:
+        ConfigError: no file given, two given, or an unknown policy.
+        DataError: the file is missing or empty, a column or cell cannot be used (with line, column and value), or an
+            image stands twice in one sequence.
+    """
+    check_policy(on_error)
+    if (path is None) == (manifest is None):
+        raise ConfigError("a manifest is read from one CSV file: give either path=FILE or manifest=FILE")
+    file = Path(path if path is not None else manifest).expanduser()  # type: ignore[arg-type]
+    lines = _lines(file)
+    header = next(lines, None)
+    if header is None:
+        raise DataError(f"{file} is empty: expected a first line with the columns {', '.join(COLUMNS)}")
+    names = _column_names(file, header[1])
+    frames = []
+    seen: dict[tuple[str, str], int] = {}
+    for number, cells in lines:
+        if any(cell.strip() for cell in cells[len(header[1]) :]):
+            raise DataError(
+                f"{file}, line {number}: {len(cells)} cells under {len(header[1])} columns; "
+                "quote the cells that contain a comma"
+            )
+        frame = _frame(file, number, names, cells)
+        image = (os.path.normpath(frame["path"]), frame.get("sequence", ""))
+        if image in seen:
+            raise DataError(
+                f"{file}, line {number}: image {cells[names['image']]!r} stands already in line {seen[image]} "
+                "with the same sequence: remove one of the rows, or give them different sequences"
+            )
+        seen[image] = number
+        frames.append(frame)
+    if not frames:
+        raise DataError(f"{file} has a header but no rows: expected one row for each image")
+    # Path.is_file raises on names that are too long; os.path.isfile says no.
+    exists = [os.path.isfile(frame["path"]) for frame in frames]  # noqa: PTH113
+    missing = [frame["path"] for frame, there in zip(frames, exists, strict=True) if not there]
+    what = f"images of {file} do not exist (they are looked for relative to the table's folder)"
+    leave_out(missing, len(frames), what, on_error)
+    return FrameTable.from_rows([frame for frame, there in zip(frames, exists, strict=True) if there])
+
+
+def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of the lines that are not blank."""
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            while True:
+                try:
+                    cells = next(reader)
+                except StopIteration:
+                    return
+                except csv.Error as error:
+                    raise DataError(f"{file}, line {reader.line_num}: not a CSV row ({error})") from error
+                if any("\0" in cell for cell in cells):
+                    raise DataError(f"{file}, line {reader.line_num}: the row holds a NUL character, so it is no text")
+                if any(cell.strip() for cell in cells):
+                    yield reader.line_num, cells
+    except UnicodeDecodeError as error:
+        raise DataError(f"{file} is not a CSV table in UTF-8 ({error})") from error
+    except OSError as error:
+        raise DataError(f"the manifest {file} cannot be read: {error.strerror or error}") from error
+
+
+def _column_names(file: Path, header: list[str]) -> dict[str, int]:
+    """Return where the known columns stand."""
+    found = [name.strip().lower() for name in header]
+    if "image" not in found:
+        meant = _closest("image", [name for name in found if name not in COLUMNS])
+        hint = f"; did you mean {meant!r} to be it?" if meant else ""
+        if len(found) == 1 and ";" in found[0]:
+            hint = "; separate the columns by commas"
+        raise DataError(f"{file} has no column 'image', only {', '.join(name or '(unnamed)' for name in found)}{hint}")
+    for name in COLUMNS:
+        if found.count(name) > 1:
+            raise DataError(f"{file} has {found.count(name)} columns named {name!r}: keep one")
+    ignored = [_ignored(name, found) for name in found if name and name not in COLUMNS]
+    if ignored:
+        logger.warning("%s: %s", file, "; ".join(ignored))
+    return {name: found.index(name) for name in COLUMNS if name in found}
+
+
+def _ignored(name: str, found: list[str]) -> str:
+    meant = _closest(name, [column for column in COLUMNS if column not in found])
+    return f"column {name!r} is not used" + (f"; did you mean {meant!r}?" if meant else "")
+
+
+def _closest(name: str, candidates: Iterable[str]) -> str:
+    return next(iter(get_close_matches(name, list(candidates), n=1)), "")
+
+
+def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> dict[str, Any]:
+    last = max(names.values())
+    if len(cells) <= last:
+        missing = next(name for name, at in names.items() if at >= len(cells))
+        raise DataError(f"{file}, line {line}: {len(cells)} cells, so there is none for column {missing!r}")
+    frame: dict[str, Any] = {name: cells[at].strip() for name, at in names.items() if name not in _NUMBERS}
+    image = frame.pop("image")
+    if not image:
+        raise DataError(f"{file}, line {line}, column 'image': empty, expected the name of an image file")
+    frame["path"] = str(file.parent / image)
+    for name in _NUMBERS:
+        if name in names:
+            frame[name] = _number(cells[names[name]], f"{file}, line {line}, column {name!r}")
+    return frame
+
+
+def _number(cell: str, where: str) -> float:
+    text = cell.strip()
+    if not text:
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        raise DataError(f"{where}: {cell!r} is not a number") from None
+    if "_" in text:
+        raise DataError(f"{where}: {cell!r} is not a number")
+    if math.isinf(value):
+        raise DataError(f"{where}: {cell!r} is infinite; leave the cell empty where the value is unknown")
+    return value

@@ -1,0 +1,263 @@
+"""Pairs of frames with their labels: what a siamese network is trained and tested on ([T] 5.3.4, 5.3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError, nearest
+
+LABELS = ("auto", "room", "distance")
+BALANCES = ("frames", "rooms")
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs as columns of equal length n.
+
+    Attributes:
+        first: rows of the frame table (n,).
+        second: rows of the frame table (n,), never equal to `first`.
+        label: dissimilarity in [0, 1] (n,) float32: what the contrastive loss is given.
+        same: True where both frames show the same room (n,).
+    """
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    label: NDArray[np.float32]
+    same: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def take(self, rows: Any) -> Pairs:
+        """Return the pairs of these positions."""
+        return Pairs(self.first[rows], self.second[rows], self.label[rows], self.same[rows])
+
+
+class PairSampler:
+    """Draws the pairs of an epoch.
+
+    A pair is two different frames of one room, or two frames of different rooms. Frames without a room label count
+    as one room. Rooms of different buildings are different rooms. Which pairs an epoch has depends on the seed, the
+    epoch and the pair's number alone: not on workers, ranks, or on what was drawn before.
+
+    Args:
+        frames: the frames to pair (N).
+        label: "room": 0 for one room, 1 for two ([T] 5.3.4). "distance": the distance between the two positions
+            divided by `scale` inside one room, 1 across rooms ([T] 5.3.5). "auto": "room" where there are at least
+            two rooms, otherwise "distance".
+        same_room_share: share of same-room pairs, in [0, 1]; exact up to rounding. None: one half, or 1 where there
+            is one room only.
+        epoch_pairs: pairs in an epoch; as many as there are frames if None.
+        balance: "frames": every frame is equally likely to be the first of a pair; "rooms": every room is.
+        scale: what "distance" divides by, in the unit of the positions: one number for all frames, or numbers by
+            building. Buildings without a number get the largest distance between two of their frames of one room
+            (18.99 m in Freiburg A).
+        seed: any whole number, not negative.
+
+    Attributes:
+        scale: what "distance" divides by, in a form that another sampler accepts: one number where one was given or
+            where the frames are of one building, otherwise numbers by building; NaN for label "room".
+
+    Raises:
+        ConfigError: an unknown label or balance, a share outside [0, 1], no pairs asked for, or pairs that cannot
+            exist, such as different-room pairs where there is one room.
+        DataError: fewer than two frames, or "distance" for frames without positions.
+    """
+
+    def __init__(
+        self,
+        frames: FrameTable,
+        label: str = "auto",
+        same_room_share: float | None = None,
+        epoch_pairs: int | None = None,
+        balance: str = "frames",
+        scale: float | Mapping[str, float] | None = None,
+        seed: int = 0,
+    ) -> None:
+        if label not in LABELS:
+            raise ConfigError(f"unknown pair label {label!r}: {nearest(label, LABELS)}")
+        if balance not in BALANCES:
+            raise ConfigError(f"unknown balance {balance!r}: {nearest(balance, BALANCES)}")
+        if len(frames) < 2:
+            raise DataError(f"pairs need at least two frames, got {len(frames)}")
+        self.frames = frames
+        self._rooms = _Rooms(frames)
+        single = self._rooms.count == 1
+        self.label = ("distance" if single else "room") if label == "auto" else label
+        share = (1.0 if single else 0.5) if same_room_share is None else float(same_room_share)
+        if not 0 <= share <= 1:
+            raise ConfigError(f"the share of same-room pairs (pairs.same_room_share) must lie in [0, 1], got {share}")
+        self.same_room_share = share
+        self.epoch_pairs = len(frames) if epoch_pairs is None else int(epoch_pairs)
+        if self.epoch_pairs < 1:
+            raise ConfigError(f"an epoch needs at least 1 pair (pairs.epoch_pairs), got {self.epoch_pairs}")
+        if int(seed) < 0:
+            raise ConfigError(f"the seed must be a whole number that is not negative, got {seed}")
+        self.seed = int(seed)
+        self.balance = balance
+        self._check_possible()
+        self.scale: float | dict[str, float] = float("nan")
+        if self.label == "distance":
+            self.scale, self._divisor = _scales(frames, scale)
+
+    def __len__(self) -> int:
+        return self.epoch_pairs
+
+    def epoch(self, epoch: int, rank: int = 0, world_size: int = 1) -> Pairs:
+        """Return the pairs of an epoch, or the share of one process among `world_size`.
+
+        Process r has the pairs r, r + world_size, r + 2 world_size, ...: no pair is given to two processes, and the
+        union over the processes is the epoch.
+
+        Raises:
+            ConfigError: the rank is not in [0, world_size), or the epoch is negative.
+        """
+        if not 0 <= rank < world_size or epoch < 0:
+            raise ConfigError(f"need epoch >= 0 and 0 <= rank < world_size, got {epoch}, {rank} and {world_size}")
+        uniform = np.random.Generator(np.random.Philox(key=[self.seed, epoch])).random((self.epoch_pairs, 4))
+        same = np.zeros(self.epoch_pairs, dtype=bool)
+        same[np.argsort(uniform[:, 0], kind="stable")[: round(self.same_room_share * self.epoch_pairs)]] = True
+        mine = slice(rank, None, world_size)
+        return self._draw(uniform[mine, 1:], same[mine])
+
+    def _draw(self, uniform: NDArray[np.float64], same: NDArray[np.bool_]) -> Pairs:
+        first = np.empty(len(same), dtype=np.int64)
+        second = np.empty(len(same), dtype=np.int64)
+        for kind in (True, False):
+            rows = same == kind
+            anchor = self._rooms.anchors(uniform[rows, 0], uniform[rows, 1], same=kind, balance=self.balance)
+            first[rows] = anchor
+            second[rows] = self._rooms.partners(anchor, uniform[rows, 2], same=kind)
+        return Pairs(first, second, self._labels(first, second, same), same)
+
+    def _labels(
+        self, first: NDArray[np.int64], second: NDArray[np.int64], same: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        if self.label == "room":
+            return (~same).astype(np.float32)
+        distance = np.linalg.norm(self.frames.xy[first] - self.frames.xy[second], axis=1) / self._divisor[first]
+        return np.where(same, np.minimum(distance, 1), 1).astype(np.float32)
+
+    def _check_possible(self) -> None:
+        same_pairs = round(self.same_room_share * self.epoch_pairs)
+        if same_pairs < self.epoch_pairs and self._rooms.count == 1:
+            room = self.frames.room[0] or "(no label)"
+            raise ConfigError(
+                f"all {len(self.frames)} frames belong to one room, {room}, so that there are no different-room pairs: "
+                "ask for same-room pairs only, with distance labels (pairs.same_room_share=1 pairs.label=distance), "
+                "or add frames of another room"
+            )
+        if same_pairs > 0 and not self._rooms.has_pairs:
+            raise ConfigError(
+                f"each of the {self._rooms.count} rooms has one frame only, so that there are no same-room pairs: "
+                "ask for different-room pairs only (pairs.same_room_share=0 pairs.label=room), or add frames"
+            )
+        if self.label == "distance" and not self.frames.has_position.all():
+            missing = int((~self.frames.has_position).sum())
+            raise DataError(
+                f"{missing} of {len(self.frames)} frames have no position, which distance labels need: "
+                "give their x and y, leave them out, or use room labels (pairs.label=room)"
+            )
+
+
+class _Rooms:
+    """The frames sorted by room, so that partners are drawn by table look-up, without trial and error."""
+
+    def __init__(self, frames: FrameTable) -> None:
+        _, self.room = np.unique(frames.place, return_inverse=True)
+        self.order = np.argsort(self.room, kind="stable")
+        self.rank = np.empty_like(self.order)
+        self.rank[self.order] = np.arange(len(self.order))
+        self.size = np.bincount(self.room)
+        self.start = np.cumsum(self.size) - self.size
+        self.count = len(self.size)
+        self.has_pairs = bool((self.size > 1).any())
+
+    def anchors(
+        self, room: NDArray[np.float64], frame: NDArray[np.float64], *, same: bool, balance: str
+    ) -> NDArray[np.int64]:
+        """Return the first frame of each pair; rooms of one frame have no same-room pairs."""
+        usable = np.flatnonzero(self.size > 1) if same else np.arange(self.count)
+        if balance == "rooms":
+            chosen = usable[_scaled(room, len(usable))]
+            return self.order[self.start[chosen] + _scaled(frame, self.size[chosen])]
+        candidates = self.order[np.isin(self.room[self.order], usable)]
+        return candidates[_scaled(frame, len(candidates))]
+
+    def partners(self, anchor: NDArray[np.int64], uniform: NDArray[np.float64], *, same: bool) -> NDArray[np.int64]:
+        """Return the second frame: the k-th of the anchor's room without the anchor, or of all other rooms."""
+        start, size = self.start[self.room[anchor]], self.size[self.room[anchor]]
+        if same:
+            k = _scaled(uniform, size - 1)
+            k = start + k + (k >= self.rank[anchor] - start)
+        else:
+            k = _scaled(uniform, len(self.order) - size)
+            k = k + np.where(k >= start, size, 0)
+        return self.order[k]
+
+
+def largest_same_room_distance(frames: FrameTable) -> float:
+    """Return the largest distance between two frames of one room, in the unit of the positions ([T] table 5.5).
+
+    Equals the maximum over all same-room pairs: the two frames that are farthest apart lie on the convex hull of
+    their room, so that only the hull's corners are compared where a room has many frames.
+    """
+    largest = 0.0
+    for rows in frames.rows_by("place").values():
+        points = np.unique(frames.xy[rows], axis=0)
+        largest = max(largest, _diameter(points))
+    return largest
+
+
+def _scales(
+    frames: FrameTable, scale: float | Mapping[str, float] | None
+) -> tuple[float | dict[str, float], NDArray[np.float64]]:
+    """Return what `PairSampler.scale` shows, and what the distances of each frame are divided by (N,).
+
+    Raises:
+        ConfigError: a scale that is not a positive number.
+        DataError: a building whose rooms were each taken at one point, so that its largest distance is 0.
+    """
+    if scale is not None and not isinstance(scale, Mapping):
+        value = _positive(scale)
+        return value, np.full(len(frames), value)
+    scales = {str(building): _positive(value) for building, value in (scale or {}).items()}
+    divisor = np.empty(len(frames))
+    for building, rows in frames.rows_by("building").items():
+        if building not in scales:
+            scales[building] = largest_same_room_distance(frames.take(rows))
+            if not scales[building] > 0:
+                where = f" of building {building}" if building else ""
+                raise DataError(f"all frames of a room{where} were taken at one point, so distances have no scale")
+        divisor[rows] = scales[building]
+    return (scales if len(scales) > 1 else divisor[0].item()), divisor
+
+
+def _positive(scale: float) -> float:
+    if not 0 < float(scale) < np.inf:
+        raise ConfigError(f"the scale of distance labels (pairs.scale) must be a positive number, got {scale}")
+    return float(scale)
+
+
+def _diameter(points: NDArray[np.float64]) -> float:
+    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial.distance import pdist
+
+    if len(points) > 1000:
+        try:
+            points = points[ConvexHull(points).vertices]
+        except QhullError:  # all on one line: its ends are the farthest apart
+            along = points @ (points.max(axis=0) - points.min(axis=0))
+            points = points[[along.argmin(), along.argmax()]]
+    return float(pdist(points).max(initial=0.0))
+
+
+def _scaled(uniform: NDArray[np.float64], count: Any) -> NDArray[np.int64]:
+    return (uniform * count).astype(np.int64)

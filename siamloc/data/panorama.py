@@ -1,0 +1,282 @@
+"""From the omnidirectional image to the panorama: polar unwrapping and the hyperbolic mirror model.
+
+Frames of reference. The robot's frame is x forward, y left, z up; azimuth is counter-clockwise seen from above and
+0 straight ahead; elevation is 0 at the horizon and positive upwards. The camera stands upright below its mirror and
+looks up. With the top of the picture turned to the robot's front, what is to the robot's left then appears on the
+*right* of the omnidirectional image: a camera that looks up sees the floor plan mirrored. A panorama is not
+mirrored: its columns run clockwise, the middle of its width (between the columns W/2 - 1 and W/2) looks straight
+ahead, and the middle of column c has the azimuth (W/2 - c - 1/2) * 2 pi / W.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.errors import ConfigError, DataError, nearest
+
+Array = NDArray[Any]
+
+
+def column_azimuth(width: int) -> Array:
+    """Return the azimuth in rad of the middle of each panorama column (W,), from +pi down to -pi."""
+    return (width / 2 - np.arange(width) - 0.5) * (2 * np.pi / width)
+
+
+def azimuth_column(azimuth: Array | float, width: int) -> Array:
+    """Return the fractional column [-0.5, W - 0.5) at which a direction appears; inverse of `column_azimuth`."""
+    column = width / 2 - 0.5 - np.asarray(azimuth, dtype=np.float64) * width / (2 * np.pi)
+    return (column + 0.5) % width - 0.5
+
+
+@dataclass(frozen=True)
+class PanoramaView:
+    """What a panorama shows: its size and the elevations between which its rows lie.
+
+    The rows divide a vertical cylinder evenly, so that they are even in the tangent of the elevation. The defaults
+    give square pixels at 128 x 512 and look a little more to the floor than to the ceiling.
+
+    Attributes:
+        height: rows.
+        width: columns; they cover the full turn.
+        top: elevation of the upper rim in degrees.
+        bottom: elevation of the lower rim in degrees.
+    """
+
+    height: int = 128
+    width: int = 512
+    top: float = 30.0
+    bottom: float = -45.0
+
+    def __post_init__(self) -> None:
+        if self.height < 1 or self.width < 2:
+            raise ConfigError(f"a panorama needs at least 1 x 2 pixels, got {self.height} x {self.width}")
+        if not -90 < self.bottom < self.top < 90:
+            raise ConfigError(f"elevations must satisfy -90 < bottom < top < 90 degrees, got {self.bottom}, {self.top}")
+
+    def row_elevation(self) -> Array:
+        """Return the elevation in rad of the middle of each row (H,), from the top down."""
+        high, low = np.tan(np.radians([self.top, self.bottom]))
+        return np.arctan(high + (np.arange(self.height) + 0.5) / self.height * (low - high))
+
+    def elevation_row(self, elevation: Array | float) -> Array:
+        """Return the fractional row at which an elevation in rad appears; inverse of `row_elevation`."""
+        high, low = np.tan(np.radians([self.top, self.bottom]))
+        return (np.tan(np.asarray(elevation, dtype=np.float64)) - high) / (low - high) * self.height - 0.5
+
+    def directions(self) -> Array:
+        """Return the unit viewing direction of every pixel in the robot's frame (H, W, 3)."""
+        azimuth, elevation = np.meshgrid(column_azimuth(self.width), self.row_elevation())
+        return np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+        )
+
+
+class OmnidirectionalCamera(Protocol, Hashable):
+    """Anything that knows where each pixel of a panorama lies in the omnidirectional image."""
+
+    def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
+        """Return the columns (H, W) and rows (H, W) of the image of size (rows, columns) to sample."""
+        ...
+
+
+@dataclass(frozen=True)
+class PolarRing:
+    """Polar unwrapping: the ring between two radii, rows even in the radius.
+
+    Attributes:
+        centre: column and row of the ring's centre in pixels; the image's middle if None.
+        inner: inner radius in pixels; a fifth of the outer one if None.
+        outer: outer radius in pixels; up to the nearest image border if None.
+        forward: direction of the robot's front in the image, in degrees clockwise from its upper rim.
+        mirrored: the camera looks up into the mirror, so that the image shows the left on its right.
+        inside_up: the ring's inner rim becomes the panorama's upper row (cameras that look down into a mirror on
+            the floor side); otherwise the outer rim does.
+    """
+
+    centre: tuple[float, float] | None = None
+    inner: float | None = None
+    outer: float | None = None
+    forward: float = 0.0
+    mirrored: bool = True
+    inside_up: bool = False
+
+    def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
+        """Return the columns (H, W) and rows (H, W) to sample. See `OmnidirectionalCamera`."""
+        rows, columns = image_size
+        cx, cy = self.centre if self.centre is not None else ((columns - 1) / 2, (rows - 1) / 2)
+        outer = self.outer if self.outer is not None else min(cx, cy, columns - 1 - cx, rows - 1 - cy)
+        inner = self.inner if self.inner is not None else outer / 5
+        if not 0 <= inner < outer:
+            raise ConfigError(f"the ring needs 0 <= inner < outer radius, got inner {inner} and outer {outer} px")
+        share = (np.arange(view.height) + 0.5) / view.height
+        radius = inner + share * (outer - inner) if self.inside_up else outer - share * (outer - inner)
+        angle = _image_angle(column_azimuth(view.width), self.forward, self.mirrored)
+        return cx + radius[:, None] * np.sin(angle), cy - radius[:, None] * np.cos(angle)
+
+
+@dataclass(frozen=True)
+class HyperbolicMirror:
+    """A pinhole camera below a hyperbolic mirror with a single viewpoint.
+
+    The mirror is the sheet r(u) = p / (1 - e u_z) around its focus, u being the unit direction of the scene; the
+    camera stands in the other focus, 2 e p / (e^2 - 1) below, and looks up. The focus is where a panorama is seen
+    from. In such a central system the picture depends on the eccentricity only: p sets the size in metres.
+
+    Attributes:
+        fx: focal length in pixels along the columns.
+        fy: focal length in pixels along the rows.
+        cx: column of the principal point in pixels.
+        cy: row of the principal point in pixels.
+        eccentricity: e > 1. Nothing above the elevation asin(1 / e) is seen.
+        focal_parameter: p in metres (semi-latus rectum).
+        forward: direction of the robot's front in the image, in degrees clockwise from its upper rim.
+        mirrored: False for images that were flipped left to right after they were taken.
+
+    Raises:
+        ConfigError: eccentricity not above 1, focal parameter or focal lengths not positive, or a panorama that
+            looks higher than the mirror shows.
+    """
+
+    fx: float = 340.0
+    fy: float = 340.0
+    cx: float = 319.5
+    cy: float = 239.5
+    eccentricity: float = 1.4
+    focal_parameter: float = 0.03
+    forward: float = 0.0
+    mirrored: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.eccentricity > 1:
+            raise ConfigError(f"a hyperbolic mirror has an eccentricity above 1, got {self.eccentricity}")
+        if not (self.focal_parameter > 0 and self.fx > 0 and self.fy > 0):
+            raise ConfigError("the mirror's focal parameter and the camera's focal lengths must be positive")
+
+    @property
+    def camera_depth(self) -> float:
+        """How far the camera's centre lies below the mirror's focus, in metres."""
+        return 2 * self.eccentricity * self.focal_parameter / (self.eccentricity**2 - 1)
+
+    @property
+    def highest_elevation(self) -> float:
+        """The elevation in rad that the mirror's rim could reach were it endless: asin(1 / e)."""
+        return float(np.arcsin(1 / self.eccentricity))
+
+    def project(self, directions: Array) -> Array:
+        """Return the pixels (..., 2), column and row, at which directions (..., 3) of the robot's frame appear.
+
+        Directions need not have unit length; those above `highest_elevation` give NaN.
+        """
+        unit = np.asarray(directions, dtype=np.float64)
+        unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+        denominator = 1 - self.eccentricity * unit[..., 2]
+        reach = self.focal_parameter / np.where(denominator > 0, denominator, np.nan)
+        depth = reach * unit[..., 2] + self.camera_depth
+        side = 1 if self.mirrored else -1
+        right, front = _turned(side * reach * unit[..., 1] / depth, reach * unit[..., 0] / depth, self.forward)
+        return np.stack([self.cx + self.fx * right, self.cy - self.fy * front], axis=-1)
+
+    def back_project(self, pixels: Array) -> Array:
+        """Return the unit directions (..., 3) in the robot's frame that pixels (..., 2) look at.
+
+        Pixels beyond the mirror's asymptote give NaN.
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        right = (pixels[..., 0] - self.cx) / self.fx
+        front = (self.cy - pixels[..., 1]) / self.fy
+        side, ahead = _turned(right, front, -self.forward)
+        left = side if self.mirrored else -side
+        ray = np.stack([ahead, left, np.ones_like(left)], axis=-1)
+        e, p = self.eccentricity, self.focal_parameter
+        a = p / (e**2 - 1)
+        denominator = a * e - a * np.linalg.norm(ray, axis=-1)
+        reach = np.where(denominator > 0, a * p / np.where(denominator > 0, denominator, 1), np.nan)
+        point = reach[..., None] * ray - np.array([0.0, 0.0, self.camera_depth])
+        return point / np.linalg.norm(point, axis=-1, keepdims=True)
+
+    def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
+        """Return the columns (H, W) and rows (H, W) to sample. See `OmnidirectionalCamera`."""
+        if np.radians(view.top) >= self.highest_elevation:
+            raise ConfigError(
+                f"the panorama looks up to {view.top} degrees, but a mirror of eccentricity {self.eccentricity} "
+                f"shows nothing above {np.degrees(self.highest_elevation):.1f} degrees: lower the view's top"
+            )
+        pixels = self.project(view.directions())
+        return pixels[..., 0], pixels[..., 1]
+
+
+def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | None = None) -> Array:
+    """Unwrap an omnidirectional image to a panorama by bilinear sampling.
+
+    Args:
+        image: (rows, columns) or (rows, columns, 3), uint8.
+        camera: where the panorama's pixels lie in the image: a `PolarRing` or a `HyperbolicMirror`.
+        view: size and elevations of the panorama; 128 x 512 if None.
+
+    Returns:
+        (H, W) or (H, W, 3), uint8. Pixels whose sample lies outside the image are black.
+
+    Raises:
+        DataError: the image has no pixels or another shape.
+    """
+    if image.ndim not in (2, 3) or min(image.shape[:2]) < 2:
+        raise DataError(f"an omnidirectional image has shape (rows, columns[, 3]), got {image.shape}")
+    columns, rows = _remap_tables(camera, view or PanoramaView(), image.shape[:2])
+    return cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+
+def camera_from_config(
+    options: Mapping[str, Any], image_size: tuple[int, int]
+) -> tuple[OmnidirectionalCamera | None, PanoramaView]:
+    """Return the camera and the view that plain values describe.
+
+    Args:
+        options: `kind` none, polar or hyperbolic, and the parameters of `PolarRing`, or of `HyperbolicMirror` and the
+            view's `top` and `bottom`. "none" is for images that are panoramas already: there is no camera.
+        image_size: rows and columns of the panorama.
+
+    Raises:
+        ConfigError: an unknown kind or parameter, with the nearest valid one.
+    """
+    parameters = dict(options)
+    kind = parameters.pop("kind", "none")
+    view = PanoramaView(*image_size, **{key: parameters.pop(key) for key in ("top", "bottom") if key in parameters})
+    kinds: dict[str, type[Any] | None] = {"none": None, "polar": PolarRing, "hyperbolic": HyperbolicMirror}
+    if kind not in kinds:
+        raise ConfigError(f"unknown unwrap.kind {kind!r}: {nearest(kind, kinds)}")
+    camera = kinds[kind]
+    if camera is None:
+        return None, view
+    valid = [item.name for item in fields(camera)]
+    for key in parameters:
+        if key not in valid:
+            raise ConfigError(f"unknown key unwrap.{key} for {kind}: {nearest(key, valid)}")
+    if parameters.get("centre") is not None:
+        parameters["centre"] = tuple(parameters["centre"])
+    return camera(**parameters), view
+
+
+@lru_cache(maxsize=8)
+def _remap_tables(
+    camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]
+) -> tuple[Array, Array]:
+    columns, rows = camera.sampling(view, image_size)
+    return columns.astype(np.float32), rows.astype(np.float32)
+
+
+def _image_angle(azimuth: Array, forward: float, mirrored: bool) -> Array:
+    """Angle in the image, clockwise from its upper rim, at which an azimuth appears."""
+    return np.radians(forward) + (azimuth if mirrored else -azimuth)
+
+
+def _turned(right: Array, front: Array, degrees: float) -> tuple[Array, Array]:
+    """Turn image-plane vectors (right, up) clockwise."""
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return right * cosine + front * sine, front * cosine - right * sine

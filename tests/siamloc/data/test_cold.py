@@ -1,0 +1,312 @@
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import siamloc.data
+from siamloc.data.sequences import name_sequence
+from siamloc.errors import ConfigError, DataError, SiamlocError
+from tests.oracles.cold_lists import count_rooms, read_list
+
+COLD_PLACES = Path(__file__).parents[3] / "../shared/data/cold_places"
+needs_lists = pytest.mark.skipif(not COLD_PLACES.is_dir(), reason=f"{COLD_PLACES} is missing")
+
+IMAGES = [f"t{time}.5_x{time}.25_y-0.5_a1e-05.jpeg" for time in (1, 2, 3)]
+LIST = "".join(f"{image} {room}\n" for image, room in zip(IMAGES, ["CR-A", "CR-A", "KT-A"], strict=True))
+
+
+def make_sequence(folder: Path, text: str | None = LIST, where: str = "localization", camera: str = "omni_cam") -> Path:
+    (folder / camera).mkdir(parents=True)
+    for image in IMAGES:
+        (folder / camera / image).write_bytes(b"image")
+    if text is not None:
+        (folder / where).mkdir(exist_ok=True)
+        (folder / where / "places.lst").write_text(text)
+    return folder
+
+
+@pytest.mark.data
+@needs_lists
+def test_the_real_lists_agree_with_reading_them_by_hand():
+    table = siamloc.data.read("cold", root=COLD_PLACES)
+    assert len(table) == 21456
+    assert len(set(table.sequence.tolist())) == 11
+    for path in sorted(COLD_PLACES.glob("*.places.lst")):
+        stem = path.name.removesuffix(".places.lst")
+        folder = COLD_PLACES / stem / "omni_cam"
+        rows = np.flatnonzero([Path(p).parent == folder for p in table.path.tolist()])
+        part = table.take(rows)
+        expected = read_list(path)
+        assert part.path.tolist() == [str(folder / frame[0]) for frame in expected]
+        assert part.room.tolist() == [frame[1] for frame in expected]
+        got = np.column_stack([part.time, part.x, part.y, part.theta])
+        np.testing.assert_array_equal(got, [frame[2:] for frame in expected])
+        assert {room: len(found) for room, found in part.rows_by("room").items()} == count_rooms(path)
+        assert set(part.lighting.tolist()) == {next(name for name in ("cloudy", "night", "sunny") if name in stem)}
+
+
+@pytest.mark.data
+@needs_lists
+def test_the_real_lists_get_canonical_names():
+    table = siamloc.data.read("cold", root=COLD_PLACES)
+    assert sorted(set(table.sequence.tolist())) == [
+        "freiburg_a_seq1_cloudy1",
+        "freiburg_a_seq2_cloudy1",
+        "freiburg_a_seq2_night1",
+        "freiburg_a_seq2_sunny1",
+        "freiburg_b_seq3_cloudy1",
+        "ljubljana_seq1_cloudy1",
+        "ljubljana_seq2_cloudy1",
+        "saarbruecken_a_seq1_cloudy1",
+        "saarbruecken_a_seq2_cloudy1",
+        "saarbruecken_b_seq3_cloudy1",
+        "saarbruecken_b_seq4_cloudy1",
+    ]
+    assert set(table.building.tolist()) == {"freiburg_a", "freiburg_b", "ljubljana", "saarbruecken_a", "saarbruecken_b"}
+    single = siamloc.data.read("cold", places=COLD_PLACES / "freiburg_seq2_night1.places.lst")
+    assert single == table.select(sequence="freiburg_a_seq2_night1").with_columns(index=np.arange(len(single)))
+
+
+@pytest.mark.parametrize("folder", ["freiburg/part_a/seq2_cloudy3", "cold-freiburg_part_a_seq2_cloudy3"])
+@pytest.mark.parametrize("where", ["localization", "."])
+@pytest.mark.parametrize("levels_up", [0, 1, 2, 3])
+def test_a_sequence_is_found_from_any_folder_above_it(tmp_path, folder, where, levels_up):
+    sequence = make_sequence(tmp_path / "data" / "COLD" / folder, where=where)
+    root = [sequence, *sequence.parents][levels_up]
+    table = siamloc.data.read("cold", root=str(root))
+    assert table.path.tolist() == [str(sequence / "omni_cam" / image) for image in IMAGES]
+    assert set(table.sequence.tolist()) == {"freiburg_a_seq2_cloudy3"}
+    assert set(table.building.tolist()) == {"freiburg_a"}
+    assert set(table.lighting.tolist()) == {"cloudy"}
+    assert table.room.tolist() == ["CR-A", "CR-A", "KT-A"]
+    np.testing.assert_array_equal(table.x, [1.25, 2.25, 3.25])
+    np.testing.assert_array_equal(table.y, [-0.5] * 3)
+    np.testing.assert_array_equal(table.theta, [1e-5] * 3)
+    np.testing.assert_array_equal(table.time, [1.5, 2.5, 3.5])
+
+
+@pytest.mark.parametrize(
+    ("folder", "rooms", "sequence", "building"),
+    [
+        ("/d/freiburg/part_b/seq3_cloudy1", ["CR-B"], "freiburg_b_seq3_cloudy1", "freiburg_b"),
+        ("/d/COLD-Freiburg/part_A/seq2_Sunny2", [], "freiburg_a_seq2_sunny2", "freiburg_a"),
+        ("/d/cold-freiburg_part_a/seq2_night1", [], "freiburg_a_seq2_night1", "freiburg_a"),
+        ("/d/cold_saarbruecken_part_b_seq4_night2", [], "saarbruecken_b_seq4_night2", "saarbruecken_b"),
+        ("/d/freiburg_a_seq2_cloudy3", [], "freiburg_a_seq2_cloudy3", "freiburg_a"),
+        ("/d/freiburg_seq2_cloudy3", ["KT-A", "CR-A"], "freiburg_a_seq2_cloudy3", "freiburg_a"),
+        ("/d/freiburg_seq2_cloudy3", ["KT-A", "CR-B"], "freiburg_seq2_cloudy3", "freiburg"),
+        ("/d/freiburg_seq2_cloudy3", ["KT-A", "CR"], "freiburg_seq2_cloudy3", "freiburg"),
+        ("/d/freiburg/part_b/seq2_cloudy3", ["KT-A"], "freiburg_b_seq2_cloudy3", "freiburg_b"),
+        ("/d/ljubljana/seq1_cloudy1", ["CR"], "ljubljana_seq1_cloudy1", "ljubljana"),
+        ("/d/x/seq1_cloudy1", ["CR"], "seq1_cloudy1", ""),
+        ("/d/lab/part_a/seq1_cloudy1", ["CR"], "lab_a_seq1_cloudy1", "lab_a"),
+        ("/d/lab-2_part_c_seq1_night", [], "lab-2_c_seq1_night", "lab-2_c"),
+        ("/d/freiburg/my_sunny_drive", ["CR-A"], "label", ""),
+    ],
+)
+def test_names_of_sequences(folder, rooms, sequence, building):
+    name = name_sequence(Path(folder), "label", rooms)
+    assert name.sequence == sequence
+    assert name.building == building
+    assert name.lighting in folder.lower()
+    assert name.lighting
+
+
+def test_sequences_of_several_buildings_keep_their_folders_apart(tmp_path):
+    make_sequence(tmp_path / "freiburg/part_a/seq2_cloudy1")
+    make_sequence(tmp_path / "freiburg/part_b/seq2_cloudy1")
+    make_sequence(tmp_path / "one/drive")
+    make_sequence(tmp_path / "two/drive")
+    table = siamloc.data.read("cold", root=tmp_path)
+    names = ["freiburg_a_seq2_cloudy1", "freiburg_b_seq2_cloudy1", "one/drive", "two/drive"]
+    assert list(table.rows_by("sequence")) == names
+    assert len(table) == 12
+
+
+def test_the_same_sequence_twice_is_an_error(tmp_path):
+    make_sequence(tmp_path / "freiburg/part_a/seq2_cloudy1")
+    make_sequence(tmp_path / "cold-freiburg_part_a_seq2_cloudy1")
+    with pytest.raises(DataError, match=r"freiburg_a_seq2_cloudy1 is there twice.*remove one"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
+def test_a_link_back_does_not_show_a_sequence_twice(tmp_path):
+    make_sequence(tmp_path / "freiburg/part_a/seq2_cloudy1")
+    (tmp_path / "freiburg/again").symlink_to(tmp_path, target_is_directory=True)
+    assert len(siamloc.data.read("cold", root=tmp_path)) == 3
+
+
+def test_linked_sequences_are_found(tmp_path):
+    make_sequence(tmp_path / "disk/freiburg_a_seq2_cloudy1")
+    (tmp_path / "root").mkdir()
+    (tmp_path / "root/freiburg_a_seq2_cloudy1").symlink_to(tmp_path / "disk/freiburg_a_seq2_cloudy1")
+    assert len(siamloc.data.read("cold", root=tmp_path / "root")) == 3
+
+
+def test_frames_are_in_order_of_time_whatever_the_list_says(tmp_path):
+    lines = LIST.splitlines()
+    folder = make_sequence(tmp_path / "seq1_cloudy1", "\n".join([lines[2], lines[0], lines[1]]))
+    table = siamloc.data.read("cold", root=folder)
+    assert table.time.tolist() == [1.5, 2.5, 3.5]
+    assert table.room.tolist() == ["CR-A", "CR-A", "KT-A"]
+
+
+def test_without_a_list_the_frames_are_the_images(tmp_path):
+    folder = make_sequence(tmp_path / "freiburg/part_a/seq2_night1", None)
+    table = siamloc.data.read("cold", root=tmp_path)
+    assert table.path.tolist() == [str(folder / "omni_cam" / image) for image in IMAGES]
+    assert set(table.room.tolist()) == {""}
+    assert set(table.sequence.tolist()) == {"freiburg_a_seq2_night1"}
+    np.testing.assert_array_equal(table.x, [1.25, 2.25, 3.25])
+
+
+def test_images_without_a_pose_in_their_names_are_left_out_and_reported(tmp_path, caplog):
+    folder = make_sequence(tmp_path / "seq2_night1", None)
+    (folder / "omni_cam" / "calibration.png").write_bytes(b"")
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        assert len(siamloc.data.read("cold", root=tmp_path)) == 3
+    assert "1 of 4 images" in caplog.text
+    assert "calibration.png" in caplog.text
+    with pytest.raises(DataError, match=r"calibration.png \(on_error=skip"):
+        siamloc.data.read("cold", root=tmp_path, on_error="raise")
+
+
+def test_no_images_and_no_list_is_an_error(tmp_path):
+    (tmp_path / "seq1_cloudy1/omni_cam").mkdir(parents=True)
+    with pytest.raises(DataError, match="no images, and there is no list"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
+def test_a_missing_image_is_left_out_and_reported(tmp_path, caplog):
+    folder = make_sequence(tmp_path / "seq2_cloudy1")
+    (folder / "omni_cam" / IMAGES[1]).unlink()
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        table = siamloc.data.read("cold", root=tmp_path)
+    assert [Path(path).name for path in table.path.tolist()] == [IMAGES[0], IMAGES[2]]
+    assert len(caplog.records) == 1
+    assert "1 of 3 images listed in" in caplog.text
+    assert IMAGES[1] in caplog.text
+    with pytest.raises(DataError, match="1 of 3 images listed in"):
+        siamloc.data.read("cold", root=tmp_path, on_error="raise")
+
+
+def test_a_list_whose_images_are_all_missing_is_an_error(tmp_path):
+    folder = make_sequence(tmp_path / "seq2_cloudy1")
+    for image in IMAGES:
+        (folder / "omni_cam" / image).unlink()
+    with pytest.raises(DataError, match=r"3 of 3 images .* nothing remains"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
+def test_a_list_without_an_image_folder_needs_no_images(tmp_path, caplog):
+    (tmp_path / "freiburg_seq2_cloudy1.places.lst").write_text(LIST)
+    table = siamloc.data.read("cold", root=tmp_path, on_error="raise")
+    assert table.path.tolist() == [str(tmp_path / "freiburg_seq2_cloudy1/omni_cam" / image) for image in IMAGES]
+    assert not caplog.records
+
+
+def test_a_bare_list_serves_the_folder_beside_it_that_has_none(tmp_path):
+    make_sequence(tmp_path / "freiburg_seq2_cloudy1", None)
+    (tmp_path / "freiburg_seq2_cloudy1.places.lst").write_text(LIST)
+    table = siamloc.data.read("cold", root=tmp_path)
+    assert table.room.tolist() == ["CR-A", "CR-A", "KT-A"]
+    assert set(table.building.tolist()) == {"freiburg_a"}
+
+
+@pytest.mark.parametrize("where", ["localization", "."])
+def test_one_list_is_read_by_its_file(tmp_path, where):
+    folder = make_sequence(tmp_path / "freiburg/part_a/seq2_cloudy1", where=where)
+    table = siamloc.data.read("cold", places=folder / where / "places.lst")
+    assert table == siamloc.data.read("cold", root=folder)
+
+
+def test_the_other_camera(tmp_path):
+    folder = make_sequence(tmp_path / "seq2_cloudy1")
+    make_sequence(folder, None, camera="std_cam")
+    table = siamloc.data.read("cold", root=tmp_path, camera="std_cam")
+    assert {Path(path).parent.name for path in table.path.tolist()} == {"std_cam"}
+    with pytest.raises(ConfigError, match="no camera 'omnicam'; did you mean 'omni_cam'"):
+        siamloc.data.read("cold", root=tmp_path, camera="omnicam")
+
+
+def test_a_sequence_without_the_camera_is_left_out(tmp_path, caplog):
+    make_sequence(tmp_path / "seq2_cloudy1")
+    make_sequence(tmp_path / "seq2_cloudy2", camera="std_cam")
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        table = siamloc.data.read("cold", root=tmp_path)
+    assert set(table.sequence.tolist()) == {"seq2_cloudy1"}
+    assert "1 of 2 sequences have no folder omni_cam" in caplog.text
+    with pytest.raises(DataError, match="seq2_cloudy2"):
+        siamloc.data.read("cold", root=tmp_path, on_error="raise")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "t1_x1_y1_a1.jpeg",
+        "t1_x1_y1_a1.jpeg CR-A extra",
+        "image.jpeg CR-A",
+        "CR-A t1_x1_y1_a1.jpeg",
+        "t1_xinf_y1_a1.jpeg CR",
+    ],
+)
+def test_a_malformed_line_is_named(tmp_path, line):
+    (tmp_path / "a_seq1_cloudy1.places.lst").write_text(f"{LIST}\n{line}\n")
+    with pytest.raises(DataError, match=r"a_seq1_cloudy1\.places\.lst, line 5: expected t<seconds>.* got"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
+def test_an_image_listed_twice_is_an_error(tmp_path):
+    (tmp_path / "a_seq1_cloudy1.places.lst").write_text(LIST + LIST)
+    with pytest.raises(DataError, match=r"line 4: image .* stands in the list already"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
+def test_byte_order_mark_carriage_returns_and_blank_lines(tmp_path):
+    text = "\ufeff" + LIST.replace("\n", "\r\n\r\n") + "  \r\n"
+    (tmp_path / "a_seq1_cloudy1.places.lst").write_bytes(text.encode())
+    assert siamloc.data.read("cold", root=tmp_path).room.tolist() == ["CR-A", "CR-A", "KT-A"]
+
+
+def test_an_empty_list_is_an_error(tmp_path):
+    (tmp_path / "a_seq1_cloudy1.places.lst").write_text("\n")
+    with pytest.raises(DataError, match="lists no images"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
+def test_nothing_found_says_what_was_expected_and_what_is_there(tmp_path):
+    with pytest.raises(DataError, match=r"which holds: nothing\. Expected <building>/part_"):
+        siamloc.data.read("cold", root=tmp_path)
+    for number in range(7):
+        (tmp_path / f"file{number}.txt").write_text("")
+    with pytest.raises(DataError, match=r"no sequence found under .*file0\.txt.* and 2 more\. Expected"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
+def test_a_file_as_root_is_an_error_with_a_hint(tmp_path):
+    (tmp_path / "places.lst").write_text(LIST)
+    with pytest.raises(DataError, match="one list is read with places=FILE"):
+        siamloc.data.read("cold", root=tmp_path / "places.lst")
+
+
+def test_root_and_places_exclude_each_other(tmp_path):
+    with pytest.raises(ConfigError, match="give either root=FOLDER or places=FILE"):
+        siamloc.data.read("cold", root=tmp_path, places=tmp_path / "places.lst")
+
+
+def test_a_missing_list_is_an_error(tmp_path):
+    with pytest.raises(DataError, match=r"places\.lst cannot be read"):
+        siamloc.data.read("cold", places=tmp_path / "places.lst")
+
+
+@given(st.binary(max_size=200))
+def test_a_list_of_garbage_raises_nothing_but_our_errors(tmp_path_factory, garbage):
+    path = tmp_path_factory.mktemp("garbage") / "a_seq1_cloudy1.places.lst"
+    path.write_bytes(garbage)
+    with pytest.raises(SiamlocError, match="places"):
+        siamloc.data.read("cold", places=path)

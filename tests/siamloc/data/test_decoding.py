@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
+from siamloc.data.panorama import HyperbolicMirror, PanoramaView, PolarRing, unwrap
+from siamloc.errors import ConfigError
+
+
+def picture(rows: int = 48, columns: int = 64, seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).integers(0, 256, (rows, columns, 3), dtype=np.uint8)
+    return cv2.GaussianBlur(noise, (0, 0), 2)
+
+
+def resize() -> Preprocessing:
+    return Preprocessing.checked((16, 32), None, None)
+
+
+def test_colours_come_in_the_order_red_green_blue(tmp_path):
+    image = np.zeros((16, 32, 3), np.uint8)
+    image[..., 2] = 250  # red, as OpenCV writes it
+    image[..., 1] = 100
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    panorama = resize().panorama(tmp_path / "a.png")
+    assert panorama.shape == (3, 16, 32)
+    assert panorama.flags.c_contiguous
+    assert [int(channel.max()) for channel in panorama] == [250, 100, 0]
+
+
+def test_resizing_averages_areas(tmp_path):
+    image = picture(32, 128)
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    expected = image.reshape(16, 2, 32, 4, 3).mean(axis=(1, 3))[..., ::-1].transpose(2, 0, 1)
+    assert np.abs(resize().panorama(tmp_path / "a.png") - expected).max() <= 0.5
+
+
+def test_unwrapping_uses_the_camera_and_the_view(tmp_path):
+    image = picture(100, 120)
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    ring, view = PolarRing(inner=10, outer=40), PanoramaView(16, 32, top=20, bottom=-10)
+    got = Preprocessing.checked((16, 32), ring, view).panorama(tmp_path / "a.png")
+    np.testing.assert_array_equal(got, unwrap(image[..., ::-1].copy(), ring, view).transpose(2, 0, 1))
+
+
+@pytest.mark.parametrize("camera", [None, PolarRing()])
+def test_grey_images_get_three_equal_channels(tmp_path, camera):
+    cv2.imwrite(str(tmp_path / "a.jpg"), picture()[..., 0])
+    panorama = Preprocessing.checked((16, 32), camera, None).panorama(tmp_path / "a.jpg")
+    assert panorama.max() > 0
+    np.testing.assert_array_equal(panorama[0], panorama[1])
+    np.testing.assert_array_equal(panorama[0], panorama[2])
+
+
+def damaged(path: Path) -> dict[str, tuple[Path, str]]:
+    """Make files that are no whole images, each with the reason to be given."""
+    jpeg = cv2.imencode(".jpg", picture())[1].tobytes()
+    png = cv2.imencode(".png", picture())[1].tobytes()
+    thumbnail = jpeg[:2] + b"\xff\xe1\x00\x08" + b"\xff\xda\xff\xd9\x00\x00" + jpeg[2 : len(jpeg) // 2]
+    contents = {
+        "empty.jpg": (b"", "the file is empty"),
+        "half.jpg": (jpeg[: len(jpeg) // 2], "cut short"),
+        "last byte.jpg": (jpeg[:-1], "cut short"),
+        "thumbnail.jpg": (thumbnail, "cut short"),
+        "half.png": (png[: len(png) // 2], "cut short"),
+        "text.jpg": (b"no image at all", "no image"),
+        "head.jpg": (jpeg[:20] + b"\xff\xd9", "no image|cannot be decoded"),
+    }
+    for name, (data, _) in contents.items():
+        (path / name).write_bytes(data)
+    (path / "folder.jpg").mkdir()
+    files = {name: (path / name, reason) for name, (_, reason) in contents.items()}
+    return files | {
+        "folder.jpg": (path / "folder.jpg", "[Ii]s a directory"),
+        "none.jpg": (path / "none.jpg", "does not exist"),
+    }
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "empty.jpg",
+        "half.jpg",
+        "last byte.jpg",
+        "thumbnail.jpg",
+        "half.png",
+        "text.jpg",
+        "head.jpg",
+        "folder.jpg",
+        "none.jpg",
+    ],
+)
+def test_unreadable_files_say_why(tmp_path, name):
+    path, reason = damaged(tmp_path)[name]
+    with pytest.raises(UnreadableImageError, match=reason):
+        read_image(path)
+
+
+def test_bytes_after_the_end_do_no_harm(tmp_path):
+    jpeg = cv2.imencode(".jpg", picture())[1].tobytes()
+    (tmp_path / "a.jpg").write_bytes(jpeg + b"\0" * 10)
+    assert read_image(tmp_path / "a.jpg").shape == (48, 64, 3)
+
+
+def test_an_image_of_one_pixel_cannot_be_unwrapped(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((1, 1, 3), np.uint8))
+    with pytest.raises(UnreadableImageError, match="has shape"):
+        Preprocessing.checked((16, 32), PolarRing(), None).panorama(tmp_path / "a.png")
+
+
+def test_a_camera_that_does_not_fit_is_an_error_of_the_configuration(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), picture())
+    with pytest.raises(ConfigError, match="inner < outer"):
+        Preprocessing.checked((16, 32), PolarRing(inner=50), None).panorama(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("size", "camera", "view", "message"),
+    [
+        ((16, 32, 3), None, None, "rows, columns"),
+        ((16.5, 32), None, None, "whole pixels"),
+        ((0, 32), None, None, "at least 1 x 2 pixels"),
+        ((16, 32), PolarRing(), PanoramaView(), "image_size is 16 x 32, but the view has 128 x 512"),
+        ((16, 32), object(), None, "must be a dataclass"),
+    ],
+)
+def test_impossible_preprocessing(size, camera, view, message):
+    with pytest.raises(ConfigError, match=message):
+        Preprocessing.checked(size, camera, view)
+
+
+def test_parameters_tell_what_decides_the_pixels():
+    plain = Preprocessing.checked((16, 32), None, None).parameters()
+    assert plain == Preprocessing.checked((16, 32), None, PanoramaView(16, 32, top=10)).parameters()
+    views = [PanoramaView(16, 32), PanoramaView(16, 32, top=10)]
+    cameras = [PolarRing(), PolarRing(forward=1), HyperbolicMirror(), HyperbolicMirror(fx=1)]
+    all_of_them = [Preprocessing.checked((16, 32), camera, view).parameters() for camera in cameras for view in views]
+    assert all(a != b for i, a in enumerate(all_of_them) for b in [plain, *all_of_them[:i]])

@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from siamloc.data.frames import FrameTable, concatenate, image_files
+from siamloc.errors import ConfigError, DataError
+
+
+def table(n: int = 6) -> FrameTable:
+    return FrameTable(
+        path=[f"{i}.jpg" for i in range(n)],
+        x=np.arange(n) * 0.5,
+        y=np.zeros(n),
+        room=["a", "b", ""] * (n // 3),
+        sequence=["seq2_cloudy1", "seq2_night1"] * (n // 2),
+        building=["one"] * (n // 2) + [""] * (n - n // 2),
+    )
+
+
+def test_columns_that_are_left_out_are_filled():
+    frames = FrameTable(path=["a", "b"])
+    assert np.isnan([frames.x, frames.y, frames.theta, frames.time]).all()
+    assert [column.tolist() for column in (frames.room, frames.lighting, frames.building)] == [["", ""]] * 3
+    assert frames.index.tolist() == [0, 1]
+    assert not frames.has_position.any()
+
+
+def test_the_arrays_are_read_only_copies():
+    x = np.zeros(2)
+    frames = FrameTable(path=["a", "b"], x=x)
+    x[:] = 7
+    assert frames.x.tolist() == [0, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        frames.x[0] = 1
+    with pytest.raises(AttributeError):
+        frames.x = x
+
+
+def test_columns_of_another_length_are_an_error():
+    with pytest.raises(DataError, match=r"column 'x' has shape \(1,\), expected \(2,\) like 'path'"):
+        FrameTable(path=["a", "b"], x=[1.0])
+
+
+def test_equality_counts_nan_as_equal():
+    assert table() == table()
+    assert table() != table().with_columns(x=np.arange(6))
+    assert table() != table(3 * 4)
+    assert table() != "table"
+
+
+def test_rows_and_from_rows_are_inverse():
+    assert FrameTable.from_rows(list(table())) == table()
+    row = next(iter(table()))
+    assert row["path"] == "0.jpg"
+    assert row["building"] == "one"
+    assert math.isnan(row["theta"])
+
+
+def test_take_by_positions_mask_and_slice():
+    frames = table()
+    assert frames.take([4, 0, 4]).index.tolist() == [4, 0, 4]
+    assert frames.take(frames.room == "b").index.tolist() == [1, 4]
+    assert frames.take(slice(1, None, 2)).index.tolist() == [1, 3, 5]
+    assert len(frames.take([])) == 0
+    assert frames.take(slice(2, 4)).take([1]).index.tolist() == [3]
+
+
+def test_select_by_labels_and_patterns():
+    frames = table()
+    assert frames.select(room="a").index.tolist() == [0, 3]
+    assert frames.select(room=["a", "b"], sequence="*_night?").index.tolist() == [1, 3]
+    assert frames.select(building="").index.tolist() == [3, 4, 5]
+    with pytest.raises(ConfigError, match="no frame has sequence 'seq2_cloudy2'; did you mean 'seq2_cloudy1'"):
+        frames.select(sequence="seq2_cloudy2")
+    with pytest.raises(ConfigError, match="cannot be selected by 'rooms'; did you mean 'room'"):
+        frames.select(rooms="a")
+
+
+def test_selecting_where_there_are_no_labels_says_so():
+    frames = FrameTable(path=["a.png", "b.png"], sequence=["one", ""])
+    with pytest.raises(ConfigError, match=r"^no frame has a room label, so 'kitchen' cannot be selected$"):
+        frames.select(room="kitchen")
+    with pytest.raises(ConfigError, match=r"^no frame has sequence 'two'; valid: one$"):
+        frames.select(sequence="two")
+    assert frames.select(room="").index.tolist() == [0, 1]
+
+
+@given(st.lists(st.sampled_from("abc"), max_size=30), st.integers(1, 7))
+def test_every_k_agrees_with_counting(sequences, k):
+    frames = FrameTable(path=[str(i) for i in range(len(sequences))], sequence=np.array(sequences, dtype=np.str_))
+    seen: dict[str, int] = {}
+    expected = []
+    for row, sequence in enumerate(sequences):
+        if seen.get(sequence, 0) % k == 0:
+            expected.append(row)
+        seen[sequence] = seen.get(sequence, 0) + 1
+    assert frames.every(k).index.tolist() == expected
+
+
+@pytest.mark.parametrize("k", [0, -1, 1.5])
+def test_every_k_needs_a_positive_whole_number(k):
+    with pytest.raises(ConfigError, match="whole k >= 1"):
+        table().every(k)
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from("ab"), st.integers(-3, 3), st.integers(-3, 3)), max_size=30),
+    st.sampled_from([0.5, 1.0, 2.0, 100.0]),
+)
+def test_spacing_agrees_with_walking_along(steps, metres):
+    n = len(steps)
+    frames = FrameTable(
+        path=[str(i) for i in range(n)],
+        sequence=np.array([step[0] for step in steps], dtype=np.str_),
+        x=[step[1] for step in steps],
+        y=[step[2] for step in steps],
+    )
+    last: dict[str, tuple[int, int]] = {}
+    expected = []
+    for row, (sequence, x, y) in enumerate(steps):
+        if sequence not in last or math.dist(last[sequence], (x, y)) >= metres:
+            expected.append(row)
+            last[sequence] = (x, y)
+    assert frames.spaced(metres).index.tolist() == expected
+
+
+def test_spacing_errors():
+    with pytest.raises(ConfigError, match="positive number of metres, got 0"):
+        table().spaced(0)
+    with pytest.raises(DataError, match="2 of 2 frames have no position"):
+        FrameTable(path=["a", "b"]).spaced(1.0)
+
+
+def test_rows_by_keeps_the_order_of_appearance():
+    frames = FrameTable(path=list("abcd"), room=["z", "a", "z", "m"])
+    assert {room: rows.tolist() for room, rows in frames.rows_by("room").items()} == {"z": [0, 2], "a": [1], "m": [3]}
+    assert list(frames.rows_by("room")) == ["z", "a", "m"]
+
+
+def test_places_tell_buildings_apart():
+    assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
+
+
+def test_concatenating_counts_the_index_anew():
+    joined = concatenate([table().take([5, 1]), FrameTable(path=["a longer name"], room=["a longer room"])])
+    assert joined.path.tolist() == ["5.jpg", "1.jpg", "a longer name"]
+    assert joined.room.tolist() == ["", "b", "a longer room"]
+    assert joined.index.tolist() == [0, 1, 2]
+    assert len(concatenate([])) == 0
+
+
+def test_describe_names_what_there_is():
+    assert table().describe() == ("6 frames; sequences: seq2_cloudy1 3, seq2_night1 3; rooms: a, b; lightings: none")
+    assert FrameTable(path=["a"]).describe() == "1 frames; sequences: (unnamed) 1; rooms: none; lightings: none"
+
+
+def test_image_files_are_those_with_an_images_suffix(tmp_path: Path):
+    for name in ("b.JPG", "a.jpeg", "c.png", "notes.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "folder.png").mkdir()
+    assert [path.name for path in image_files(tmp_path)] == ["a.jpeg", "b.JPG", "c.png"]

@@ -1,0 +1,189 @@
+from __future__ import annotations
+
+import csv
+import io
+import logging
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import siamloc.data
+from siamloc.data.frames import FrameTable
+from siamloc.data.manifest import COLUMNS
+from siamloc.errors import ConfigError, DataError, SiamlocError
+
+CORRIDOR = Path(__file__).parents[3] / "../shared/data/corridor/manifest.csv"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("a.jpg", "b.jpg", "c, d.jpg"):
+        (tmp_path / name).write_bytes(b"image")
+    return tmp_path
+
+
+def read(folder: Path, text: str | bytes, **options: str) -> FrameTable:
+    path = folder / "frames.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return siamloc.data.read("manifest", path=path, **options)
+
+
+def test_all_columns(folder):
+    table = read(
+        folder,
+        "image,x,y,theta,room,sequence,lighting,time,building\n"
+        "a.jpg,1,-2.5,1e-3,CR-A,drive,cloudy,10,lab\nb.jpg,2,0,0,KT-A,drive,cloudy,11,lab\n",
+    )
+    expected = FrameTable(
+        path=[str(folder / "a.jpg"), str(folder / "b.jpg")],
+        x=[1, 2],
+        y=[-2.5, 0],
+        theta=[1e-3, 0],
+        room=["CR-A", "KT-A"],
+        sequence=["drive"] * 2,
+        lighting=["cloudy"] * 2,
+        time=[10, 11],
+        building=["lab"] * 2,
+    )
+    assert table == expected
+
+
+def test_only_the_image_is_needed(folder):
+    table = read(folder, "image\na.jpg\nb.jpg\n")
+    assert len(table) == 2
+    assert np.isnan(table.x).all()
+    assert set(table.room.tolist()) == {""}
+
+
+def test_spreadsheet_habits(folder):
+    """Byte-order mark, CRLF, quotes, blanks around names, other columns and their order, blank lines at the end."""
+    table = read(
+        folder,
+        b'\xef\xbb\xbfnote, Room ,X,"image"\r\nhello,"office ""1""",1.5,"c, d.jpg"\r\n,,,a.jpg\r\n\r\n , ,,\r\n',
+    )
+    assert table.path.tolist() == [str(folder / "c, d.jpg"), str(folder / "a.jpg")]
+    assert table.room.tolist() == ['office "1"', ""]
+    assert table.x[0] == 1.5
+    assert math.isnan(table.x[1])
+
+
+def test_columns_that_are_not_used_are_reported(folder, caplog):
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        read(folder, "image,romm,note,,x\na.jpg,kitchen,nice,,1\n")
+        read(folder, "image,room,rooms\na.jpg,kitchen,nice\n")
+    first, second = (record.getMessage() for record in caplog.records)
+    assert first.endswith("frames.csv: column 'romm' is not used; did you mean 'room'?; column 'note' is not used")
+    assert second.endswith("frames.csv: column 'rooms' is not used")
+
+
+def test_the_keyword_manifest_is_the_same(folder):
+    table = read(folder, "image\na.jpg\n")
+    assert siamloc.data.read("manifest", manifest=str(folder / "frames.csv")) == table
+    with pytest.raises(ConfigError, match="give either path=FILE or manifest=FILE"):
+        siamloc.data.read("manifest", path="a", manifest="b")
+
+
+def test_absolute_image_names(folder):
+    assert read(folder, f"image\n{folder / 'a.jpg'}\n").path.tolist() == [str(folder / "a.jpg")]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"frames\.csv is empty"),
+        ("\n\n", r"frames\.csv is empty"),
+        ("image,x\n", "has a header but no rows"),
+        ("image,x\n\n,\n", "has a header but no rows"),
+        ("imgae,x\na.jpg,1\n", r"no column 'image', only imgae, x; did you mean 'imgae' to be it\?"),
+        ("time,x\n1,1\n", r"no column 'image', only time, x$"),
+        ("image;x\na.jpg;1\n", "no column 'image'.*separate the columns by commas"),
+        ("image,x,X\na.jpg,1,2\n", "has 2 columns named 'x'"),
+        ("image,x,y\na.jpg,1,2\nb.jpg,one,2\n", r"frames\.csv, line 3, column 'x': 'one' is not a number"),
+        ("image,time\na.jpg,1_0\n", r"frames\.csv, line 2, column 'time': '1_0' is not a number"),
+        ("image,theta\na.jpg,inf\n", r"frames\.csv, line 2, column 'theta': 'inf' is infinite"),
+        ("image,y\na.jpg,-1e999\n", r"frames\.csv, line 2, column 'y': '-1e999' is infinite"),
+        ("image,x\n,1\n", r"frames\.csv, line 2, column 'image': empty"),
+        ("image,x,y\na.jpg,1\n", r"frames\.csv, line 2: 2 cells, so there is none for column 'y'"),
+        ("image,x\na.jpg,1,2\n", r"frames\.csv, line 2: 3 cells under 2 columns; quote"),
+        ("image\na.jpg\nb.jpg\n./a.jpg\n", "line 4: image './a.jpg' stands already in line 2 with the same sequence"),
+        ('image\n"a.jpg\n', r"frames\.csv, line \d: not a CSV row"),
+        ("image\na\0.jpg\n", r"frames\.csv, line 2: (the row holds a NUL|not a CSV row)"),
+        (b"image\n\xff.jpg\n", "is not a CSV table in UTF-8"),
+    ],
+)
+def test_each_fault_is_named(folder, text, message):
+    with pytest.raises(DataError, match=message):
+        read(folder, text)
+
+
+def test_an_image_may_stand_in_two_sequences(folder):
+    table = read(folder, "image,sequence\na.jpg,one\na.jpg,two\n")
+    assert table.sequence.tolist() == ["one", "two"]
+
+
+def test_missing_images_are_left_out_and_reported(folder, caplog):
+    text = "image,x\nnone.jpg,1\na.jpg,2\n"
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        assert read(folder, text).x.tolist() == [2.0]
+    assert len(caplog.records) == 1
+    assert "1 of 2 images of" in caplog.text
+    assert "none.jpg" in caplog.text
+    with pytest.raises(DataError, match="1 of 2 images of"):
+        read(folder, text, on_error="raise")
+    with pytest.raises(DataError, match=r"1 of 1 images .*relative to the table's folder.*nothing remains"):
+        read(folder, "image\nnone.jpg\n")
+
+
+def test_a_missing_table_is_an_error(tmp_path):
+    with pytest.raises(DataError, match=r"none\.csv cannot be read: No such file"):
+        siamloc.data.read("manifest", path=tmp_path / "none.csv")
+    with pytest.raises(DataError, match="cannot be read"):
+        siamloc.data.read("manifest", path=tmp_path)
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not CORRIDOR.is_file(), reason=f"{CORRIDOR} is missing")
+def test_the_corridor():
+    table = siamloc.data.read("manifest", manifest=CORRIDOR, on_error="raise")
+    assert {name: len(rows) for name, rows in table.rows_by("sequence").items()} == {"ref": 111, "query": 111}
+    np.testing.assert_array_equal(table.select(sequence="query").x, np.arange(111))
+
+
+labels = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8).map(str.strip)
+numbers = st.one_of(st.just(math.nan), st.floats(allow_nan=False, allow_infinity=False))
+rows = st.fixed_dictionaries(
+    dict.fromkeys(("x", "y", "theta", "time"), numbers)
+    | dict.fromkeys(("room", "sequence", "lighting", "building"), labels)
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@given(st.lists(rows, min_size=1, max_size=5), st.permutations(COLUMNS))
+def test_whatever_table_is_written_is_read_back(tmp_path, frames, columns):
+    for number, frame in enumerate(frames):
+        frame["image"] = f"image {number}.jpg"
+        (tmp_path / frame["image"]).touch()
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(columns)
+    for frame in frames:
+        cells = [frame[name] for name in columns]
+        writer.writerow(["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in cells])
+    table = read(tmp_path, text.getvalue(), on_error="raise")
+    assert table == FrameTable.from_rows([{"path": str(tmp_path / frame["image"]), **frame} for frame in frames])
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150)
+@given(st.one_of(st.binary(max_size=120), st.text(st.sampled_from('ab,"\n\r\0;x1e9.é'), max_size=60).map(str.encode)))
+def test_garbage_raises_nothing_but_our_errors(folder, garbage):
+    for text in (garbage, b"image,x,y\na.jpg,1,2\n" + garbage, b"image,x\n" + garbage):
+        try:
+            table = read(folder, text)
+        except SiamlocError:
+            continue
+        assert len(table) >= 1
+        assert not np.isinf(table.xy).any()

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from siamloc.data.names import NamedPose, format_name, lighting_in, parse_name
+
+numbers = st.floats(-1e6, 1e6, allow_nan=False)
+suffixes = st.sampled_from([".jpeg", ".jpg", ".png", ".JPEG"])
+
+
+@given(numbers, numbers, numbers, numbers, suffixes)
+def test_a_written_pose_is_read_back_to_the_sixth_decimal(time, x, y, theta, suffix):
+    pose = NamedPose(time, x, y, theta)
+    again = parse_name(format_name(pose, suffix))
+    assert again is not None
+    assert again == pytest.approx(pose, abs=5.1e-7, rel=1e-15)
+
+
+@given(numbers, numbers, numbers, numbers)
+def test_numbers_in_shortest_form_are_read_back_exactly(time, x, y, theta):
+    """`repr` writes exponents such as 1e-05 where they are shorter."""
+    assert parse_name(f"t{time!r}_x{x!r}_y{y!r}_a{theta!r}.jpeg") == (time, x, y, theta)
+
+
+@given(st.text(max_size=60))
+def test_any_text_gives_a_finite_pose_or_none(text):
+    pose = parse_name(text)
+    assert pose is None or all(math.isfinite(value) for value in pose)
+
+
+@pytest.mark.parametrize(
+    ("name", "pose"),
+    [
+        ("t1152889564.947042_x0.200000_y-0.000000_a0.000000.jpeg", (1152889564.947042, 0.2, 0.0, 0.0)),
+        ("t1_x1e-05_y-2.5E+1_a+.5.jpg", (1.0, 1e-5, -25.0, 0.5)),
+        ("t1._x2._y3._a4..png", (1.0, 2.0, 3.0, 4.0)),
+    ],
+)
+def test_names_of_the_database(name, pose):
+    assert parse_name(name) == pose
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "image.jpeg",
+        "folder/t1_x1_y1_a1.jpeg",
+        " t1_x1_y1_a1.jpeg",
+        "t1_x1_y1_a1.jpeg\n",
+        "t1_x1_y1_a1.jpeg.bak",
+        "t1_x1_y1_a1.gif",
+        "t1_x1_y1.jpeg",
+        "t1_y1_x1_a1.jpeg",
+        "t1_x_y1_a1.jpeg",
+        "t1_xnan_y1_a1.jpeg",
+        "t1_x1e999_y1_a1.jpeg",
+        "t1_x١_y1_a1.jpeg",
+        "old_t1_x1_y1_a1.jpeg",
+    ],
+)
+def test_other_names_carry_no_pose(name):
+    assert parse_name(name) is None
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_only_finite_poses_are_written(wrong):
+    with pytest.raises(ValueError, match="finite"):
+        format_name(NamedPose(1.0, wrong, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "lighting"),
+    [
+        ("seq2_cloudy1", "cloudy"),
+        ("Test_SUNNY", "sunny"),
+        ("Night", "night"),
+        ("train", ""),
+        ("cloudy_and_night", ""),
+    ],
+)
+def test_lighting_from_a_text(text, lighting):
+    assert lighting_in(text) == lighting

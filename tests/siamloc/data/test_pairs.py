@@ -1,0 +1,226 @@
+import re
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.pairs import PairSampler, largest_same_room_distance
+from siamloc.errors import ConfigError, DataError
+
+
+def table(rooms, seed=0, building=None):
+    rng = np.random.default_rng(seed)
+    n = len(rooms)
+    return FrameTable(
+        path=[f"{i}.png" for i in range(n)],
+        x=rng.uniform(0, 10, n),
+        y=rng.uniform(0, 3, n),
+        room=rooms,
+        building=building,
+    )
+
+
+def as_lists(pairs):
+    return pairs.first.tolist(), pairs.second.tolist(), pairs.label.tolist(), pairs.same.tolist()
+
+
+room_lists = st.lists(st.sampled_from(["A", "B", "C", ""]), min_size=2, max_size=30).filter(
+    lambda rooms: 1 < len(set(rooms)) < len(rooms)
+)
+
+
+@given(
+    rooms=room_lists,
+    share=st.floats(0, 1),
+    pairs=st.integers(1, 60),
+    seed=st.integers(0, 2**63 - 1),
+    balance=st.sampled_from(["frames", "rooms"]),
+)
+def test_pairs_are_two_different_frames_with_the_right_label(rooms, share, pairs, seed, balance):
+    frames = table(rooms)
+    sampler = PairSampler(frames, "room", same_room_share=share, epoch_pairs=pairs, seed=seed, balance=balance)
+    drawn = sampler.epoch(3)
+    assert len(drawn) == pairs
+    assert (drawn.first != drawn.second).all()
+    assert (drawn.same == (frames.room[drawn.first] == frames.room[drawn.second])).all()
+    assert (drawn.label == ~drawn.same).all()
+    assert drawn.same.sum() == round(share * pairs)
+
+
+@given(
+    rooms=room_lists,
+    seed=st.integers(0, 5),
+    epoch=st.integers(0, 5),
+    world_size=st.integers(1, 5),
+)
+def test_ranks_share_an_epoch_without_overlap(rooms, seed, epoch, world_size):
+    sampler = PairSampler(table(rooms), seed=seed, epoch_pairs=23)
+    whole = sampler.epoch(epoch)
+    for rank in range(world_size):
+        part = sampler.epoch(epoch, rank, world_size)
+        assert as_lists(part) == as_lists(whole.take(slice(rank, None, world_size)))
+
+
+def test_an_epoch_depends_on_seed_and_number_only():
+    frames = table(["A"] * 10 + ["B"] * 10)
+    sampler = PairSampler(frames, seed=0)
+    sampler.epoch(7)
+    np.random.default_rng().random()
+    assert as_lists(sampler.epoch(1)) == as_lists(PairSampler(frames, seed=0).epoch(1))
+    assert as_lists(sampler.epoch(1)) != as_lists(sampler.epoch(2))
+    assert as_lists(sampler.epoch(1)) != as_lists(PairSampler(frames, seed=1).epoch(1))
+
+
+def test_distance_labels_follow_the_thesis_example():
+    frames = FrameTable(
+        path=list("abcdef"),
+        x=[0.0, 0.33, 12.82, 0.0, 5.0, 7.48],
+        y=np.zeros(6),
+        room=["CR", "CR", "CR", "KT", "LO", "LO"],
+    )
+    pairs = PairSampler(frames, "distance", same_room_share=0.5, epoch_pairs=400, scale=18.99).epoch(0)
+    labels = {frozenset(p): y for *p, y in zip(pairs.first.tolist(), pairs.second.tolist(), pairs.label, strict=True)}
+    assert labels[frozenset((0, 1))] == pytest.approx(0.017, abs=5e-4)
+    assert labels[frozenset((0, 2))] == pytest.approx(0.675, abs=5e-4)
+    assert labels[frozenset((4, 5))] == pytest.approx(0.131, abs=5e-4)
+    assert labels[frozenset((0, 3))] == 1
+    assert labels[frozenset((3, 4))] == 1
+
+
+def test_scale_is_the_largest_same_room_distance_of_all_pairs():
+    frames = table(["A"] * 30 + ["B"] * 20 + ["C"])
+    slow = max(
+        float(np.hypot(*(frames.xy[i] - frames.xy[j])))
+        for i, j in combinations(range(len(frames)), 2)
+        if frames.room[i] == frames.room[j]
+    )
+    assert largest_same_room_distance(frames) == pytest.approx(slow)
+    assert PairSampler(frames, "distance").epoch(0).label.max() <= 1
+
+
+@pytest.mark.parametrize("on_a_line", [True, False])
+def test_scale_of_a_large_room_uses_the_hull(on_a_line):
+    rng = np.random.default_rng(1)
+    x = rng.uniform(0, 10, 1500)
+    y = 2 * x if on_a_line else rng.uniform(0, 10, 1500)
+    frames = FrameTable(path=np.arange(1500).astype(str), x=x, y=y)
+    xy = frames.xy
+    slow = max(float(np.hypot(*(xy - point).T).max()) for point in xy)
+    assert largest_same_room_distance(frames) == pytest.approx(slow)
+
+
+def two_buildings():
+    return FrameTable(
+        path=list("abcdefg"),
+        x=[0, 10, 5, 0, 2, 1, 50],
+        y=np.zeros(7),
+        room=["R", "R", "S", "R", "R", "R", "S"],
+        building=["large"] * 3 + ["small"] * 4,
+    )
+
+
+def test_each_building_has_its_own_scale():
+    frames = two_buildings()
+    sampler = PairSampler(frames, "distance", same_room_share=1, epoch_pairs=200)
+    assert sampler.scale == {"large": 10, "small": 2}
+    pairs = sampler.epoch(0)
+    labels = {frozenset(p): y for *p, y in zip(pairs.first.tolist(), pairs.second.tolist(), pairs.label, strict=True)}
+    assert labels == {frozenset((0, 1)): 1, frozenset((3, 4)): 1, frozenset((3, 5)): 0.5, frozenset((4, 5)): 0.5}
+
+
+def test_another_sampler_takes_over_the_scale():
+    frames = two_buildings()
+    sampler = PairSampler(frames, "distance", epoch_pairs=200)
+    again = PairSampler(frames.take([0, 2, 3, 5]), "distance", scale=sampler.scale, same_room_share=0, epoch_pairs=9)
+    assert again.scale == {"large": 10, "small": 2}
+    small = frames.select(building="small")
+    assert PairSampler(small, "distance").scale == 2
+    assert PairSampler(small, "distance", scale={"large": 10}).scale == {"large": 10, "small": 2}
+    one = PairSampler(frames, "distance", same_room_share=1, scale=4, epoch_pairs=200)
+    assert one.scale == 4
+    assert set(one.epoch(0).label.tolist()) == {1, 0.5, 0.25}
+    assert np.isnan(PairSampler(frames, "room").scale)
+
+
+@pytest.mark.parametrize("scale", [0, -1, float("nan"), float("inf"), {"large": 0}])
+def test_a_scale_is_positive(scale):
+    with pytest.raises(ConfigError, match=r"pairs\.scale\) must be a positive number"):
+        PairSampler(two_buildings(), "distance", scale=scale)
+
+
+def test_a_building_at_one_point_is_named():
+    frames = two_buildings().with_columns(x=[0, 10, 5, 1, 1, 1, 50])
+    with pytest.raises(DataError, match="of a room of building small were taken at one point"):
+        PairSampler(frames, "distance")
+
+
+def test_messages_name_keys_of_the_configuration():
+    keys = set(yaml.safe_load((Path(__file__).parents[3] / "conf/pairs/default.yaml").read_text()))
+    said = []
+    for rooms, options in ((["A", "A"], {"same_room_share": 0.5}), (["A", "B"], {}), (["A", "B"], {"epoch_pairs": 0})):
+        with pytest.raises(ConfigError) as raised:
+            PairSampler(table(rooms), **options)
+        said += re.findall(r"pairs\.(\w+)", str(raised.value))
+    assert set(said) == {"same_room_share", "label", "epoch_pairs"}
+    assert set(said) <= keys
+
+
+def test_frames_without_label_are_one_room_and_buildings_stay_apart():
+    unlabelled = PairSampler(table([""] * 5))
+    assert (unlabelled.label, unlabelled.same_room_share) == ("distance", 1)
+    assert unlabelled.epoch(0).same.all()
+    frames = table(["CR", "CR", "CR", "CR"], building=["a", "a", "b", "b"])
+    drawn = PairSampler(frames, "room", epoch_pairs=50).epoch(0)
+    assert (drawn.same == (frames.building[drawn.first] == frames.building[drawn.second])).all()
+
+
+def test_every_pair_is_reachable_and_equally_likely():
+    frames = table(["A", "A", "A", "B", "B"])
+    drawn = PairSampler(frames, "room", same_room_share=0, epoch_pairs=12000, seed=0).epoch(0)
+    counts = np.zeros((5, 5))
+    np.add.at(counts, (drawn.first, drawn.second), 1)
+    different = frames.room[:, None] != frames.room[None, :]
+    assert (counts[~different] == 0).all()
+    expected = np.where(different, 12000 / 5 / different.sum(axis=1, keepdims=True), 0)
+    assert np.abs(counts - expected)[different].max() < 0.12 * expected.max()
+
+
+def test_balance_by_room_gives_each_room_its_turn():
+    frames = table(["A"] * 90 + ["B"] * 10)
+    by_room = PairSampler(frames, "room", same_room_share=1, epoch_pairs=4000, balance="rooms").epoch(0)
+    by_frame = PairSampler(frames, "room", same_room_share=1, epoch_pairs=4000).epoch(0)
+    assert (frames.room[by_room.first] == "B").mean() == pytest.approx(0.5, abs=0.03)
+    assert (frames.room[by_frame.first] == "B").mean() == pytest.approx(0.1, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("rooms", "options", "error", "says"),
+    [
+        (["A", "A"], {"label": "rooom"}, ConfigError, "did you mean 'room'"),
+        (["A", "B"], {"balance": "room"}, ConfigError, "did you mean 'rooms'"),
+        (["A"], {}, DataError, "at least two frames, got 1"),
+        (["A", "A"], {"same_room_share": 0.5}, ConfigError, "one room, A"),
+        (["A", "B"], {"same_room_share": 0.5}, ConfigError, "one frame only"),
+        (["A", "A", "B"], {"same_room_share": 1.2}, ConfigError, r"\[0, 1\], got 1.2"),
+        (["A", "A", "B"], {"epoch_pairs": 0}, ConfigError, r"at least 1 pair \(pairs.epoch_pairs\), got 0"),
+        (["A", "A", "B"], {"seed": -1}, ConfigError, "not negative, got -1"),
+    ],
+)
+def test_impossible_requests_are_one_clear_sentence(rooms, options, error, says):
+    with pytest.raises(error, match=says):
+        PairSampler(table(rooms), **options)
+
+
+def test_distance_needs_positions_that_differ():
+    frames = table(["A", "A", "B", "B"])
+    with pytest.raises(DataError, match="1 of 4 frames have no position"):
+        PairSampler(frames.with_columns(x=[0, np.nan, 1, 2]), "distance")
+    with pytest.raises(DataError, match="at one point"):
+        PairSampler(frames.with_columns(x=[1, 1, 1, 1], y=[1, 1, 1, 1]), "distance")
+    with pytest.raises(ConfigError, match="rank"):
+        PairSampler(frames).epoch(0, rank=2, world_size=2)

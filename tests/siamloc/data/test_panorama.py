@@ -1,0 +1,263 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from siamloc.data.panorama import (
+    HyperbolicMirror,
+    PanoramaView,
+    PolarRing,
+    azimuth_column,
+    column_azimuth,
+    unwrap,
+)
+from siamloc.errors import ConfigError, DataError
+from tests.oracles import mirror as oracle
+
+VIEW = PanoramaView()
+MIRRORS = [
+    HyperbolicMirror(),
+    HyperbolicMirror(fx=700, fy=650, cx=500.5, cy=480, eccentricity=1.2, focal_parameter=0.1),
+    HyperbolicMirror(forward=37.0),
+    HyperbolicMirror(mirrored=False, forward=-120.0),
+]
+# Azimuth and elevation in degrees: all around, across the seam behind the robot, up and down.
+DIRECTIONS = [(0, 0), (90, 10), (-90, -30), (180, -10), (-179, 5), (45, 20), (-135, -40), (12.3, -5)]
+
+
+def direction(azimuth: float, elevation: float) -> np.ndarray:
+    a, e = np.radians([azimuth, elevation])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def with_blob(size: tuple[int, int], column: float, row: float, channels: int = 0, spread: float = 2.5) -> np.ndarray:
+    """Draw one bright Gaussian blob at a fractional pixel."""
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    image = 255 * np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / (2 * spread**2))
+    image = np.round(image).astype(np.uint8)
+    return np.stack([image] * channels, axis=-1) if channels else image
+
+
+def blob_at(panorama: np.ndarray) -> tuple[float, float]:
+    """Return the fractional column (on the circle) and row of the centre of brightness."""
+    weight = panorama.astype(float)
+    assert weight.sum() > 0, "nothing is seen"
+    angle = 2 * np.pi * np.arange(weight.shape[1]) / weight.shape[1]
+    column = np.angle((weight.sum(axis=0) * np.exp(1j * angle)).sum()) * weight.shape[1] / (2 * np.pi)
+    row = (weight.sum(axis=1) * np.arange(weight.shape[0])).sum() / weight.sum()
+    return column % weight.shape[1], row
+
+
+def circular_gap(a: float, b: float, period: float) -> float:
+    return abs((a - b + period / 2) % period - period / 2)
+
+
+@given(st.integers(2, 2000), st.floats(-20, 20))
+def test_azimuth_and_column_are_inverse(width, azimuth):
+    assert np.allclose(azimuth_column(column_azimuth(width), width), np.arange(width), atol=1e-6)
+    column = azimuth_column(azimuth, width)
+    assert -0.5 <= column < width - 0.5
+    back = (width / 2 - column - 0.5) * 2 * np.pi / width
+    assert circular_gap(back, azimuth, 2 * np.pi) < 1e-6
+
+
+def test_the_middle_looks_ahead_and_columns_run_clockwise():
+    assert azimuth_column(0.0, 512) == 255.5
+    assert azimuth_column(np.pi / 2, 512) == pytest.approx(127.5)
+    assert azimuth_column(-np.pi / 2, 512) == pytest.approx(383.5)
+    assert column_azimuth(512)[0] == pytest.approx(np.pi - np.pi / 512)
+
+
+@given(st.floats(-1.2, 1.2))
+def test_elevation_and_row_are_inverse(elevation):
+    row = VIEW.elevation_row(elevation)
+    slope = np.tan(np.radians(30)) + (row + 0.5) / 128 * (np.tan(np.radians(-45)) - np.tan(np.radians(30)))
+    assert np.arctan(slope) == pytest.approx(elevation, abs=1e-9)
+
+
+def test_rows_run_from_the_top_down():
+    elevations = VIEW.row_elevation()
+    assert (np.diff(elevations) < 0).all()
+    assert np.degrees(elevations[0]) == pytest.approx(30, abs=1)
+    assert np.degrees(elevations[-1]) == pytest.approx(-45, abs=1)
+    np.testing.assert_allclose(VIEW.elevation_row(elevations), np.arange(128), atol=1e-9)
+
+
+def test_directions_are_unit_vectors_of_their_pixels():
+    directions = VIEW.directions()
+    assert directions.shape == (128, 512, 3)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1)
+    azimuth = np.arctan2(directions[..., 1], directions[..., 0])
+    elevation = np.arcsin(directions[..., 2])
+    np.testing.assert_allclose(azimuth, np.broadcast_to(column_azimuth(512), (128, 512)))
+    np.testing.assert_allclose(elevation, np.broadcast_to(VIEW.row_elevation()[:, None], (128, 512)))
+
+
+@pytest.mark.parametrize("mirror", MIRRORS)
+@pytest.mark.parametrize("angles", DIRECTIONS)
+def test_projection_agrees_with_tracing_the_ray(mirror, angles):
+    unit = direction(*angles)
+    np.testing.assert_allclose(mirror.project(3.7 * unit), oracle.pixel(unit, mirror), atol=1e-6)
+
+
+@pytest.mark.parametrize("mirror", MIRRORS)
+@pytest.mark.parametrize("angles", DIRECTIONS)
+def test_the_model_is_a_mirror(mirror, angles):
+    """The back-projected point lies on the hyperbola's sheet, and reflection there sends the ray to the camera."""
+    unit = direction(*angles)
+    reach = mirror.focal_parameter / (1 - mirror.eccentricity * unit[2])
+    point = reach * unit
+    semi_axis = oracle.half_axis(mirror)
+    assert oracle.path_difference(point, mirror) == pytest.approx(2 * semi_axis, rel=1e-9)
+    normal = oracle.surface_normal(point, mirror)
+    reflected = -unit - 2 * (-unit @ normal) * normal
+    to_camera = np.array([0, 0, -mirror.camera_depth]) - point
+    np.testing.assert_allclose(reflected, to_camera / np.linalg.norm(to_camera), atol=1e-6)
+
+
+def test_the_mirrors_measures():
+    mirror = HyperbolicMirror(eccentricity=1.5, focal_parameter=0.05)
+    a, c = oracle.half_axis(mirror), mirror.camera_depth / 2
+    assert c / a == pytest.approx(1.5)
+    assert (c**2 - a**2) / a == pytest.approx(0.05)
+    assert np.sin(mirror.highest_elevation) == pytest.approx(1 / 1.5)
+
+
+@pytest.mark.parametrize("mirror", MIRRORS)
+def test_project_and_back_project_are_inverse(mirror):
+    rng = np.random.default_rng(0)
+    azimuth = rng.uniform(-np.pi, np.pi, 500)
+    elevation = rng.uniform(-1.5, mirror.highest_elevation - 0.02, 500)
+    level = np.cos(elevation)
+    units = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    np.testing.assert_allclose(mirror.back_project(mirror.project(units)), units, atol=1e-9)
+
+
+def test_what_the_mirror_does_not_show_is_nan():
+    mirror = HyperbolicMirror()
+    high = direction(10, np.degrees(mirror.highest_elevation) + 1)
+    assert np.isnan(mirror.project(high)).all()
+    assert np.isnan(mirror.back_project(np.array([5000.0, 0.0]))).all()
+
+
+@pytest.mark.parametrize("channels", [0, 3])
+@pytest.mark.parametrize("angles", [(0, 0), (90, 10), (-90, -30), (180, -10), (45, 15), (-135, -40), (12.3, -5)])
+@pytest.mark.parametrize("options", [{}, {"forward": 90.0}, {"forward": -33.0}, {"mirrored": False}])
+def test_a_blob_in_the_mirror_is_found_at_its_azimuth_and_elevation(angles, options, channels):
+    mirror = HyperbolicMirror(fx=600, fy=600, cx=639.5, cy=479.5, **options)
+    column, row = oracle.pixel(direction(*angles), mirror)
+    panorama = unwrap(with_blob((960, 1280), column, row, channels), mirror)
+    assert panorama.shape == ((128, 512, 3) if channels else (128, 512))
+    assert panorama.dtype == np.uint8
+    found_column, found_row = blob_at(panorama[..., 0] if channels else panorama)
+    azimuth, elevation = np.radians(angles)
+    assert circular_gap(found_column, azimuth_column(azimuth, 512), 512) < 0.5
+    assert found_row == pytest.approx(float(VIEW.elevation_row(elevation)), abs=0.7)
+
+
+@pytest.mark.parametrize("angles", [(0, 0.5), (90, 0.2), (-90, 0.8), (180, 0.5), (33, 0.7)])
+@pytest.mark.parametrize("inside_up", [False, True])
+@pytest.mark.parametrize("options", [{}, {"forward": 90.0}, {"mirrored": False}])
+def test_a_blob_in_the_ring_is_found_by_polar_unwrapping(angles, inside_up, options):
+    """By hand: angles turn clockwise from the upper rim, and the left appears on the right (or not)."""
+    azimuth, share_from_top = np.radians(angles[0]), angles[1]
+    ring = PolarRing(centre=(310.0, 250.0), inner=60, outer=230, inside_up=inside_up, **options)
+    radius = 60 + share_from_top * 170 if inside_up else 230 - share_from_top * 170
+    clockwise = np.radians(options.get("forward", 0)) + (azimuth if options.get("mirrored", True) else -azimuth)
+    image = with_blob((480, 640), 310 + radius * np.sin(clockwise), 250 - radius * np.cos(clockwise))
+    found_column, found_row = blob_at(unwrap(image, ring))
+    assert circular_gap(found_column, azimuth_column(azimuth, 512), 512) < 0.5
+    assert found_row == pytest.approx(share_from_top * 128 - 0.5, abs=0.7)
+
+
+def test_a_ring_without_numbers_is_the_largest_in_the_image():
+    image = np.zeros((101, 141, 3), np.uint8)
+    cv2.circle(image, (70, 50), 49, (255, 0, 0), 2)
+    panorama = unwrap(image, PolarRing())
+    assert (panorama[:3, :, 0].max(axis=0) > 120).all()
+    assert panorama[20:].max() == 0
+
+
+@pytest.mark.parametrize("camera", [HyperbolicMirror(fx=600, fy=600, cx=639.5, cy=479.5), PolarRing()])
+def test_an_object_on_the_left_appears_on_the_left(camera):
+    """An upright camera that looks up shows the left on its right; the panorama does not."""
+    image = np.zeros((960, 1280), np.uint8)
+    image[:, 700:] = 255
+    panorama = unwrap(image, camera)
+    assert panorama[:, 100:156].mean() > 200
+    assert panorama[:, 356:412].mean() < 20
+
+
+@pytest.mark.parametrize("turn", [0.3, -1.1, np.pi / 2])
+@pytest.mark.parametrize("camera", [HyperbolicMirror(fx=600, fy=600, cx=639.5, cy=479.5, forward=20.0), None])
+def test_turning_left_moves_the_content_to_the_right(turn, camera):
+    """One lamp in the world, seen before and after the robot turns counter-clockwise on the spot."""
+    lamp = np.array([4.0, 3.0, -0.5])
+    columns = []
+    for heading in (0.4, 0.4 + turn):
+        cosine, sine = np.cos(heading), np.sin(heading)
+        seen = np.array([cosine * lamp[0] + sine * lamp[1], -sine * lamp[0] + cosine * lamp[1], lamp[2]])
+        if camera is None:
+            bearing = np.arctan2(seen[1], seen[0])
+            used, pixel = PolarRing(), (639.5 + 300 * np.sin(bearing), 479.5 - 300 * np.cos(bearing))
+        else:
+            used, pixel = camera, oracle.pixel(seen, camera)
+        columns.append(blob_at(unwrap(with_blob((960, 1280), *pixel), used))[0])
+    assert circular_gap(columns[1], columns[0] + turn * 512 / (2 * np.pi), 512) < 0.6
+
+
+def test_the_seam_is_as_smooth_as_any_other_place():
+    """A picture that is even around the circle gives a panorama that is even across its seam."""
+    rows, columns = np.mgrid[:481, :641]
+    angle = np.arctan2(columns - 320, 240 - rows)
+    image = np.round(127 + 120 * np.cos(angle)).astype(np.uint8)
+    panorama = unwrap(image, PolarRing(inner=100, outer=230)).astype(int)
+    assert np.abs(panorama[:, 0] - panorama[:, -1]).max() <= 2
+
+
+def test_other_sizes_and_elevations():
+    view = PanoramaView(height=64, width=300, top=10, bottom=-20)
+    mirror = HyperbolicMirror(fx=600, fy=600, cx=639.5, cy=479.5)
+    image = with_blob((960, 1280), *oracle.pixel(direction(60, -5), mirror))
+    panorama = unwrap(image, mirror, view)
+    assert panorama.shape == (64, 300)
+    column, row = blob_at(panorama)
+    assert column == pytest.approx(float(azimuth_column(np.radians(60), 300)), abs=0.5)
+    assert row == pytest.approx(float(view.elevation_row(np.radians(-5))), abs=0.7)
+
+
+def test_what_lies_outside_the_image_is_black():
+    panorama = unwrap(np.full((100, 100), 200, np.uint8), PolarRing(inner=10, outer=200))
+    assert panorama[0].max() == 0
+    assert panorama[-1].min() == 200
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: PanoramaView(height=0), "at least 1 x 2 pixels, got 0 x 512"),
+        (lambda: PanoramaView(top=-50), "-90 < bottom < top < 90"),
+        (lambda: PanoramaView(top=90), "-90 < bottom < top < 90"),
+        (lambda: HyperbolicMirror(eccentricity=1.0), "eccentricity above 1, got 1.0"),
+        (lambda: HyperbolicMirror(eccentricity=float("nan")), "eccentricity above 1"),
+        (lambda: HyperbolicMirror(fx=0), "must be positive"),
+        (lambda: HyperbolicMirror(focal_parameter=-1), "must be positive"),
+    ],
+)
+def test_impossible_geometry(make, message):
+    with pytest.raises(ConfigError, match=message):
+        make()
+
+
+def test_impossible_unwrapping():
+    image = np.zeros((100, 100, 3), np.uint8)
+    with pytest.raises(ConfigError, match=r"inner < outer radius, got inner 80 and outer 60 px"):
+        unwrap(image, PolarRing(inner=80, outer=60))
+    with pytest.raises(ConfigError, match=r"looks up to 60 degrees, .* above 45\.6 degrees: lower the view's top"):
+        unwrap(image, HyperbolicMirror(eccentricity=1.4), PanoramaView(top=60))
+    for shape in [(1, 100), (0, 0, 3), (100,)]:
+        with pytest.raises(DataError, match="has shape"):
+            unwrap(np.zeros(shape, np.uint8), PolarRing())
