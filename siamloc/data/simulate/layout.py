@@ -1,0 +1,219 @@
+"""What a building consists of: rooms, openings, items and paths."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Interval = tuple[float, float]
+
+
+def single(values: Any) -> Array:
+    """Return an array in single precision."""
+    return np.asarray(values, dtype=np.float32)
+
+
+#: Half the thickness of a wall between two rooms in metres: a room's inner faces stand this far inside its rectangle.
+HALF_WALL = 0.06
+#: Depth in metres of a window's reveal in an outer wall.
+OUTER_WALL = 0.30
+#: Sides of a room on the floor plan, +y being north, and the direction in degrees that faces away from each wall.
+SIDES = {"north": -90.0, "south": 90.0, "east": 180.0, "west": 0.0}
+
+
+@dataclass(frozen=True)
+class Item:
+    """A thing in a room.
+
+    Attributes:
+        kind: key of `furniture.KINDS`.
+        x: metres, middle of the footprint.
+        y: metres.
+        facing: direction in degrees, counter-clockwise from +x, in which its front looks.
+        size: width, depth and height in metres.
+        z: height of its foot above the floor in metres.
+        room: name of the room.
+        options: what else its builder understands.
+        line: line of the building file, 0 where there is none.
+    """
+
+    kind: str
+    x: float
+    y: float
+    facing: float
+    size: tuple[float, float, float]
+    z: float
+    room: str
+    options: dict[str, Any] = field(default_factory=dict)
+    line: int = 0
+
+    def footprint(self, margin: float = 0.0) -> Array:
+        """Return the corners (4, 2) of the rectangle that it covers, counter-clockwise."""
+        half = np.array([self.size[0] / 2 + margin, self.size[1] / 2 + margin])
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+        angle = np.radians(self.facing - 90)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return corners @ np.array([[cosine, sine], [-sine, cosine]]) + (self.x, self.y)
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A hole in a wall: a door, a free passage, a window or a pane between two rooms.
+
+    Attributes:
+        kind: "leaf" (a door with a leaf), "glass" (a door with a glazed leaf), "open" (a passage), "window" (to
+            the outside), "pane" (fixed glass between two rooms).
+        along: "x" if the wall runs along x, else "y".
+        level: the wall's other coordinate in metres (its middle).
+        centre: middle of the opening along the wall in metres.
+        width: metres.
+        bottom: metres above the floor.
+        top: metres above the floor.
+        rooms: names of the rooms on both sides; the second is "" where it is the outside.
+        hinge: "low" or "high": at which end along the wall the leaf hangs.
+        into: name of the room into which the leaf swings.
+        line: line of the building file.
+    """
+
+    kind: str
+    along: str
+    level: float
+    centre: float
+    width: float
+    bottom: float
+    top: float
+    rooms: tuple[str, str]
+    hinge: str = "low"
+    into: str = ""
+    line: int = 0
+
+    @property
+    def passable(self) -> bool:
+        """True where a robot may drive through."""
+        return self.kind in ("leaf", "glass", "open")
+
+    @property
+    def interval(self) -> Interval:
+        """Where the opening begins and ends along the wall."""
+        return self.centre - self.width / 2, self.centre + self.width / 2
+
+    def point(self, along: float, off: float) -> tuple[float, float]:
+        """Return the plan position at a coordinate along the wall and a signed distance from the wall's middle."""
+        return (along, self.level + off) if self.along == "x" else (self.level + off, along)
+
+
+@dataclass(frozen=True)
+class Room:
+    """A rectangular room.
+
+    Attributes:
+        name: unique within the building.
+        code: the label that its frames carry; several rooms may share one.
+        x: extent in metres, from the middle of one wall to the middle of the other.
+        y: extent in metres.
+        height: of the ceiling in metres.
+        floor: texture of the floor.
+        walls: texture of the walls.
+        ceiling: texture of the ceiling.
+        paint: linear colour that multiplies the walls' texture.
+        wainscot: texture and height in metres of the walls' lower part, or None.
+        lamps: kind ("panel", "tube", "round") and counts along x and y.
+        line: line of the building file.
+    """
+
+    name: str
+    code: str
+    x: Interval
+    y: Interval
+    height: float
+    floor: str
+    walls: str
+    ceiling: str
+    paint: tuple[float, float, float]
+    wainscot: tuple[str, float] | None
+    lamps: tuple[str, int, int]
+    line: int = 0
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle of the floor."""
+        return (self.x[0] + self.x[1]) / 2, (self.y[0] + self.y[1]) / 2
+
+    def inner(self, margin: float = 0.0) -> tuple[Interval, Interval]:
+        """Return the x and y extents between the inner faces, reduced by a margin."""
+        inset = HALF_WALL + margin
+        return (self.x[0] + inset, self.x[1] - inset), (self.y[0] + inset, self.y[1] - inset)
+
+
+@dataclass(frozen=True)
+class Path:
+    """A drive through a building as a polygon of waypoints.
+
+    Attributes:
+        name: "path1", "path2".
+        points: metres (n, 2).
+        lines: lines of the building file, one for each point.
+    """
+
+    name: str
+    points: Array
+    lines: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Building:
+    """A building as its file and its seed describe it.
+
+    Attributes:
+        name: its name, and that of its folder.
+        seed: draws its pictures, colours and small differences.
+        source: the file it came from, for messages.
+        north: direction of north in degrees counter-clockwise from +x.
+        rooms: by name.
+        openings: doors, windows and panes.
+        items: everything in the rooms.
+        paths: by name.
+        part: COLD's part letter, "a" or "b".
+    """
+
+    name: str
+    seed: int
+    source: str
+    north: float
+    rooms: dict[str, Room]
+    openings: tuple[Opening, ...]
+    items: tuple[Item, ...]
+    paths: dict[str, Path]
+    part: str = "a"
+
+    def room_index(self, name: str) -> int:
+        """Return a room's position in the building's order."""
+        return list(self.rooms).index(name)
+
+    def openings_of(self, room: str) -> Iterator[Opening]:
+        """Yield the openings in a room's walls."""
+        return (opening for opening in self.openings if room in opening.rooms)
+
+    def neighbours(self, room: str) -> list[str]:
+        """Return the rooms that light can reach directly from a room, itself first."""
+        found = [room]
+        for opening in self.openings_of(room):
+            found += [other for other in opening.rooms if other and other not in found]
+        return found
+
+    @property
+    def codes(self) -> list[str]:
+        """The room codes in the order of the file, each once."""
+        return list(dict.fromkeys(room.code for room in self.rooms.values()))
+
+    @property
+    def bounds(self) -> tuple[Interval, Interval]:
+        """Extents in x and y over all rooms."""
+        xs = [value for room in self.rooms.values() for value in room.x]
+        ys = [value for room in self.rooms.values() for value in room.y]
+        return (min(xs), max(xs)), (min(ys), max(ys))

@@ -1,0 +1,177 @@
+"""Building up a scene from textured, planar quadrilaterals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Point = Sequence[float]
+WHITE = (1.0, 1.0, 1.0)
+BLACK = (0.0, 0.0, 0.0)
+
+# Corners of the unit cube's faces, counter-clockwise seen from outside, the first one at the lower left.
+_FACES = {
+    "front": ((1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1)),
+    "back": ((0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)),
+    "right": ((1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)),
+    "left": ((0, 1, 0), (0, 0, 0), (0, 0, 1), (0, 1, 1)),
+    "top": ((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)),
+    "bottom": ((0, 1, 0), (1, 1, 0), (1, 0, 0), (0, 0, 0)),
+}
+_CORNERS = {name: np.array(corners, dtype=np.float64) for name, corners in _FACES.items()}
+
+
+@dataclass(frozen=True)
+class QuadMesh:
+    """Q quadrilaterals with what is painted on them.
+
+    Attributes:
+        corners: metres (Q, 4, 3), counter-clockwise seen from the side that shows; the first is the texture's lower
+            left corner.
+        texture: index of the texture (Q,).
+        repeat: how often the texture repeats along the first and the last edge (Q, 2).
+        phase: where in the texture the first corner lies (Q, 2).
+        tint: colour that multiplies the texture (Q, 3), linear.
+        emission: radiosity that the quad sends out by itself where its texture is white (Q, 3).
+        room: index of the room that the quad belongs to (Q,).
+    """
+
+    corners: Array
+    texture: Array
+    repeat: Array
+    phase: Array
+    tint: Array
+    emission: Array
+    room: Array
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+    @property
+    def triangles(self) -> Array:
+        """Two triangles of each quad (2 Q, 3, 3): (a, b, d) and (c, d, b)."""
+        return self.corners[:, [[0, 1, 3], [2, 3, 1]]].reshape(-1, 3, 3)
+
+    @property
+    def normals(self) -> Array:
+        """Unit normals (Q, 3) on the side that shows."""
+        a, b, d = self.corners[:, 0], self.corners[:, 1], self.corners[:, 3]
+        normal = np.cross(b - a, d - a)
+        return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+
+    @property
+    def size(self) -> Array:
+        """Lengths in metres of the first and the last edge (Q, 2)."""
+        a, b, d = self.corners[:, 0], self.corners[:, 1], self.corners[:, 3]
+        return np.stack([np.linalg.norm(b - a, axis=1), np.linalg.norm(d - a, axis=1)], axis=1)
+
+
+@dataclass
+class MeshBuilder:
+    """Collects quads in local coordinates: x to the right, y forwards, z up.
+
+    Attributes:
+        textures: index and tile size in metres by texture name; a size of None stretches the texture over the quad.
+    """
+
+    textures: dict[str, tuple[int, tuple[float, float] | None]]
+    room: int = 0
+    _origin: Array = field(default_factory=lambda: np.zeros(3))
+    _axes: Array = field(default_factory=lambda: np.eye(3))
+    _corners: list[Array] = field(default_factory=list)
+    _rows: list[tuple[Any, ...]] = field(default_factory=list)
+
+    @contextmanager
+    def at(self, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> Iterator[None]:
+        """Move the local frame: its y axis turns counter-clockwise by `degrees` from the outer frame's."""
+        origin, axes = self._origin, self._axes
+        cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        self._origin = origin + np.array([x, y, z]) @ axes
+        self._axes = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]]) @ axes
+        try:
+            yield
+        finally:
+            self._origin, self._axes = origin, axes
+
+    def quad(
+        self,
+        a: Point,
+        b: Point,
+        c: Point,
+        d: Point,
+        texture: str,
+        tint: Point = WHITE,
+        emission: Point = BLACK,
+        phase: Point = (0.0, 0.0),
+    ) -> None:
+        """Add a planar convex quad; the corners run counter-clockwise from the texture's lower left corner."""
+        corners = np.array([a, b, c, d], dtype=np.float64)
+        index, tile = self.textures[texture]
+        repeat = (1.0, 1.0)
+        if tile is not None:
+            repeat = (
+                float(np.linalg.norm(corners[1] - corners[0])) / tile[0],
+                float(np.linalg.norm(corners[3] - corners[0])) / tile[1],
+            )
+        self._corners.append(corners @ self._axes + self._origin)
+        self._rows.append((index, repeat, tuple(phase), tuple(tint), tuple(emission), self.room))
+
+    def box(
+        self,
+        low: Point,
+        high: Point,
+        texture: str,
+        tint: Point = WHITE,
+        skip: Sequence[str] = (),
+        faces: dict[str, str] | None = None,
+        emission: Point = BLACK,
+    ) -> None:
+        """Add a box between two corners; `faces` gives single faces another texture, `skip` leaves faces out."""
+        start, extent = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64) - np.asarray(low)
+        for name, unit in _CORNERS.items():
+            if name not in skip:
+                a, b, c, d = start + unit * extent
+                own = (faces or {}).get(name)
+                self.quad(a, b, c, d, own or texture, WHITE if own else tint, emission)
+
+    def prism(
+        self,
+        x: float,
+        y: float,
+        z: tuple[float, float],
+        radius: float | tuple[float, float],
+        texture: str,
+        tint: Point = WHITE,
+        sides: int = 8,
+        stretch: float = 1.0,
+        emission: Point = BLACK,
+    ) -> None:
+        """Add an upright prism or frustum with a lid; `stretch` scales its depth (y) for flat bodies."""
+        below, above = radius if isinstance(radius, tuple) else (radius, radius)
+        angle = np.arange(sides + 1) * (2 * np.pi / sides)
+        ring = np.stack([np.cos(angle), stretch * np.sin(angle)], axis=1)
+        low = np.column_stack([ring * below + (x, y), np.full(sides + 1, z[0])])
+        high = np.column_stack([ring * above + (x, y), np.full(sides + 1, z[1])])
+        for i in range(sides):
+            self.quad(low[i], low[i + 1], high[i + 1], high[i], texture, tint, emission)
+        for i in range(1, sides - 1, 2):
+            self.quad(high[0], high[i], high[i + 1], high[min(i + 2, sides)], texture, tint, emission)
+
+    def build(self) -> QuadMesh:
+        """Return everything added so far."""
+        index, repeat, phase, tint, emission, room = zip(*self._rows, strict=True)
+        return QuadMesh(
+            np.stack(self._corners),
+            np.array(index, dtype=np.int32),
+            np.array(repeat),
+            np.array(phase, dtype=np.float64),
+            np.array(tint, dtype=np.float32),
+            np.array(emission, dtype=np.float32),
+            np.array(room, dtype=np.int32),
+        )

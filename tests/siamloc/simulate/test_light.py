@@ -1,0 +1,100 @@
+"""Baked light against hand-made rooms whose light is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from siamloc.data.simulate.atlas import TextureAtlas, sample
+from siamloc.data.simulate.bake import bake
+from siamloc.data.simulate.layout import Building
+from siamloc.data.simulate.lightgrid import Caster, LightGrid
+from siamloc.data.simulate.mesh import MeshBuilder, QuadMesh
+from siamloc.data.simulate.parse import parse_building
+from siamloc.data.simulate.shell import Lamp
+from siamloc.data.simulate.sky import Sky
+from siamloc.data.simulate.textures import Texture
+
+
+def closed_room() -> tuple[Building, QuadMesh]:
+    room = {"x": [0, 4], "y": [0, 4], "items": []}
+    building = parse_building({"rooms": {"cell": room}}, 0, "cell")
+    builder = MeshBuilder({"plain": (0, (1.0, 1.0))})
+    corners = {
+        "floor": [(0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0)],
+        "ceiling": [(0, 4, 3), (4, 4, 3), (4, 0, 3), (0, 0, 3)],
+        "south": [(4, 0, 0), (0, 0, 0), (0, 0, 3), (4, 0, 3)],
+        "north": [(0, 4, 0), (4, 4, 0), (4, 4, 3), (0, 4, 3)],
+        "west": [(0, 0, 0), (0, 4, 0), (0, 4, 3), (0, 0, 3)],
+        "east": [(4, 4, 0), (4, 0, 0), (4, 0, 3), (4, 4, 3)],
+    }
+    for quad in corners.values():
+        builder.quad(*quad, "plain")
+    return building, builder.build()
+
+
+def black_sky() -> Sky:
+    return Sky(np.zeros((16, 64, 3), dtype=np.float32), None, np.zeros(3))
+
+
+def baked(albedo: float) -> tuple[QuadMesh, np.ndarray, LightGrid]:
+    building, mesh = closed_room()
+    lamp = Lamp(2.0, 2.0, 2.99, 0.04, (10.0, 10.0, 10.0), "cell")
+    colours = np.full((len(mesh), 3), albedo)
+    light = bake(building, mesh, Caster(mesh), colours, [lamp], black_sky(), np.random.default_rng(0))
+    return mesh, light.light, light.grid
+
+
+def at(light: np.ndarray, grid: LightGrid, quad: int, s: float, t: float) -> float:
+    x, y = grid.position(np.array([quad]), np.array([s]), np.array([t]))
+    return float(sample(light, x.astype(np.float32), y.astype(np.float32))[0, 0])
+
+
+def test_walls_of_the_hand_made_room_face_inwards() -> None:
+    _, mesh = closed_room()
+    inwards = np.array([2.0, 2.0, 1.5]) - mesh.corners.mean(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1)
+    assert (np.einsum("ij,ij->i", mesh.normals, inwards) > 0).all()
+
+
+def test_direct_light_of_a_small_lamp_is_the_inverse_square_law() -> None:
+    _, light, grid = baked(albedo=0.0)
+    below = 10 * 0.04 / (np.pi * 2.99**2)
+    assert at(light, grid, 0, 0.5, 0.5) == pytest.approx(below, rel=0.03)
+    off = np.hypot(1.5, 2.99)
+    aside = 10 * 0.04 / (np.pi * off**2) * (2.99 / off) ** 2
+    assert at(light, grid, 0, 0.5 + 1.5 / 4, 0.5) == pytest.approx(aside, rel=0.05)
+
+
+def test_bounces_approach_the_closed_room_limit() -> None:
+    """In a closed room all light that is sent out is absorbed: mean light = flux / (area * (1 - albedo))."""
+    sums = {}
+    for albedo in (0.0, 0.5):
+        mesh, light, grid = baked(albedo)
+        total = 0.0
+        for quad in range(len(mesh)):
+            values = [at(light, grid, quad, s, t) for s in np.linspace(0, 1, 9) for t in np.linspace(0, 1, 9)]
+            total += float(np.mean(values)) * float(np.prod(mesh.size[quad]))
+        sums[albedo] = total
+    # Four bounces leave out 0.5 ** 5 of what the endless series would give.
+    assert sums[0.5] / sums[0.0] == pytest.approx(2.0 * (1 - 0.5**5), rel=0.1)
+
+
+def test_every_node_has_a_pixel_of_its_own() -> None:
+    _, mesh = closed_room()
+    grid = LightGrid.over(mesh, 0.3, 0.1)
+    assert len(set(grid.pixel.tolist())) == len(grid.pixel)
+    image = grid.image(np.arange(len(grid.quad), dtype=np.float32))
+    x, y = grid.position(grid.quad, grid.place[:, 0], grid.place[:, 1])
+    np.testing.assert_array_equal(image[np.rint(y).astype(int), np.rint(x).astype(int)], np.arange(len(grid.quad)))
+
+
+def test_texture_lookup_wraps_and_is_upright() -> None:
+    image = np.zeros((256, 256, 3), dtype=np.uint8)
+    image[:64, :128] = (255, 0, 0)  # the upper left corner is red
+    atlas = TextureAtlas([Texture(np.full((256, 256, 3), 128, np.uint8), (1.0, 1.0)), Texture(image, (1.0, 1.0))])
+    u, v = np.array([0.2, 0.7, 1.2, -0.8, 0.2]), np.array([0.9, 0.9, 1.9, -0.1, 0.1])
+    colours = atlas.lookup(np.ones(5, dtype=int), u, v, np.zeros(5))
+    np.testing.assert_allclose(colours[:, 0], [1, 0, 1, 1, 0], atol=1e-3)
+    coarse = atlas.lookup(np.zeros(1, dtype=int), u[:1], v[:1], np.array([9.0]))
+    np.testing.assert_allclose(coarse, (128 / 255) ** 2.2, atol=1e-3)

@@ -1,0 +1,124 @@
+"""Building files: what is read, and what each mistake is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from siamloc.data.simulate.buildings import building_names, load_building
+from siamloc.data.simulate.kinds import KINDS
+from siamloc.data.simulate.plan import clearance, obstacles, room_codes
+from siamloc.errors import DataError
+
+PLAN = """name: two
+rooms:
+  hall:
+    code: CR-A
+    x: [0, 6]
+    y: [0, 2]
+    floor: linoleum
+    windows:
+      - {wall: south, at: 3.0, width: 1.5}
+  office:
+    x: [0, 4]
+    y: [2, 6]
+    items:
+      - {kind: desk, against: west, at: 4.5}
+doors:
+  - {between: [hall, office], at: 2.5}
+paths:
+  path1:
+    - [1.0, 1.0]
+    - [2.5, 1.0]
+    - [2.5, 4.0]
+"""
+
+
+def load(tmp_path: Path, text: str, seed: int = 0) -> Any:
+    path = tmp_path / "two.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_building(path, seed)
+
+
+def test_a_file_is_read_with_its_lines(tmp_path: Path) -> None:
+    building = load(tmp_path, PLAN)
+    assert list(building.rooms) == ["hall", "office"]
+    assert building.codes == ["CR-A", "office"]
+    assert building.rooms["office"].line == 11
+    assert [opening.kind for opening in building.openings] == ["leaf", "window"]
+    desk = building.items[0]
+    assert (desk.kind, desk.line) == ("desk", 14)
+    assert desk.x == pytest.approx(0.06 + KINDS["desk"].size[1] / 2)
+    assert desk.facing == 0.0
+    np.testing.assert_allclose(desk.footprint().min(axis=0), [0.06, 3.7])
+    assert building.paths["path1"].lines == (19, 20, 21)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("    - [2.5, 4.0]", "    - [3.8, 3.0]", r"line 21: path 'path1' runs through a wall of room 'hall'"),
+        ("    - [2.5, 4.0]", "    - [2.5, 9.0]", r"line 21: path 'path1' leaves every room at \(2.50, 9.00\)"),
+        ("    - [2.5, 4.0]", "    - [2.5, 4.5]\n    - [0.2, 4.5]",
+         r"line 22: path 'path1' runs through the desk of room 'office' \(line 14\)"),
+        ("at: 3.0, width: 1.5", "at: 5.8, width: 1.5", r"line 9: a window of room 'hall' lies outside its south wall"),
+        ("at: 3.0, width: 1.5", "at: 3.0, head: 2.9", r"line 9: a window of room 'hall' lies outside its south wall"),
+        ("wall: south", "wall: north", r"line 9: a window of room 'hall' in its north wall .* into 'office'"),
+        ("y: [2, 6]", "y: [1.5, 6]", r"line 11: rooms 'hall' \(line 4\) and 'office' overlap by 4.00 x 0.50 m"),
+        ("linoleum", "linolium", r"line 4: room 'hall': unknown material 'linolium'; did you mean 'linoleum'"),
+        ("kind: desk", "kind: dask", r"line 14: room 'office': item 'dask' is unknown; did you mean 'desk'"),
+        ("at: 4.5", "at: 5.8", r"line 14: room 'office': desk at .* sticks out of the room"),
+        ("at: 4.5", "at: 4.5, size: [1, 1, 4]", r"line 14: room 'office': desk reaches 4.00 m, the ceiling 2.80 m"),
+        ("at: 4.5", "at: 4.5, colur: 1", r"line 14: room 'office': desk has an unknown key 'colur'"),
+        ("at: 2.5}", "at: 4.2}", r"line 16: the door between 'hall' and 'office' reaches .* outside the wall"),
+        ("at: 2.5}", "at: 2.5, height: 3}", r"line 16: the door between 'hall' and 'office' is 3.0 m high"),
+        ("at: 2.5}", "at: .nan}", r"line 16: the door between .* needs a number as 'at', got nan"),
+        ("[hall, office]", "[hall, attic]", r"line 16: room 'attic' is unknown"),
+        ("at: 2.5}", "at: 2.5}\n  - {between: [hall, office], at: 2.9}", r"line 17: two openings .* overlap"),
+        ("x: [0, 4]", "x: [0]", r"line 11: room 'office': 'x' needs 2 numbers"),
+        ("x: [0, 4]", "x: [4, 0]", r"line 11: room 'office' must be at least 0.8 m wide"),
+        ("code: CR-A", "kode: CR-A", r"line 4: room 'hall' has an unknown key 'kode'; did you mean 'code'"),
+        ("y: [2, 6]", "y: [2.5, 6]", r"line 16: rooms 'hall' and 'office' share no wall"),
+        ("floor: linoleum", "lamps: [candle, 1, 1]", r"line 4: room 'hall': lamp 'candle' is unknown"),
+        ("floor: linoleum", "wainscot: tiles_wall", r"line 4: room 'hall': a wainscot is given as"),
+        ("rooms:", "rooms: [", r"is not YAML"),
+    ],
+)  # fmt: skip
+def test_mistakes_name_room_and_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in PLAN
+    with pytest.raises(DataError, match=message):
+        load(tmp_path, PLAN.replace(old, new, 1))
+
+
+def test_unknown_buildings_and_files(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no building 'freiburg'; did you mean 'freiburg_like'"):
+        load_building("freiburg")
+    with pytest.raises(DataError, match="cannot be read"):
+        load_building(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("name", ["annex", "freiburg_like", "mini"])
+def test_built_in_buildings_stand(name: str) -> None:
+    building = load_building(name)
+    assert name in building_names()
+    segments, _ = obstacles(building)
+    for path in building.paths.values():
+        assert clearance(path.points, segments).min() > 0.2
+        assert "" not in room_codes(building, path.points)
+    assert set(room_codes(building, building.paths["path2"].points)) == set(building.codes)
+
+
+def test_freiburg_like_has_the_nine_rooms() -> None:
+    codes = set(load_building("freiburg_like").codes)
+    assert codes == {"1PO-A", "2PO1-A", "2PO2-A", "CR-A", "KT-A", "LO-A", "PA-A", "ST-A", "TL-A"}
+
+
+def test_random_buildings_stand_and_differ() -> None:
+    drawn = [load_building("random", seed) for seed in range(25)]
+    assert len({building.bounds for building in drawn}) == 25
+    again = load_building("random", 3)
+    assert again.rooms == drawn[3].rooms
+    assert again.items == drawn[3].items

@@ -1,0 +1,125 @@
+"""Writing data sets: layout, equal bytes, resuming, and refusals."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data.cold import read_cold
+from siamloc.data.simulate import SimulateConfig, produce, simulate
+from siamloc.errors import ConfigError, DataError
+
+SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("sim")
+    simulate({**SMALL, "out": out})
+    return out
+
+
+def test_the_cold_reader_reads_it(written: Path) -> None:
+    table = read_cold(written / "mini", on_error="raise")
+    assert len(table) == 6
+    assert set(table.sequence.tolist()) == {"mini_a_seq2_cloudy1"}
+    assert set(table.lighting.tolist()) == {"cloudy"}
+    assert set(table.room.tolist()) == {"CR-A"}
+    assert np.isfinite(table.x).all()
+    image = cv2.imread(str(table.path[0]))
+    assert image.shape == (128, 512, 3)
+    assert image.std() > 10
+
+
+def test_equal_bytes_with_other_worker_counts(written: Path, tmp_path: Path) -> None:
+    simulate({**SMALL, "out": tmp_path, "frames": 20, "workers": 2})
+    two = hashes(tmp_path)
+    for name, value in hashes(written).items():
+        if name.endswith(".jpeg"):
+            assert two[name] == value
+    assert sum(name.endswith(".jpeg") for name in two) == 20
+
+
+def test_another_seed_gives_another_building(written: Path, tmp_path: Path) -> None:
+    simulate({**SMALL, "out": tmp_path, "seed": 1, "frames": 1})
+    pictures = [next(iter(sorted((out / "mini").rglob("*.jpeg")))) for out in (written, tmp_path)]
+    assert pictures[0].read_bytes() != pictures[1].read_bytes()
+
+
+def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, done = produce._write, []
+
+    def stopping(path: Path, picture: np.ndarray, quality: int) -> None:
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(path)
+        real(path, picture, quality)
+
+    monkeypatch.setattr(produce, "_write", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        simulate({**SMALL, "out": tmp_path})
+    sequence = tmp_path / "mini" / "part_a" / "seq2_cloudy1"
+    assert len(list((sequence / "omni_cam").iterdir())) == 3
+    assert not (sequence / "localization" / "places.lst").exists()
+    (sequence / "omni_cam" / ".cut_short.tmp.jpeg").write_bytes(b"half")
+    monkeypatch.setattr(produce, "_write", real)
+    summary = simulate({**SMALL, "out": tmp_path})
+    assert summary.rendered == 3
+    assert hashes(tmp_path) == hashes(written)
+    assert simulate({**SMALL, "out": tmp_path}).rendered == 0
+
+
+def test_another_simulation_is_not_mixed_in(written: Path, tmp_path: Path) -> None:
+    simulate({**SMALL, "out": tmp_path, "frames": 2})
+    with pytest.raises(DataError, match=r"holds images of another simulation \(different: quality\)"):
+        simulate({**SMALL, "out": tmp_path, "quality": 50})
+    assert simulate({**SMALL, "out": tmp_path, "quality": 50, "frames": 2, "overwrite": True}).rendered == 2
+
+
+def test_omnidirectional_pictures_and_lists(tmp_path: Path) -> None:
+    names = ["t5.000000_x1.000000_y1.100000_a0.000000.jpeg", "t5.200000_x1.100000_y1.100000_a0.000000.jpeg"]
+    poses = tmp_path / "own.places.lst"
+    poses.write_text("".join(f"{name} CR-A\n" for name in names))
+    summary = simulate({"building": "mini", "runs": ["night1"], "out": tmp_path, "workers": 1, "trajectory": poses})
+    images = summary.folder / "part_a" / "seq2_night1" / "omni_cam"
+    assert sorted(path.name for path in images.iterdir()) == names
+    image = cv2.imread(str(images / names[0]))
+    assert image.shape == (480, 640, 3)
+    assert image[5, 5].max() < 12  # outside the mirror
+    assert summary.rooms == {"CR-A": 2}
+
+
+def test_preview_writes_two_pictures(tmp_path: Path) -> None:
+    summary = simulate({"building": "mini", "runs": ["night1"], "out": tmp_path, "preview": True})
+    assert [path.name for path in summary.files] == ["contact_sheet.png", "floor_plan.png"]
+    for path in summary.files:
+        picture = cv2.imread(str(path))
+        assert picture is not None
+        assert picture.std() > 20
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"runz": ["cloudy1"]}, "no parameter 'runz'; did you mean 'runs'"),
+        ({"runs": []}, "at least one run"),
+        ({"runs": ["cloudy1", "cloudy1"]}, "listed twice"),
+        ({"runs": ["rainy1"]}, "a lighting and a number such as cloudy1, got 'rainy1'"),
+        ({"camera": "fisheye"}, "camera 'fisheye' is unknown"),
+        ({"quality": 0}, "between 1 and 100"),
+        ({"workers": 0}, "workers must be at least 1"),
+        ({"spacing": 0}, "positive number of metres"),
+    ],
+)
+def test_bad_configurations(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        SimulateConfig.of(change)

@@ -1,0 +1,117 @@
+"""Drives: spacing, headings, differences between runs, and lists of poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from siamloc.data.names import parse_name
+from siamloc.data.simulate import Run
+from siamloc.data.simulate.layout import Building, Path
+from siamloc.data.simulate.plan import blocked_points, clearance, crossings, obstacles
+from siamloc.data.simulate.run import draw_run
+from siamloc.data.simulate.shell import leaf_segment
+from siamloc.data.simulate.trajectory import drive, listed
+from siamloc.errors import ConfigError, DataError
+
+
+def test_frames_are_spaced_and_named(mini: Building) -> None:
+    track = drive(mini, "path2", 0.15, np.random.default_rng(0), 1000.0)
+    steps = np.linalg.norm(np.diff(track.poses[:, :2], axis=0), axis=1)
+    turns = np.abs((np.diff(track.poses[:, 2]) + np.pi) % (2 * np.pi) - np.pi)
+    assert steps.max() < 0.15 + 0.03
+    assert ((steps > 0.13) | (turns > np.radians(18)))[:-1].all()
+    assert (np.diff(track.time) > 0).all()
+    assert track.time[0] == 1000.0
+    for name, pose, time in zip(track.names, track.poses, track.time, strict=True):
+        read = parse_name(name)
+        assert read is not None
+        np.testing.assert_allclose([read.x, read.y, read.theta, read.time], [*pose, time], atol=1e-6)
+
+
+def test_headings_follow_the_drive(mini: Building) -> None:
+    track = drive(mini, "path2", 0.15, np.random.default_rng(1), 0.0)
+    step = np.gradient(track.poses[:, :2], axis=0)
+    difference = np.arctan2(step[:, 1], step[:, 0]) - track.poses[:, 2]
+    difference = np.abs((difference + np.pi) % (2 * np.pi) - np.pi)
+    assert np.median(difference) < np.radians(10)
+
+
+def test_runs_take_different_lines_within_a_third_of_a_metre(mini: Building) -> None:
+    lines = [drive(mini, "path2", 0.1, np.random.default_rng(seed), 0.0).poses[:, :2] for seed in range(4)]
+    for a in lines[1:]:
+        gap = np.linalg.norm(a[:, None] - lines[0][None], axis=2).min(axis=1)
+        assert 0.05 < gap.max() < 0.75
+
+
+@pytest.mark.parametrize("lighting", ["cloudy", "sunny"])
+def test_a_run_leaves_its_own_way_free(mini: Building, lighting: str) -> None:
+    for number in (1, 2, 3):
+        state = draw_run(mini, Run(lighting, number))
+        points = state.track.poses[:, :2]
+        segments, _ = obstacles(mini, state.items)
+        assert not blocked_points(mini, points, state.items).any()
+        assert clearance(points, segments).min() > 0.15
+        leaves = [leaf_segment(mini, mini.openings[i], a) for i, a in state.fixtures.door_angles.items()]
+        moves = np.stack([points[:-1], points[1:]], axis=1)
+        assert not crossings(moves, np.stack(leaves)).any()
+
+
+def test_runs_differ_in_what_the_issue_lists(mini: Building) -> None:
+    a, b = draw_run(mini, Run("sunny", 1)), draw_run(mini, Run("sunny", 2))
+    assert a.fixtures.door_angles != b.fixtures.door_angles
+    assert abs(a.hour - b.hour) > 1
+    chairs = [[(i.x, i.y, i.facing) for i in state.items if i.kind == "chair"] for state in (a, b)]
+    assert chairs[0] != chairs[1]
+    people = [[(i.x, i.y) for i in state.items if i.kind == "person"] for state in (a, b)]
+    assert people[0] != people[1]
+    assert draw_run(mini, Run("sunny", 1)).items == a.items
+
+
+def test_lists_are_rendered_under_their_own_names(mini: Building, tmp_path: FilePath) -> None:
+    names = ["t5.000000_x1.000000_y1.100000_a-0.000000.jpeg", "t5.300000_x1.200000_y1.100000_a0.000000.jpeg"]
+    file = tmp_path / "own.places.lst"
+    file.write_text("".join(f"{name} XX\n" for name in names))
+    track = listed(mini, file)
+    assert track.names == tuple(names)
+    assert track.codes == ("CR-A", "CR-A")
+    np.testing.assert_allclose(track.poses[1], [1.2, 1.1, 0.0])
+    assert track.speed[0] == pytest.approx(0.2 / 0.3)
+
+
+def test_bad_lists_and_paths(mini: Building, tmp_path: FilePath) -> None:
+    file = tmp_path / "bad.lst"
+    with pytest.raises(DataError, match="cannot be read"):
+        listed(mini, file)
+    file.write_text("\n")
+    with pytest.raises(DataError, match="lists no image"):
+        listed(mini, file)
+    file.write_text("picture.jpeg CR-A\n")
+    with pytest.raises(DataError, match=r"line 1: expected an image named t<seconds>"):
+        listed(mini, file)
+    file.write_text("t1_x0.4_y5.4_a0.jpeg 1PO-A\n")
+    with pytest.raises(DataError, match=r"1 of 1 poses lie in a wall or on furniture .* the first at \(0.40, 5.40\)"):
+        listed(mini, file)
+    with pytest.raises(ConfigError, match="has no path 'path3'; did you mean 'path"):
+        drive(mini, "path3", 0.15, np.random.default_rng(0), 0.0)
+    with pytest.raises(ConfigError, match="positive number of metres"):
+        drive(mini, "path1", 0.0, np.random.default_rng(0), 0.0)
+
+
+def test_corners_that_cannot_be_rounded(mini: Building) -> None:
+    corner = Path("path1", np.array([[0.3, 3.6], [0.3, 6.4], [2.6, 6.4]]), (7, 8, 9))
+    desk = replace(mini.items[0], kind="desk", x=0.55, y=6.15, facing=0.0, size=(0.3, 0.3, 0.7), room="office_west")
+    tight = replace(mini, paths={"path1": corner}, items=(desk,))
+    with pytest.raises(DataError, match=r"line 8: rounding the corners of path 'path1' .* of room '1PO-A' at"):
+        drive(tight, "path1", 0.15, np.random.default_rng(0), 0.0)
+
+
+def test_run_names() -> None:
+    assert Run("cloudy", 2).name == "seq2_cloudy2"
+    assert Run.parse("night1", path="path1").name == "seq1_night1"
+    for wrong in ("cloudy", "rainy1", "cloudy0"):
+        with pytest.raises(ConfigError):
+            Run.parse(wrong)
