@@ -1,0 +1,81 @@
+"""The contrastive loss with real-valued labels ([T] 5.3, eq. 5.1)."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from siamloc.errors import ConfigError, DataError
+
+
+def pair_distance(d0: Tensor, d1: Tensor) -> Tensor:
+    """Return the Euclidean distance of each pair of descriptors (B, D): (B,), at least in float32.
+
+    Mixed precision is left for this step, whose differences of close numbers need the digits. The gradient at
+    distance 0, where the root has none, is 0.
+    """
+    dtype = torch.promote_types(torch.promote_types(d0.dtype, d1.dtype), torch.float32)
+    with torch.autocast(device_type=d0.device.type, enabled=False):
+        return torch.linalg.vector_norm(d0.to(dtype) - d1.to(dtype), dim=1)
+
+
+class ContrastiveLoss(nn.Module):
+    """Mean over the pairs of (1 - y) d^2 + y max(margin - d, 0)^2 ([T] eq. 5.1).
+
+    Args:
+        margin: distance from which a dissimilar pair costs nothing; alpha in [T], where it is 2.
+
+    Raises:
+        ConfigError: a margin that is not positive.
+    """
+
+    def __init__(self, margin: float = 2.0) -> None:
+        super().__init__()
+        if not (margin > 0 and math.isfinite(margin)):
+            raise ConfigError(f"the margin must be positive, got {margin}")
+        self.margin = float(margin)
+
+    def forward(self, d0: Tensor, d1: Tensor, y: Tensor) -> Tensor:
+        """Return the loss, a scalar.
+
+        Args:
+            d0: (B, D), descriptors of the first images.
+            d1: (B, D), descriptors of the second images.
+            y: (B,), dissimilarity in [0, 1]: 0 similar, 1 dissimilar, anything between is allowed.
+
+        Raises:
+            DataError: other shapes, or (seen on the CPU, where looking costs nothing) labels outside [0, 1].
+        """
+        check_descriptors(d0, d1)
+        check_labels(y, len(d0))
+        distance = pair_distance(d0, d1)
+        return self.of_distance(distance, y).mean()
+
+    def of_distance(self, distance: Tensor, y: Tensor) -> Tensor:
+        """Return the loss of each pair (B,) from its distance (B,) and its label (B,); nothing is checked."""
+        y = y.to(distance.dtype)
+        return (1 - y) * distance**2 + y * (self.margin - distance).clamp(min=0) ** 2
+
+    def extra_repr(self) -> str:
+        """Return what `print` shows of the loss."""
+        return f"margin={self.margin:g}"
+
+
+def check_descriptors(d0: Tensor, d1: Tensor) -> None:
+    """Raise DataError unless both are (B, D) with B and D at least 1."""
+    if d0.ndim != 2 or d0.shape != d1.shape or 0 in d0.shape:
+        raise DataError(
+            f"the contrastive loss needs two sets of descriptors of one shape (B, D), "
+            f"got {tuple(d0.shape)} and {tuple(d1.shape)}"
+        )
+
+
+def check_labels(y: Tensor, pairs: int) -> None:
+    """Raise DataError unless the labels are (pairs,), and in [0, 1] where they lie on the CPU."""
+    if y.shape != (pairs,):
+        hint = ": drop its last axis, or every label would meet every distance" if y.shape == (pairs, 1) else ""
+        raise DataError(f"the contrastive loss needs one label per pair, shape ({pairs},), got {tuple(y.shape)}{hint}")
+    if y.device.type == "cpu" and not bool(((y >= 0) & (y <= 1)).all()):
+        raise DataError("labels of the contrastive loss must lie in [0, 1]: 0 similar, 1 dissimilar")

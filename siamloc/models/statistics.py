@@ -1,0 +1,90 @@
+"""What is logged of the pairs of an epoch: sums and counts over all batches and processes, never means of means."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from augment.torchvision_compat import ensure_torchvision
+
+ensure_torchvision()
+
+from torchmetrics import Metric  # noqa: E402
+
+_GROUPS = ("same", "different")
+SAME_BELOW = 0.5
+
+
+class PairStatistics(Metric):
+    """Loss, distances, accuracies and spread over all pairs since the last reset.
+
+    `compute` returns a dictionary of scalars:
+
+    - `loss`: mean over the pairs;
+    - `distance_same`, `distance_different`: mean distance of the pairs of one room and of two rooms;
+    - `accuracy`, `accuracy_same`, `accuracy_different`: share of pairs told right when a pair counts as the same
+      room if min(d / margin, 1) < 0.5 ([T] 5.3.4). `accuracy`, of all pairs, needs both kinds: where all pairs are
+      of one kind, a network that tells nothing apart has 0 or 1;
+    - `spread`: standard deviation of the descriptors' values, averaged over the D dimensions. Near 0 the network
+      says the same of every image.
+
+    What has no pair behind it is left out, so that no NaN reaches a logger.
+
+    Args:
+        dimensions: D.
+        margin: of the contrastive loss.
+    """
+
+    full_state_update = False
+    count: Tensor
+    distance: Tensor
+    correct: Tensor
+    loss: Tensor
+    values: Tensor
+    squares: Tensor
+
+    def __init__(self, dimensions: int, margin: float) -> None:
+        super().__init__()
+        self.margin = margin
+        for name in ("count", "distance", "correct"):
+            self.add_state(name, torch.zeros(2, dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("loss", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        for name in ("values", "squares"):
+            self.add_state(name, torch.zeros(dimensions, dtype=torch.float64), dist_reduce_fx="sum")
+
+    def update(self, descriptors: Tensor, distance: Tensor, loss: Tensor, same: Tensor) -> None:
+        """Add a batch of B pairs.
+
+        Args:
+            descriptors: (2 B, D).
+            distance: (B,).
+            loss: (B,).
+            same: (B,) bool, True where both images show the same room.
+        """
+        distance = distance.double()
+        told_same = distance / self.margin < SAME_BELOW
+        groups = torch.stack([same, ~same]).double()
+        self.count += groups.sum(1)
+        self.distance += groups @ distance
+        self.correct += groups @ (told_same == same).double()
+        self.loss += loss.double().sum()
+        values = descriptors.double()
+        self.values += values.sum(0)
+        self.squares += values.square().sum(0)
+
+    def compute(self) -> dict[str, Tensor]:
+        """Return the scalars that have at least one pair behind them."""
+        count, total = self.count, self.count.sum()
+        if total == 0:
+            return {}
+        result = {"loss": self.loss / total}
+        if (count > 0).all():
+            result["accuracy"] = self.correct.sum() / total
+        for index, group in enumerate(_GROUPS):
+            if count[index] > 0:
+                result[f"distance_{group}"] = self.distance[index] / count[index]
+                result[f"accuracy_{group}"] = self.correct[index] / count[index]
+        mean = self.values / (2 * total)
+        variance = (self.squares / (2 * total) - mean.square()).clamp(min=0)
+        result["spread"] = variance.sqrt().mean()
+        return {name: value.float() for name, value in result.items()}

@@ -1,0 +1,138 @@
+"""Weights from elsewhere: torchvision's ImageNet weights, or a state dict on disk."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import ConfigError, nearest
+from siamloc.models.registry import BRANCHES, branch_spec
+
+if TYPE_CHECKING:
+    from siamloc.models.network import Network
+
+# The published DenseNet files number the layers "norm.1", the class has called them "norm1" for years.
+_OLD_DENSENET = re.compile(r"(denselayer\d+\.(?:norm|relu|conv))\.([12])\.")
+_SUFFIXES = (".pth", ".pt", ".bin", ".ckpt", ".safetensors")
+
+
+def load_weights(network: Network, weights: str | PathLike[str]) -> None:
+    """Put weights into a network, in place.
+
+    Args:
+        network: what `build` makes.
+        weights: "imagenet", the name of a torchvision weight enum, or a path; see `build`.
+
+    Raises:
+        ConfigError: an unknown name, a failed download, a file that cannot be read or that does not fit.
+    """
+    if isinstance(weights, PathLike) or Path(weights).suffix in _SUFFIXES or Path(weights).is_file():
+        path = Path(weights)
+        _fill(network, read_state(path), str(path))
+    else:
+        _fill_imagenet(network, weights)
+
+
+def read_state(path: Path) -> dict[str, Tensor]:
+    """Read a state dict without running any code that may stand in the file.
+
+    Raises:
+        ConfigError: the file is missing, is not whole, or holds anything but named tensors.
+    """
+    if not path.is_file():
+        raise ConfigError(f"the weights file {path} does not exist")
+    try:
+        if path.suffix == ".safetensors":
+            from safetensors.torch import load_file
+
+            state: Any = load_file(path)
+        else:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # each layer below (zip, pickle, torch, safetensors) raises its own kinds
+        raise ConfigError(f"the weights file {path} is not a whole state dict ({type(error).__name__})") from error
+    if isinstance(state, Mapping) and isinstance(state.get("state_dict"), Mapping):
+        state = {str(key).removeprefix("network."): value for key, value in state["state_dict"].items()}
+    if not isinstance(state, Mapping) or not state or not all(isinstance(value, Tensor) for value in state.values()):
+        raise ConfigError(f"the weights file {path} holds no state dict (names with tensors)")
+    return {str(key): value for key, value in state.items()}
+
+
+def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
+    """Return in words how a state dict differs from what the module needs; None if it fits."""
+    own = module.state_dict()
+    missing = [key for key in own if key not in state]
+    surplus = [key for key in state if key not in own]
+    shapes = [key for key in own if key in state and own[key].shape != state[key].shape]
+    parts = []
+    if missing:
+        parts.append(f"missing: {len(missing)} of {len(own)} tensors, first {missing[0]!r}")
+    if surplus:
+        parts.append(f"unknown: {len(surplus)}, first {surplus[0]!r}")
+    if shapes:
+        key = shapes[0]
+        expected, got = tuple(own[key].shape), tuple(state[key].shape)
+        parts.append(f"of another shape: {len(shapes)}, first {key!r} with {got} for {expected}")
+    return "; ".join(parts) or None
+
+
+def _fill(network: Network, state: Mapping[str, Tensor], origin: str) -> None:
+    if any(key.startswith("branch.") for key in state):
+        target: nn.Module = network
+        what = f"{network.branch.name} + {network.head.name} at {network.image_size[0]} x {network.image_size[1]}"
+    else:
+        target = network.branch.features
+        what = network.branch.name
+        state = {
+            _OLD_DENSENET.sub(r"\1\2.", key.removeprefix("features.")): value
+            for key, value in state.items()
+            if key.startswith("features.")
+        }
+        # Files older than this counter lack it; it only matters for averaging without momentum.
+        state |= {
+            key: value
+            for key, value in target.state_dict().items()
+            if key.endswith("num_batches_tracked") and key not in state
+        }
+    difference = mismatch(target, state)
+    if difference is not None:
+        raise ConfigError(f"the weights of {origin} are of another architecture than {what}: {difference}")
+    target.load_state_dict(state)
+
+
+def _fill_imagenet(network: Network, name: str) -> None:
+    branch = network.branch.name
+    if branch_spec(branch).widths is not None:
+        trained = ", ".join(spec.name for spec in BRANCHES.values() if spec.widths is None)
+        raise ConfigError(
+            f"the branch {branch!r} has no weights called {name!r}: give none or a path "
+            f"(ImageNet weights exist for {trained})"
+        )
+    ensure_torchvision()
+    from torchvision import models
+
+    enum = models.get_model_weights(branch)
+    names = {member.name.lower(): member for member in enum}
+    if name.lower() == "imagenet":
+        member = enum.DEFAULT
+    elif name.lower() in names:
+        member = names[name.lower()]
+    else:
+        valid = ["imagenet", *(member.name for member in enum)]
+        raise ConfigError(f"unknown weights {name!r} for the branch {branch!r}: {nearest(name, valid)}, or a path")
+    try:
+        state = member.get_state_dict(progress=False, check_hash=True, weights_only=True)
+    except (OSError, RuntimeError) as error:
+        raise ConfigError(
+            f"the weights {member} could not be downloaded from {member.url}: fetch the file elsewhere and give its "
+            f"path, or use weights=null"
+        ) from error
+    _fill(network, state, str(member))
+    preset = member.transforms()
+    network.branch.normalize_with(preset.mean, preset.std)

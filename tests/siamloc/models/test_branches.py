@@ -1,0 +1,102 @@
+"""What each branch is made of, and the grid of features that it gives."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+
+from siamloc.errors import ConfigError
+from siamloc.models import BRANCHES, build
+from siamloc.models.branches import feature_shape, smallest_size
+
+# Convolutions of [T] table 5.1; DenseNet-121 has two in each of its 58 layers, three transitions and the first.
+CONVOLUTIONS = {
+    "simple1": 3,
+    "simple2": 3,
+    "alexnet": 5,
+    "densenet121": 2 * 58 + 3 + 1,
+    "vgg11": 8,
+    "vgg13": 10,
+    "vgg16": 13,
+    "vgg19": 16,
+}
+AT_128_512 = {
+    "simple1": (16, 4, 16),
+    "simple2": (32, 4, 16),
+    "alexnet": (256, 3, 15),
+    "densenet121": (1024, 4, 16),
+    "vgg": (512, 4, 16),
+}
+SMALLEST = {"simple1": (4, 16), "simple2": (4, 16), "alexnet": (63, 63), "densenet121": (29, 29), "vgg": (32, 32)}
+
+
+def family(name):
+    return "vgg" if name.startswith("vgg") else name
+
+
+def test_the_registry_holds_the_twelve_branches():
+    assert sorted(BRANCHES) == sorted([*CONVOLUTIONS, "vgg11_bn", "vgg13_bn", "vgg16_bn", "vgg19_bn"])
+
+
+@pytest.mark.parametrize("name", BRANCHES)
+def test_grid_at_the_working_size(name):
+    assert feature_shape(name, (128, 512)) == AT_128_512[family(name)]
+
+
+@pytest.mark.parametrize("name", BRANCHES)
+def test_features_have_the_shape_that_was_foreseen(name):
+    size = (70, 150)
+    branch = build(name, "fc500_500_5", size).eval().branch
+    with torch.inference_mode():
+        features = branch(torch.rand(1, 3, *size))
+    assert features.shape[1:] == feature_shape(name, size)
+
+
+@pytest.mark.parametrize("name", BRANCHES)
+def test_number_of_convolutions(name):
+    branch = build(name, "fc500_500_5", (64, 64)).branch
+    convolutions = [part for part in branch.modules() if isinstance(part, nn.Conv2d)]
+    normalizations = [part for part in branch.modules() if isinstance(part, nn.BatchNorm2d)]
+    assert len(convolutions) == CONVOLUTIONS[name.removesuffix("_bn")]
+    if name.endswith("_bn"):
+        assert len(normalizations) == len(convolutions)
+
+
+@pytest.mark.parametrize(("name", "widths"), [("simple1", [3, 8, 16]), ("simple2", [3, 16, 32])])
+def test_simple_branches_have_three_convolutions_each_with_a_relu(name, widths):
+    features = build(name, "fc500_500_5").branch.features
+    assert [type(part).__name__ for part in features] == ["Conv2d", "ReLU"] * 3 + ["AdaptiveAvgPool2d"]
+    assert [part.out_channels for part in features if isinstance(part, nn.Conv2d)] == widths
+    assert {part.kernel_size for part in features if isinstance(part, nn.Conv2d)} == {(3, 3)}
+
+
+def test_densenet_ends_in_a_relu():
+    branch = build("densenet121", "fc500_500_5", (64, 64)).branch
+    assert branch(torch.rand(2, 3, 64, 64)).min() == 0
+
+
+@pytest.mark.parametrize("name", ["simple1", "alexnet", "densenet121", "vgg11", "vgg16_bn"])
+def test_the_smallest_image_is_taken_and_a_smaller_one_is_not(name):
+    rows, columns = smallest_size(name)
+    assert (rows, columns) == SMALLEST[family(name)]
+    assert min(feature_shape(name, (rows, columns))) >= 1
+    for size in ((rows - 1, columns), (rows, columns - 1)):
+        with pytest.raises(ConfigError, match=rf"{size[0]} x {size[1]}.*at least {rows} x {columns}"):
+            build(name, "fc500_500_5", size)
+
+
+def test_input_is_normalized_with_imagenets_numbers_channel_by_channel():
+    branch = build("vgg11", "fc500_500_5", (32, 32)).branch.eval()
+    panorama = torch.rand(2, 3, 32, 32)
+    by_hand = torch.empty_like(panorama)
+    for channel, (mean, std) in enumerate(((0.485, 0.229), (0.456, 0.224), (0.406, 0.225))):
+        by_hand[:, channel] = (panorama[:, channel] - mean) / std
+    torch.testing.assert_close(branch(panorama), branch.features(by_hand))
+
+
+def test_the_input_is_not_altered():
+    panorama = torch.rand(2, 3, 32, 32)
+    before = panorama.clone()
+    build("simple1", "fc500_500_5", (32, 32))(panorama)
+    assert torch.equal(panorama, before)

@@ -1,0 +1,114 @@
+"""The contrastive loss against a loop, its gradient, and its refusals."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.models.losses import ContrastiveLoss, pair_distance
+from tests.oracles.contrastive import contrastive_loss
+
+
+def draw(pairs, dimensions, seed=0, dtype=torch.float64):
+    generator = torch.Generator().manual_seed(seed)
+    d0, d1 = torch.randn(2, pairs, dimensions, generator=generator, dtype=dtype)
+    return d0, d1, torch.rand(pairs, generator=generator, dtype=dtype)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    pairs=st.integers(1, 9),
+    dimensions=st.integers(1, 12),
+    margin=st.floats(0.1, 20),
+    seed=st.integers(0, 1000),
+)
+def test_agrees_with_a_loop_over_pairs(pairs, dimensions, margin, seed):
+    d0, d1, y = draw(pairs, dimensions, seed)
+    expected = contrastive_loss(d0.tolist(), d1.tolist(), y.tolist(), margin)
+    assert ContrastiveLoss(margin)(d0, d1, y).item() == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("label", "apart", "expected"),
+    [(0, 0, 0), (0, 3, 9), (1, 0, 4), (1, 1.5, 0.25), (1, 2, 0), (1, 5, 0), (0.25, 1, 0.75 + 0.25)],
+)
+def test_known_values(label, apart, expected):
+    first = torch.zeros(1, 3)
+    second = torch.tensor([[0.0, float(apart), 0.0]])
+    assert ContrastiveLoss(2.0)(first, second, torch.tensor([float(label)])).item() == pytest.approx(expected)
+
+
+def test_gradient_is_that_of_finite_differences():
+    d0, d1, y = draw(5, 4)
+    d0.requires_grad_()
+    d1.requires_grad_()
+    assert torch.autograd.gradcheck(lambda a, b: ContrastiveLoss(3.0)(a, b, y), (d0, d1))
+
+
+@pytest.mark.parametrize("label", [0.0, 0.5, 1.0])
+def test_gradient_is_finite_where_both_descriptors_are_equal(label):
+    d0 = torch.ones(2, 4, requires_grad=True)
+    d1 = torch.ones(2, 4, requires_grad=True)
+    ContrastiveLoss()(d0, d1, torch.full((2,), label)).backward()
+    assert torch.equal(d0.grad, torch.zeros(2, 4))
+    assert torch.equal(d1.grad, torch.zeros(2, 4))
+
+
+def test_swapping_the_images_changes_nothing():
+    d0, d1, y = draw(6, 5)
+    assert torch.equal(ContrastiveLoss()(d0, d1, y), ContrastiveLoss()(d1, d0, y))
+
+
+def test_distance_is_computed_in_float32_under_autocast():
+    # 1000 + 0.5 and 1000 are one number in bfloat16.
+    first, second = torch.tensor([[1000.5]]), torch.tensor([[1000.0]])
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        apart = pair_distance(first, second)
+        loss = ContrastiveLoss()(first, second, torch.zeros(1))
+    assert apart.dtype == loss.dtype == torch.float32
+    assert apart.item() == pytest.approx(0.5)
+    assert loss.item() == pytest.approx(0.25)
+
+
+def test_half_descriptors_give_a_float32_loss():
+    d0, d1, y = draw(3, 4, dtype=torch.float32)
+    loss = ContrastiveLoss()(d0.bfloat16(), d1.bfloat16(), y)
+    assert loss.dtype == torch.float32
+    assert loss.item() == pytest.approx(ContrastiveLoss()(d0, d1, y).item(), rel=0.05)
+
+
+@pytest.mark.parametrize("margin", [0, -1, float("nan"), float("inf")])
+def test_margin_must_be_positive(margin):
+    with pytest.raises(ConfigError, match="margin must be positive"):
+        ContrastiveLoss(margin)
+
+
+def test_labels_with_a_second_axis_are_refused_with_the_reason():
+    d0, d1, y = draw(4, 3)
+    with pytest.raises(DataError, match=r"shape \(4,\), got \(4, 1\): drop its last axis"):
+        ContrastiveLoss()(d0, d1, y[:, None])
+
+
+def test_another_number_of_labels_is_refused():
+    d0, d1, y = draw(4, 3)
+    with pytest.raises(DataError, match=r"one label per pair, shape \(4,\), got \(3,\)"):
+        ContrastiveLoss()(d0, d1, y[:3])
+
+
+@pytest.mark.parametrize("shapes", [((4, 3), (4, 2)), ((4, 3), (1, 3)), ((4,), (4,)), ((0, 3), (0, 3))])
+def test_descriptors_of_other_shapes_are_refused(shapes):
+    with pytest.raises(DataError, match=r"one shape \(B, D\)"):
+        ContrastiveLoss()(torch.zeros(shapes[0]), torch.zeros(shapes[1]), torch.zeros(shapes[0][0]))
+
+
+@pytest.mark.parametrize("label", [-0.1, 1.1, float("nan")])
+def test_labels_outside_zero_to_one_are_refused(label):
+    with pytest.raises(DataError, match=r"must lie in \[0, 1\]"):
+        ContrastiveLoss()(torch.zeros(2, 3), torch.zeros(2, 3), torch.tensor([0.0, label]))
+
+
+def test_shows_its_margin():
+    assert repr(ContrastiveLoss(1.5)) == "ContrastiveLoss(margin=1.5)"

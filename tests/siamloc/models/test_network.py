@@ -1,0 +1,202 @@
+"""Building networks: names, seeds, independence, initialization."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+
+import siamloc.models
+import siamloc.runtime
+from siamloc.errors import ConfigError, DataError
+from siamloc.models import HEADS, build
+from siamloc.models.network import state_hash
+
+SIZE = (32, 64)
+
+
+def same_state(a, b):
+    left, right = a.state_dict(), b.state_dict()
+    return left.keys() == right.keys() and all(torch.equal(left[key], right[key]) for key in left)
+
+
+def test_importing_the_package_loads_no_torch():
+    code = (
+        "import siamloc.models, siamloc.runtime, sys\n"
+        "assert 'vgg16_bn' in siamloc.models.BRANCHES and 'fc500_500_5' in siamloc.models.HEADS\n"
+        "assert not {'torch', 'lightning', 'torchvision'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_no_module_of_the_package_imports_the_data_package():
+    files = list(Path(siamloc.models.__file__).parent.glob("*.py"))
+    imported = {
+        name
+        for file in files
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for name in (
+            [node.module] if isinstance(node, ast.ImportFrom) else [part.name for part in getattr(node, "names", [])]
+        )
+    }
+    assert "siamloc.models.network" in imported
+    assert not [name for name in imported if name and name.startswith("siamloc.data")]
+
+
+def test_unknown_names_in_the_packages_are_attribute_errors():
+    for package in (siamloc.models, siamloc.runtime):
+        with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+            _ = package.nonsense
+
+
+def test_heads_are_those_of_the_thesis():
+    assert HEADS == {
+        "fc500_500_5": (500, 500, 5),
+        "fc500_100_10": (500, 100, 10),
+        "fc1000_1000_10": (1000, 1000, 10),
+        "fc4096_4096_1000": (4096, 4096, 1000),
+    }
+
+
+@pytest.mark.parametrize(("name", "widths"), HEADS.items())
+def test_head_has_three_layers_and_nothing_after_the_last(name, widths):
+    network = build("simple1", name, SIZE)
+    layers = [part for part in network.head.modules() if not list(part.children())]
+    assert [type(part).__name__ for part in layers] == ["Flatten", "Linear", "ReLU", "Linear", "ReLU", "Linear"]
+    assert [part.out_features for part in layers if isinstance(part, nn.Linear)] == list(widths)
+    assert layers[1].in_features == 16 * 4 * 16
+    assert network(torch.rand(3, 3, *SIZE)).shape == (3, widths[-1])
+    assert network.outputs == widths[-1]
+
+
+def test_the_default_image_is_a_panorama_of_128_x_512():
+    network = build("alexnet", "fc500_500_5")
+    assert network.image_size == (128, 512)
+    assert network.grid == (3, 15)
+
+
+@pytest.mark.parametrize("branch", ["simple1", "vgg11_bn"])
+def test_one_seed_gives_one_network_and_another_seed_another(branch):
+    first, again, other = (build(branch, "fc500_100_10", SIZE, seed=seed) for seed in (0, 0, 1))
+    assert same_state(first, again)
+    assert not same_state(first, other)
+    assert first.identity == again.identity
+    assert first.identity["weights"] != other.identity["weights"]
+
+
+def test_networks_share_no_storage():
+    first, second = build("vgg11", "fc500_500_5", SIZE), build("vgg11", "fc500_500_5", SIZE)
+    with torch.no_grad():
+        for tensor in first.state_dict().values():
+            tensor.fill_(1)
+    assert same_state(second, build("vgg11", "fc500_500_5", SIZE))
+    storages = [{tensor.data_ptr() for tensor in network.state_dict().values()} for network in (first, second)]
+    assert not storages[0] & storages[1]
+
+
+@pytest.mark.parametrize("branch", ["simple2", "alexnet", "vgg11", "densenet121"])
+def test_the_global_generator_is_neither_moved_nor_read(branch):
+    torch.manual_seed(5)
+    before = torch.random.get_rng_state()
+    first = build(branch, "fc500_500_5", (64, 64), seed=3)
+    assert torch.equal(torch.random.get_rng_state(), before)
+    torch.manual_seed(6)
+    assert same_state(first, build(branch, "fc500_500_5", (64, 64), seed=3))
+
+
+@pytest.mark.parametrize("branch", ["alexnet", "vgg16", "densenet121"])
+def test_initialization_is_he_normal_with_zero_biases(branch):
+    network = build(branch, "fc1000_1000_10", (64, 64))
+    linears = [part for part in network.modules() if isinstance(part, nn.Linear)]
+    for part in network.modules():
+        if isinstance(part, (nn.Conv2d, nn.Linear)):
+            inputs = part.weight[0].numel()
+            expected = (1 / (inputs * 10) if part is linears[-1] else 2 / inputs) ** 0.5
+            assert part.weight.std().item() == pytest.approx(expected, rel=0.1)
+            assert part.bias is None or not part.bias.any()
+        elif isinstance(part, nn.BatchNorm2d):
+            assert bool((part.weight == 1).all())
+            assert bool((part.running_var == 1).all())
+            assert not part.bias.any()
+            assert not part.running_mean.any()
+
+
+@pytest.mark.parametrize("head", ["fc500_500_5", "fc4096_4096_1000"])
+@pytest.mark.parametrize("branch", ["simple1", "alexnet", "vgg19", "vgg19_bn", "densenet121"])
+def test_descriptors_begin_with_a_length_on_the_scale_of_the_margin(branch, head):
+    network = build(branch, head, (64, 64))
+    with torch.inference_mode():
+        descriptors = network(torch.rand(4, 3, 64, 64, generator=torch.Generator().manual_seed(0)))
+    assert 0.1 < descriptors.norm(dim=1).mean().item() < 10
+
+
+def test_networks_come_in_training_mode_with_gradients():
+    network = build("vgg11_bn", "fc500_500_5", SIZE)
+    assert all(part.training for part in network.modules())
+    assert all(parameter.requires_grad for parameter in network.parameters())
+
+
+def test_unknown_names_are_refused_with_the_nearest():
+    with pytest.raises(ConfigError, match=r"unknown branch 'vgg_16': did you mean 'vgg16'\?.*densenet121"):
+        build("vgg_16", "fc500_500_5")
+    with pytest.raises(ConfigError, match=r"unknown head 'fc500_500': did you mean 'fc500_500_5'\?"):
+        build("vgg16", "fc500_500")
+
+
+@pytest.mark.parametrize("size", [(128,), (128, 512, 3), 128, "128", (0, 512), (128.0, 512), None])
+def test_image_sizes_that_are_none_are_refused(size):
+    with pytest.raises(ConfigError, match="two positive integers"):
+        build("simple1", "fc500_500_5", size)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 1.5, None, True])
+def test_seeds_that_are_none_are_refused(seed):
+    with pytest.raises(ConfigError, match="the seed must be an integer"):
+        build("simple1", "fc500_500_5", SIZE, seed=seed)
+
+
+@pytest.mark.parametrize("shape", [(3, 32, 64), (2, 1, 32, 64), (2, 3, 64, 32), (2, 32, 64, 3)])
+def test_other_shapes_are_refused(shape):
+    network = build("simple1", "fc500_500_5", SIZE)
+    with pytest.raises(DataError, match=r"shape \(B, 3, 32, 64\), got"):
+        network(torch.zeros(shape))
+
+
+def test_integers_are_refused():
+    network = build("simple1", "fc500_500_5", SIZE)
+    with pytest.raises(DataError, match=r"floating point in \[0, 1\], got torch.uint8"):
+        network(torch.zeros(2, 3, *SIZE, dtype=torch.uint8))
+
+
+def test_identity_follows_the_weights():
+    network = build("simple1", "fc500_500_5", SIZE)
+    before = network.identity
+    assert before == {
+        "name": "siamese",
+        "branch": "simple1",
+        "head": "fc500_500_5",
+        "image_size": [32, 64],
+        "weights": before["weights"],
+    }
+    with torch.no_grad():
+        network.head.layers[-1].bias[0] += 1e-6
+    assert network.identity["weights"] != before["weights"]
+
+
+def test_state_hash_sees_names_types_shapes_and_values_but_not_the_layout():
+    values = torch.arange(6.0).view(2, 3)
+    reference = state_hash({"a": values, "b": values})
+    assert state_hash({"b": values, "a": values.t().contiguous().t()}) == reference
+    others = [
+        {"a": values, "c": values},
+        {"a": values, "b": values.double()},
+        {"a": values, "b": values.view(3, 2)},
+        {"a": values, "b": values + 1},
+    ]
+    assert reference not in {state_hash(other) for other in others}
+    assert len(state_hash({"n": torch.tensor(3)})) == 16
