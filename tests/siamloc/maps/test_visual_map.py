@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.maps import VisualMap, nearest
+
+IDENTITY = {"name": "siamese", "branch": {"name": "vgg16", "weights": None}, "width": 3}
+
+
+def make_map(n: int = 6) -> VisualMap:
+    rng = np.random.default_rng(0)
+    frames = FrameTable(
+        path=np.array([f"räume/../t{i}.jpeg" for i in range(n)]),
+        x=rng.normal(size=n),
+        y=np.where(np.arange(n) == n - 1, np.nan, 1.0),
+        room=np.array(["KT-A"] * n),
+        lighting=np.array([""] * n),
+    )
+    return VisualMap(rng.normal(size=(n, 3)), frames, IDENTITY, distance="cosine", unit="frames")
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    saved = make_map()
+    saved.save(tmp_path / "deep" / "map.npz")
+    loaded = VisualMap.load(tmp_path / "deep" / "map.npz")
+    np.testing.assert_array_equal(loaded.descriptors, saved.descriptors)
+    assert loaded.frames == saved.frames
+    assert (loaded.identity, loaded.distance, loaded.unit) == (IDENTITY, "cosine", "frames")
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["map.npz"]
+
+
+def test_equal_maps_give_equal_files(tmp_path: Path) -> None:
+    make_map().save(tmp_path / "a.npz")
+    make_map().save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_the_file_needs_no_pickle(tmp_path: Path) -> None:
+    make_map().save(tmp_path / "map.npz")
+    with np.load(tmp_path / "map.npz", allow_pickle=False) as archive:
+        assert json.loads(str(archive["header"]))["format"] == "siamloc-map"
+        assert archive["descriptors"].dtype == np.float32
+
+
+def test_search_is_nearest_with_the_maps_distance() -> None:
+    visual_map = make_map()
+    queries = np.random.default_rng(1).normal(size=(4, 3)).astype(np.float32)
+    found, expected = visual_map.search(queries, 2), nearest(queries, visual_map.descriptors, 2, "cosine")
+    np.testing.assert_array_equal(found.indices, expected.indices)
+    np.testing.assert_array_equal(found.distances, expected.distances)
+
+
+def test_a_map_of_one_frame(tmp_path: Path) -> None:
+    make_map(1).save(tmp_path / "one.npz")
+    found = VisualMap.load(tmp_path / "one.npz").search(np.ones((2, 3)), 5)
+    np.testing.assert_array_equal(found.indices, [[0], [0]])
+
+
+def test_descriptors_are_a_read_only_copy() -> None:
+    values = np.ones((2, 3), dtype=np.float32)
+    visual_map = VisualMap(values, FrameTable(path=np.array(["a", "b"])))
+    values[:] = 5
+    assert (visual_map.descriptors == 1).all()
+    with pytest.raises(ValueError, match="read-only"):
+        visual_map.descriptors[0] = 2
+
+
+@pytest.mark.parametrize(
+    ("descriptors", "names", "distance", "error", "message"),
+    [
+        (np.empty((0, 3)), [], "euclidean", DataError, "n and D at least 1, got (0, 3)"),
+        (np.ones((2, 3)), ["a"], "euclidean", DataError, "got 2 for 1 frames"),
+        (np.ones(3), ["a"], "euclidean", DataError, "got (3,)"),
+        ([[1.0], [np.nan]], ["a.png", "b.png"], "euclidean", DataError, "the first that of b.png"),
+        (np.ones((1, 3)), ["a"], "cosin", ConfigError, "did you mean 'cosine'"),
+    ],
+)
+def test_maps_that_cannot_be(
+    descriptors: np.ndarray, names: list[str], distance: str, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error) as raised:
+        VisualMap(descriptors, FrameTable(path=np.array(names, dtype=np.str_)), distance=distance)
+    assert message in str(raised.value)
+
+
+def test_check_describer_names_what_differs() -> None:
+    visual_map = make_map()
+    visual_map.check_describer({"width": 3, "branch": {"weights": None, "name": "vgg16"}, "name": "siamese"})
+    with pytest.raises(ConfigError) as raised:
+        visual_map.check_describer({"name": "siamese", "branch": {"name": "alexnet", "weights": None}, "hash": "ab"})
+    message = str(raised.value)
+    assert "branch.name is 'vgg16' in the map, 'alexnet' here" in message
+    assert "width is 3 in the map, absent here" in message
+    assert "hash is absent in the map, 'ab' here" in message
+    assert "weights" not in message
+    assert "Describe the queries with the map's model" in message
+
+
+def test_identity_may_hold_tuples_and_arrays() -> None:
+    frames = FrameTable(path=np.array(["a"]))
+    VisualMap(np.ones((1, 2)), frames, {"size": (128, 512)}).check_describer({"size": np.array([128, 512])})
+
+
+def rewritten(source: Path, target: Path, **changes: object) -> Path:
+    with np.load(source) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    header = json.loads(str(arrays["header"]))
+    header.update(changes.pop("header", {}))  # type: ignore[call-overload]
+    arrays["header"] = np.array(json.dumps(header))
+    for name, value in changes.items():
+        if value is None:
+            del arrays[name]
+        else:
+            arrays[name] = np.asarray(value)
+    np.savez(target, **arrays)
+    return target
+
+
+def test_load_refuses_what_is_not_a_whole_map(tmp_path: Path) -> None:
+    good = tmp_path / "good.npz"
+    make_map().save(good)
+    cases: dict[Path, str] = {tmp_path / "absent.npz": "does not exist", tmp_path: "does not exist"}
+    contents = good.read_bytes()
+    for cut in (0, 3, 100, len(contents) // 2, len(contents) - 1):
+        path = tmp_path / f"cut{cut}.npz"
+        path.write_bytes(contents[:cut])
+        cases[path] = "not a whole one"
+    flipped = bytearray(contents)
+    flipped[contents.index(make_map().descriptors.tobytes()) + 2] ^= 0xFF
+    (tmp_path / "flipped.npz").write_bytes(flipped)
+    cases[tmp_path / "flipped.npz"] = "not a whole one"
+    (tmp_path / "text.npz").write_text("hello")
+    cases[tmp_path / "text.npz"] = "not a siamloc map"
+    np.save(tmp_path / "single.npy", np.ones(3))
+    cases[tmp_path / "single.npy"] = "not a siamloc map"
+    np.savez(tmp_path / "other.npz", a=np.ones(3))
+    cases[tmp_path / "other.npz"] = "not a siamloc map"
+    np.savez(tmp_path / "pickled.npz", header=np.array([{"format": "siamloc-map"}], dtype=object))
+    cases[tmp_path / "pickled.npz"] = "not a siamloc map"
+    newer = rewritten(good, tmp_path / "newer.npz", header={"version": 2})
+    cases[newer] = "format version 2, this siamloc reads up to 1: update siamloc"
+    cases[rewritten(good, tmp_path / "short.npz", descriptors=np.ones((2, 3)))] = "got 2 for 6 frames"
+    cases[rewritten(good, tmp_path / "lacking.npz", descriptors=None)] = "not a whole siamloc map ('descriptors')"
+    cases[rewritten(good, tmp_path / "extra.npz", frame_colour=np.ones(6))] = "not a whole siamloc map"
+    cases[rewritten(good, tmp_path / "lies.npz", header={"width": 9})] = "announces 6 descriptors of 9 values"
+    for path, message in cases.items():
+        with pytest.raises(FormatError) as raised:
+            VisualMap.load(path)
+        assert message in str(raised.value), path
+        assert str(path) in str(raised.value)
+        assert "\n" not in str(raised.value)
+
+
+def test_maps_and_tasks_do_not_load_torch() -> None:
+    code = (
+        "import sys, siamloc.maps.visual_map, siamloc.tasks.absolute, siamloc.tasks.room_retrieval, siamloc.report\n"
+        "import siamloc.tasks.results\n"
+        "print(sorted({'torch', 'lightning', 'pandas', 'matplotlib', 'scipy'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
