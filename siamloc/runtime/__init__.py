@@ -1,0 +1,28 @@
+"""From a trained network to the robot. Importing this package loads no torch."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from siamloc.runtime.bundle import Bundle, write_bundle
+    from siamloc.runtime.export import export_onnx, parity
+    from siamloc.runtime.localizer import Localizer, Location
+
+__all__ = ["Bundle", "Localizer", "Location", "export_onnx", "parity", "write_bundle"]
+
+_HOMES = {
+    "Bundle": "bundle",
+    "Localizer": "localizer",
+    "Location": "localizer",
+    "export_onnx": "export",
+    "parity": "export",
+    "write_bundle": "bundle",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(f"siamloc.runtime.{_HOMES[name]}"), name)
+    raise AttributeError(f"module 'siamloc.runtime' has no attribute {name!r}")

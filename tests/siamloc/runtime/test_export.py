@@ -1,0 +1,197 @@
+"""Exported files: what they hold, that they compute the same, and that a bad one never gets its name."""
+
+from __future__ import annotations
+
+import json
+import logging
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
+from siamloc.models import BRANCHES, HEADS, SiameseModule, build
+from siamloc.runtime import export, export_onnx, parity
+
+SIZE = (32, 64)
+# The smallest panorama whose grid of features has two columns, so that the head's reading order matters.
+SIZES = {"alexnet": (64, 96)}
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A network with batch normalization, its file, and the report of the export."""
+    path = tmp_path_factory.mktemp("export") / "new" / "network.onnx"
+    network = build("vgg11_bn", "fc500_500_5", SIZE)
+    network(torch.rand(8, 3, *SIZE))  # moves the running statistics away from their start
+    return network, path, export_onnx(network, path, SIZE)
+
+
+def test_report_and_file_agree(exported):
+    network, path, report = exported
+    assert report["path"] == str(path)
+    assert report["bytes"] == path.stat().st_size
+    assert report["files"] == [path.name]
+    assert report["identity"] == network.identity
+    assert report["parity"]["batches"] == [1, 2, 7]
+    assert 0 <= report["parity"]["max_abs_difference"] <= report["parity"]["tolerance"] == 1e-4
+    assert report["parity"]["max_abs_value"] > 0.1
+    expected = report["parity"]["max_abs_difference"] / report["parity"]["max_abs_value"]
+    assert report["parity"]["max_relative_difference"] == expected
+    json.dumps(report, allow_nan=False)
+
+
+def test_the_folder_holds_the_file_and_nothing_else(exported):
+    _, path, _ = exported
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_the_file_is_valid_and_says_what_it_is(exported):
+    network, path, report = exported
+    onnx.checker.check_model(str(path), full_check=True)
+    model = onnx.load(path, load_external_data=False)
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
+    assert (metadata["format"], metadata["format_version"]) == ("siamloc-network", "1")
+    assert json.loads(metadata["identity"]) == network.identity
+    assert model.opset_import[0].version == report["opset"]
+
+
+def test_input_and_output_are_named_and_only_the_batch_is_free(exported):
+    _, path, _ = exported
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    (entrance,), (exit_,) = session.get_inputs(), session.get_outputs()
+    assert (entrance.name, entrance.type, entrance.shape[1:]) == ("panorama", "tensor(float)", [3, *SIZE])
+    assert (exit_.name, exit_.shape[1:]) == ("descriptor", [5])
+    assert isinstance(entrance.shape[0], str)
+
+
+def test_the_file_computes_what_describe_computes(exported):
+    network, path, _ = exported
+    module = SiameseModule("vgg11_bn", "fc500_500_5", SIZE)
+    module.network.load_state_dict(network.state_dict())
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    images = np.random.default_rng(1).random((5, 3, *SIZE), dtype=np.float32)
+    (got,) = session.run(None, {"panorama": images})
+    np.testing.assert_allclose(got, module.describe(images).position, atol=1e-4)
+
+
+def test_the_modes_and_the_random_state_stay(tmp_path):
+    network = build("vgg11_bn", "fc500_500_5", SIZE)
+    frozen = network.branch.features[1].eval()
+    before, statistics = torch.random.get_rng_state(), network.identity
+    export_onnx(network, tmp_path / "network.onnx", SIZE)
+    assert [part for part in network.modules() if not part.training] == [frozen]
+    assert torch.equal(torch.random.get_rng_state(), before)
+    assert network.identity == statistics
+
+
+def test_it_is_quiet(tmp_path, capfd, recwarn, caplog):
+    export_onnx(build("simple1", "fc500_500_5", SIZE), tmp_path / "network.onnx", SIZE)
+    assert capfd.readouterr() == ("", "")
+    assert not recwarn.list
+    assert not [record for record in caplog.records if record.levelno >= logging.INFO]
+
+
+@pytest.mark.parametrize("size", [(128, 512), (37, 131), (4, 16), (5, 17)])
+def test_the_simple_branches_export_at_any_size(tmp_path, size):
+    report = export_onnx(build("simple2", "fc500_100_10", size), tmp_path / "network.onnx", size)
+    assert report["parity"]["max_abs_difference"] <= 1e-4
+
+
+def test_a_lightning_module_is_exported_as_its_network(tmp_path):
+    module = SiameseModule("simple1", "fc500_500_5", SIZE)
+    report = export_onnx(module, tmp_path / "network.onnx", SIZE)
+    assert report["identity"] == module.identity
+    assert parity(module, tmp_path / "network.onnx") == report["parity"]
+
+
+def test_weights_too_large_for_one_file_stand_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(export, "ONE_FILE_BYTES", 1000)
+    network = build("simple1", "fc500_500_5", SIZE)
+    report = export_onnx(network, tmp_path / "network.onnx", SIZE)
+    assert report["files"] == ["network.onnx", "network.onnx.data"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == report["files"]
+    assert parity(network, tmp_path / "network.onnx") == report["parity"]
+
+
+def test_a_file_of_other_weights_fails_the_comparison(exported):
+    _, path, _ = exported
+    other = build("vgg11_bn", "fc500_500_5", SIZE, seed=1)
+    with pytest.raises(SiamlocError, match=r"differ by .* from the network's, .* of the largest value .*do not use"):
+        parity(other, path)
+
+
+def test_a_network_of_another_length_fails_the_comparison(exported):
+    _, path, _ = exported
+    with pytest.raises(SiamlocError, match=r"shape \(1, 5\) for \(1, 10\)"):
+        parity(build("vgg11_bn", "fc500_100_10", SIZE), path)
+
+
+def test_values_that_are_not_finite_fail_the_comparison(tmp_path):
+    network = build("simple1", "fc500_500_5", SIZE)
+    with torch.no_grad():
+        network.head.layers[-1].bias[0] = float("nan")
+    with pytest.raises(SiamlocError, match="differ by nan"):
+        export_onnx(network, tmp_path / "network.onnx", SIZE)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("one_file", [True, False])
+def test_a_file_that_differs_never_replaces_the_older_one(tmp_path, monkeypatch, one_file):
+    def refuse(network, path):
+        raise SiamlocError("differs")
+
+    path = tmp_path / "network.onnx"
+    path.write_text("older")
+    monkeypatch.setattr(export, "parity", refuse)
+    if not one_file:
+        monkeypatch.setattr(export, "ONE_FILE_BYTES", 1000)
+    with pytest.raises(SiamlocError, match="differs"):
+        export_onnx(build("simple1", "fc500_500_5", SIZE), path, SIZE)
+    assert path.read_text() == "older"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_another_image_size_is_refused(tmp_path):
+    with pytest.raises(DataError, match=r"built for panoramas of shape \(B, 3, 32, 64\)"):
+        export_onnx(build("simple1", "fc500_500_5", SIZE), tmp_path / "network.onnx", (64, 64))
+
+
+def test_half_precision_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"needs float32 weights, got torch\.bfloat16"):
+        export_onnx(build("simple1", "fc500_500_5", SIZE).bfloat16(), tmp_path / "network.onnx", SIZE)
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "text.onnx").write_text("no graph")
+    for name in ("text.onnx", "missing.onnx"):
+        with pytest.raises(FormatError, match="no ONNX file that onnxruntime can run"):
+            parity(build("simple1", "fc500_500_5", SIZE), tmp_path / name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("head", HEADS)
+@pytest.mark.parametrize("branch", BRANCHES)
+def test_every_network_trains_a_step_and_exports(tmp_path, branch, head):
+    size = SIZES.get(branch, SIZE)
+    module = SiameseModule(branch, head, size)
+    images = torch.randint(0, 256, (2, 4, 3, *size), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
+    same = torch.tensor([True, False, True, False])
+    before = module.network.head.layers[-1].weight.clone()
+    optimizer = module.configure_optimizers()
+    loss = module.training_step({"first": images[0], "second": images[1], "label": (~same).float(), "same": same}, 0)
+    loss.backward()
+    assert torch.isfinite(loss)
+    for name, parameter in module.named_parameters():
+        assert parameter.grad is not None, name
+        assert torch.isfinite(parameter.grad).all(), name
+        assert parameter.ndim == 1 or parameter.grad.any(), name
+    optimizer.step()
+    assert not torch.equal(before, module.network.head.layers[-1].weight)
+
+    report = export_onnx(module, tmp_path / "network.onnx", size)
+    assert report["parity"]["batches"] == [1, 2, 7]
+    assert report["parity"]["max_abs_difference"] <= 1e-4
+    (tmp_path / "network.onnx").unlink()
