@@ -1,0 +1,66 @@
+"""The command line: `siamloc <command> [Hydra overrides]`.
+
+This module loads nothing heavy: help and a mistyped command are answered at once. Each command is a module of this
+package with a function `main(config)`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+from siamloc import __version__
+from siamloc.cli.help import COMMANDS, command_help, overview
+from siamloc.errors import ConfigError, SiamlocError, nearest
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return the exit status: 0, 2 for an error that the user can mend, 130 when interrupted."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    try:
+        return _dispatch(words)
+    except KeyboardInterrupt:
+        print("siamloc: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 141
+    except Exception as error:
+        sentence = _sentence(error)
+        if debug or sentence is None:
+            raise
+        print(f"siamloc: {sentence}", file=sys.stderr)
+        return 2
+
+
+def _dispatch(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(overview())
+        return 0
+    if words[0] in ("-V", "--version"):
+        print(f"siamloc {__version__}")
+        return 0
+    command, *overrides = words
+    if command not in COMMANDS:
+        raise ConfigError(f"unknown command {command!r}: {nearest(command, COMMANDS)}")
+    if "-h" in overrides or "--help" in overrides:
+        print(command_help(command))
+        return 0
+    module = importlib.import_module(f"siamloc.cli.{COMMANDS[command].module}")
+    from siamloc.cli.compose import run
+
+    return run(command, module.main, overrides)
+
+
+def _sentence(error: Exception) -> str | None:
+    """Return the one line to print, or None for an error that is a bug of ours and needs its traceback."""
+    if isinstance(error, SiamlocError):
+        return str(error)
+    for module, name in (("analytic.errors", "AnalyticError"), ("augment.errors", "AugmentError")):
+        kind = getattr(sys.modules.get(module), name, None)
+        if kind is not None and isinstance(error, kind):
+            return str(error)
+    return None

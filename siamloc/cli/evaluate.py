@@ -1,0 +1,253 @@
+"""`siamloc evaluate`: measure localization and room retrieval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from omegaconf import DictConfig, OmegaConf
+
+from analytic import Descriptor
+from siamloc.cli.compose import config_folder, plain
+from siamloc.cli.steps import (
+    Roles,
+    build_map,
+    describe_frames,
+    finished_run,
+    identity_of,
+    make_descriptor,
+    map_file,
+)
+from siamloc.cli.tables import print_summary
+from siamloc.data.frames import FrameTable
+from siamloc.data.pairs import PairSampler
+from siamloc.errors import ConfigError, DataError, SiamlocError, nearest
+from siamloc.maps import VisualMap
+from siamloc.runs import Run
+from siamloc.tasks.absolute import AbsoluteResult, evaluate_absolute
+from siamloc.tasks.results import write_results
+from siamloc.tasks.room_retrieval import PairResult, RoomResult, evaluate_pairs, evaluate_rooms
+
+Vectors = np.ndarray[Any, np.dtype[np.float32]]
+TASKS = ("absolute", "room_retrieval")
+
+
+def main(config: DictConfig) -> None:
+    """Evaluate a descriptor and its baselines, write the files, print a table."""
+    for name in config.task.names:
+        if name not in TASKS:
+            raise ConfigError(f"unknown task {name!r}: {nearest(name, TASKS)}")
+    run = finished_run(config)
+    options = plain(config.descriptor)
+    descriptor = make_descriptor(config, run, options)
+    skipped: dict[str, str] = {}
+    others = _baseline_descriptors(config, run, options["name"], skipped)
+    known = _saved_map(config, run, descriptor)
+    if known is not None:
+        roles = Roles(config, ("query",), known.frames)
+        map_frames = roles["known"]
+    else:
+        roles = Roles(config, ("map", "query"))
+        map_frames = roles["map"]
+        known = build_map(config, descriptor, roles.library, map_frames, "describing the map")
+    _check_apart(roles.protocol.kind, known.frames, roles["query"])
+    main_result = _evaluate(config, descriptor, known, roles, options["name"])
+    main_result.skipped.update(skipped)
+    baselines = {
+        name: _evaluate(config, other, _map_like(config, other, map_frames, roles, name), roles, name)
+        for name, other in others.items()
+    }
+    folder = run.evaluation(options["name"])
+    _write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
+    print_summary({options["name"]: main_result.measures(), **{n: b.measures() for n, b in baselines.items()}})
+    for name, reason in main_result.skipped.items():
+        print(f"{name} left out: {reason}")
+    if config.task.plots:
+        from siamloc.report import plots
+
+        for path in plots.draw_all(folder):
+            print(f"picture: {path}")
+    print(f"results: {folder / 'results.json'}, one row per query in {folder / 'queries.csv'}")
+
+
+@dataclass
+class Evaluation:
+    """The results of one descriptor by task; what could not be measured, with the reason."""
+
+    absolute: AbsoluteResult | None = None
+    rooms: RoomResult | None = None
+    pairs: PairResult | None = None
+    skipped: dict[str, str] = field(default_factory=dict)
+
+    def measures(self) -> dict[str, Any]:
+        """Return the measures of what was measured."""
+        parts = {"absolute": self.absolute, "room_retrieval": self.rooms, "room_pairs": self.pairs}
+        return {name: part.measures() for name, part in parts.items() if part is not None}
+
+    def tables(self, suffix: str = "") -> dict[str, dict[str, Any]]:
+        """Return the columns of what was measured by table name."""
+        parts = {"queries": self.absolute, "rooms": self.rooms, "pairs": self.pairs}
+        return {name + suffix: part.columns for name, part in parts.items() if part is not None}
+
+
+def _saved_map(config: DictConfig, run: Run, descriptor: Descriptor) -> VisualMap | None:
+    """Return the map that `siamloc map` made for this descriptor, if there is one."""
+    path = map_file(run, config.descriptor.name)
+    if not path.is_file():
+        return None
+    known = VisualMap.load(path)
+    known.check_describer(identity_of(config, descriptor))
+    role = known.made.get("role")
+    if role is not None and role != plain(config.protocol.map):
+        raise ConfigError(
+            f"{path} was made of other frames than protocol.map asks for now: run `siamloc map` again, with the "
+            "protocol.map keys that are wanted"
+        )
+    return known
+
+
+def _check_apart(kind: str, known: FrameTable, queries: FrameTable) -> None:
+    """Make sure that no query comes from the map's own run, unless the protocol says so."""
+    if kind == "same_run":
+        return
+    shared = sorted(set(known.sequence.tolist()) & set(queries.sequence.tolist()))
+    copies = np.flatnonzero(np.isin(queries.path, known.path))
+    if shared or len(copies):
+        what = f"sequence {shared[0]!r}" if shared else f"image {queries.path[copies[0]]}"
+        raise ConfigError(
+            f"{what} is in the map and among the queries, so that the result would not be honest: query another "
+            "sequence, or say protocol.kind=same_run"
+        )
+
+
+def _baseline_descriptors(config: DictConfig, run: Run, main: str, skipped: dict[str, str]) -> dict[str, Descriptor]:
+    """Return the baselines by name; "untrained" is left out where there is no trained network to begin with."""
+    folder = config_folder() / "descriptor"
+    found: dict[str, Descriptor] = {}
+    for name in config.task.baselines:
+        path = folder / f"{name}.yaml"
+        if not path.is_file():
+            raise ConfigError(f"unknown baseline {name!r}: {nearest(name, [p.stem for p in folder.glob('*.yaml')])}")
+        if name == main:
+            continue
+        if name in ("network", "untrained") and not run.record.is_file():
+            skipped[f"baseline {name}"] = f"{run.folder} holds no trained network"
+            continue
+        found[name] = make_descriptor(config, run, plain(OmegaConf.load(path)))  # type: ignore[arg-type]
+    return found
+
+
+def _map_like(config: DictConfig, descriptor: Descriptor, frames: FrameTable, roles: Roles, name: str) -> VisualMap:
+    return build_map(config, descriptor, roles.library, frames, f"describing the map, {name}")
+
+
+def _evaluate(config: DictConfig, descriptor: Descriptor, known: VisualMap, roles: Roles, name: str) -> Evaluation:
+    queries = roles["query"]
+    vectors = describe_frames(descriptor, roles.library, queries, f"describing the queries, {name}")
+    result = Evaluation()
+    if "absolute" in config.task.names:
+        part = _that_have(config, "position", "absolute", known, vectors, queries, result)
+        if part is not None:
+            result.absolute = evaluate_absolute(*part, list(config.task.radii), list(config.task.ks))
+    if "room_retrieval" in config.task.names:
+        part = _that_have(config, "room label", "room_retrieval", known, vectors, queries, result)
+        if part is not None:
+            result.rooms = evaluate_rooms(*part)
+            result.pairs = _pairs(config, descriptor, part[1], part[2], result.skipped)
+    if result.absolute is None and result.rooms is None:
+        raise DataError(f"nothing could be measured: {'; '.join(result.skipped.values())}")
+    return result
+
+
+def _that_have(
+    config: DictConfig,
+    what: str,
+    task: str,
+    known: VisualMap,
+    vectors: Vectors,
+    queries: FrameTable,
+    result: Evaluation,
+) -> tuple[VisualMap, Vectors, FrameTable] | None:
+    """Return map and queries without the frames that lack what a task needs, and note how many those are."""
+    in_map, in_queries = (
+        table.has_position if what == "position" else table.room != "" for table in (known.frames, queries)
+    )
+    for where, has in (("queries", in_queries), ("map frames", in_map)):
+        if has.all():
+            continue
+        text = f"{int((~has).sum())} of {len(has)} {where} have no {what}"
+        if not has.any():
+            result.skipped[task] = text
+            return None
+        if config.data.on_error == "raise":
+            raise DataError(f"{text}: data.on_error=skip leaves them out")
+        result.skipped[f"{task}, {where}"] = text
+    if not in_map.all():
+        known = replace(known, descriptors=known.descriptors[in_map], frames=known.frames.take(in_map))
+    return known, vectors[in_queries], queries.take(in_queries)
+
+
+def _pairs(
+    config: DictConfig,
+    descriptor: Descriptor,
+    vectors: Vectors,
+    queries: FrameTable,
+    skipped: dict[str, str],
+) -> PairResult | None:
+    margin = getattr(getattr(descriptor, "loss", None), "margin", None)
+    if margin is None:
+        skipped["room_pairs"] = f"{descriptor.name} has no margin to tell same from different rooms by"
+        return None
+    wanted = config.task.pairs
+    try:
+        sampler = PairSampler(queries, "room", wanted.same_room_share, wanted.count, seed=config.seed)
+    except SiamlocError as error:
+        skipped["room_pairs"] = str(error)
+        return None
+    pairs = sampler.epoch(0)
+    first, second = queries.lighting[pairs.first], queries.lighting[pairs.second]
+    lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))
+    labels = {"first": queries.path[pairs.first], "second": queries.path[pairs.second]}
+    return evaluate_pairs(vectors[pairs.first], vectors[pairs.second], pairs.same, margin, 0.5, lighting, labels)
+
+
+def _write(
+    config: DictConfig,
+    folder: Any,
+    descriptor: Descriptor,
+    result: Evaluation,
+    baselines: dict[str, Evaluation],
+    kind: str,
+) -> None:
+    tables = result.tables()
+    rows = tables.pop("queries", None)
+    denominators: dict[str, Any] = {}
+    if result.absolute is not None:
+        for name, baseline in baselines.items():
+            if baseline.absolute is not None:
+                result.absolute = result.absolute.with_baseline(name, baseline.absolute)
+        rows = result.absolute.columns
+        tables["map"] = result.absolute.map_columns
+        denominators = result.absolute.denominators()
+    elif result.rooms is not None:
+        denominators = {"queries": len(result.rooms)}
+    if result.pairs is not None:
+        denominators["pairs"] = len(result.pairs)
+    for name, baseline in baselines.items():
+        tables.update(baseline.tables(f"_{name}"))
+    write_results(
+        folder,
+        {
+            "command": "evaluate",
+            "protocol": kind,
+            "descriptor": descriptor.identity,
+            "config": plain(config),
+            "measures": result.measures(),
+            "baselines": {name: baseline.measures() for name, baseline in baselines.items()},
+            "denominators": denominators,
+            "skipped": result.skipped,
+        },
+        rows,
+        tables,
+    )

@@ -1,0 +1,178 @@
+"""What the commands are and what their help says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from textwrap import dedent, indent
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command's module in this package, and its help."""
+
+    module: str
+    summary: str
+    details: str
+    example: str
+    inherits: bool = False  # takes its settings from the run that is named or newest
+    config: str = "config"  # the configuration file it begins with
+
+
+COMMANDS = {
+    "simulate": Command(
+        "simulate",
+        "render a made-up office building in COLD's layout",
+        """
+        Renders drives of a robot with an omnidirectional camera under cloudy, night and sunny light, and writes them
+        as COLD's folders and file names. One seed gives the same bytes again, whatever the number of workers.
+
+        building=freiburg_like      or annex, mini, random, or a YAML file
+        out=data                    where to
+        runs=[cloudy1,night1]       lightings with numbers; each number is another hour of another day
+        path=path2                  the way through the building
+        trajectory=FILE.places.lst  a COLD list instead: one image for each listed pose
+        spacing=0.15                metres between frames
+        camera=omnidirectional      640 x 480, or panorama: 512 x 128, unwrapped already
+        workers=2 seed=0
+        preview=true                only a contact sheet and a floor plan
+        """,
+        "siamloc simulate camera=panorama",
+        config="simulate",
+    ),
+    "prepare": Command(
+        "prepare",
+        "check a data set and decode its images once",
+        """
+        Reads the frames, says what they are and what is wrong with them, and decodes (unwraps, resizes) every image
+        into the panorama store, where training and evaluation find them.
+
+        data=manifest|cold|folder   kind of data set
+        data.manifest=FILE          the CSV of data=manifest
+        data.root=FOLDER            the folder of data=cold and data=folder
+        data.image_size=[128,512]   rows and columns of a panorama
+        data.circular=false         for ordinary cameras, whose columns do not wrap around
+        unwrap=none|polar|hyperbolic  how omnidirectional images become panoramas
+        data.on_error=raise         stop at the first unreadable image instead of leaving it out
+        """,
+        "siamloc prepare data=manifest data.manifest=my_robot.csv",
+    ),
+    "train": Command(
+        "train",
+        "train a siamese network",
+        """
+        Writes the folder of a run: checkpoints (best on the validation sequence, last), training curves, and the
+        settings that the other commands take over.
+
+        run=FOLDER                        where the run is written
+        protocol.train.sequences=[...]    what it learns from; names or patterns
+        protocol.validation.sequences=[...]  what the best checkpoint is chosen on
+        model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
+        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000
+        model.branch.weights=imagenet     start from pretrained weights, or from the path of a state dict
+        pairs=room|distance               binary labels, or metric ones
+        pairs.same_room_share=0.4 pairs.epoch_pairs=10000
+        augment=thesis|lighting|strong    what happens to training images; augment.where=gpu for doing it there
+        epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
+        resume=true                       go on from the last checkpoint
+        -m model/branch=vgg11,vgg13       a sweep
+        """,
+        "siamloc train data=cold data.root=/data/COLD protocol=freiburg model/branch=vgg16 run=runs/vgg16",
+    ),
+    "map": Command(
+        "map",
+        "describe the map frames of a run",
+        """
+        Writes map.npz into the run: descriptors, poses and rooms of the frames that the robot knows.
+
+        run=FOLDER                      the run; the newest one if not given
+        protocol.map.sequences=[...]    the training sequences if not given
+        protocol.map.every=5            or protocol.map.spacing=0.5
+        descriptor=thumbnail            something else than the trained network
+        """,
+        "siamloc map run=runs/vgg16 protocol.map.every=5",
+        inherits=True,
+    ),
+    "evaluate": Command(
+        "evaluate",
+        "measure localization and room retrieval",
+        """
+        Locates the query frames in the map and writes results.json, queries.csv and plots. Baselines are measured by
+        the same evaluator on the same frames.
+
+        run=FOLDER                        the run; the newest one if not given
+        protocol.query.sequences=[...]    the frames to be located
+        task=localization|absolute|room_retrieval
+        task.radii=[0.5,1.0]              recall: how near a map frame must be
+        task.baselines=[thumbnail,untrained]
+        descriptor=thumbnail              measure something else than the trained network
+        """,
+        "siamloc evaluate run=runs/vgg16 protocol.query.sequences=['*cloudy2','*night2','*sunny2']",
+        inherits=True,
+    ),
+    "export": Command(
+        "export",
+        "write the model file for the robot",
+        """
+        Writes a bundle: the network as ONNX (any batch size), the map, and how images are prepared; and compares its
+        output with the network's.
+
+        run=FOLDER      the run; the newest one if not given
+        bundle=FOLDER   where to; the run's own folder if not given
+        """,
+        "siamloc export run=runs/vgg16",
+        inherits=True,
+    ),
+    "localize": Command(
+        "localize",
+        "locate image files with an exported bundle",
+        """
+        Works without torch. Prints a line per image and writes locations.csv.
+
+        images=[a.jpeg,folder]   files or folders
+        run=FOLDER               the run whose bundle is used; the newest one if not given
+        bundle=FOLDER            another bundle
+        top=3                    map frames to list
+        """,
+        "siamloc localize run=runs/vgg16 images=[photo.jpeg]",
+        inherits=True,
+    ),
+    "demo": Command(
+        "demo",
+        "the whole main job on a small made-up building",
+        """
+        Draws a building, trains a small network on it, makes its map, measures localization, exports the model and
+        locates an image. Everything lies in one folder afterwards.
+
+        run=FOLDER       where to; runs/demo if not given
+        seed=0
+        overwrite=true   replace what is there
+        """,
+        "siamloc demo",
+        config="demo",
+    ),
+}
+
+
+def overview() -> str:
+    """Return the answer to `siamloc --help`."""
+    width = max(map(len, COMMANDS))
+    lines = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items())
+    return (
+        "siamloc: siamese place recognition for robots with omnidirectional cameras\n\n"
+        "usage: siamloc <command> [key=value ...]\n\n"
+        f"{lines}\n\n"
+        "siamloc <command> --help   what a command takes, with an example\n"
+        "siamloc <command> --cfg job   the whole configuration\n"
+        "siamloc --version\n\n"
+        "--debug shows the traceback of an error."
+    )
+
+
+def command_help(name: str) -> str:
+    """Return the answer to `siamloc <command> --help`."""
+    command = COMMANDS[name]
+    return (
+        f"siamloc {name}: {command.summary}\n\n{indent(dedent(command.details).strip(), '  ')}\n\n"
+        f"example:\n  {command.example}\n\n"
+        f"Every key of the configuration can be set as key=value; `siamloc {name} --cfg job` shows them all."
+    )

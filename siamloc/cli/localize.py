@@ -1,0 +1,82 @@
+"""`siamloc localize`: locate image files with an exported bundle."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from siamloc.cli.steps import finished_run
+from siamloc.data.frames import image_files
+from siamloc.errors import ConfigError, DataError
+from siamloc.files import write_text
+from siamloc.runtime import Localizer, Location
+
+
+def main(config: DictConfig) -> None:
+    """Locate the images, print a line for each and write them to a CSV file."""
+    run = finished_run(config)
+    folder = Path(config.bundle) if config.bundle is not None else run.bundle
+    images = _files([config.images] if isinstance(config.images, str) else list(config.images))
+    localizer = Localizer(folder, top=config.top)
+    rows, failed = [], []
+    for path in images:
+        try:
+            location = localizer.locate(path)
+        except DataError as error:
+            if config.data.on_error == "raise":
+                raise
+            failed.append(str(error))
+            continue
+        rows.append(_row(path, location))
+        print(_line(path, location, localizer.unit))
+    for message in failed:
+        print(f"left out: {message}")
+    if not rows:
+        raise DataError(f"none of the {len(images)} images could be read")
+    target = run.folder / "locations.csv" if config.bundle is None else Path("locations.csv")
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(target, text.getvalue())
+    print(f"{len(rows)} of {len(images)} images located: {target}")
+
+
+def _files(names: list[str]) -> list[Path]:
+    if not names:
+        raise ConfigError("no images given: name files or folders, images=[a.jpeg,folder]")
+    paths: list[Path] = []
+    for name in names:
+        path = Path(name)
+        if path.is_dir():
+            inside = image_files(path)
+            if not inside:
+                raise DataError(f"{path} holds no images")
+            paths.extend(inside)
+        elif path.is_file():
+            paths.append(path)
+        else:
+            raise DataError(f"there is no image {path}")
+    return paths
+
+
+def _row(path: Path, location: Location) -> dict[str, object]:
+    best = location.candidates[0]
+    return {
+        "image": str(path),
+        "x": location.x,
+        "y": location.y,
+        "room": location.room,
+        "match": best.image,
+        "distance": best.distance,
+        "ms": round(location.ms, 2),
+    }
+
+
+def _line(path: Path, location: Location, unit: str) -> str:
+    room = f" in {location.room}" if location.room else ""
+    others = ", ".join(f"{Path(c.image).name} ({c.distance:.3g})" for c in location.candidates)
+    return f"{path}: x {location.x:.2f} {unit}, y {location.y:.2f} {unit}{room}; nearest {others}; {location.ms:.1f} ms"

@@ -1,0 +1,235 @@
+"""What several commands have to do: read the data, open the panoramas, describe frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from omegaconf import DictConfig
+
+from analytic import Descriptor
+from siamloc.cli.compose import plain, sweep_suffix, task_overrides
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.panorama import camera_from_config
+from siamloc.data.roles import Protocol
+from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.maps import VisualMap
+from siamloc.progress import track
+from siamloc.runs import Run
+
+if TYPE_CHECKING:
+    from siamloc.models import SiameseModule
+
+_READER_KEYS = {"manifest": ("manifest",), "cold": ("root", "camera"), "folder": ("root",)}
+
+
+def read_frames(config: DictConfig) -> FrameTable:
+    """Return all frames of the configured data set."""
+    from siamloc import data
+
+    kind = config.data.kind
+    if kind not in _READER_KEYS:
+        raise ConfigError(f"unknown data.kind {kind!r}: {nearest(kind, _READER_KEYS)}")
+    where = {key: config.data[key] for key in _READER_KEYS[kind] if key in config.data}
+    return data.read(kind, on_error=config.data.on_error, **where)
+
+
+def image_size(config: DictConfig) -> tuple[int, int]:
+    """Return rows and columns of a panorama."""
+    size = plain(config.data)["image_size"]
+    if not (isinstance(size, list) and len(size) == 2 and all(isinstance(n, int) and n > 0 for n in size)):
+        raise ConfigError(f"data.image_size must be [rows, columns] in pixels, got {size}")
+    return size[0], size[1]
+
+
+def open_library(config: DictConfig, frames: FrameTable) -> PanoramaLibrary:
+    """Decode the frames' images, or find them decoded."""
+    camera, view = camera_from_config(plain(config.unwrap), image_size(config))
+    return PanoramaLibrary(
+        frames,
+        config.data.cache,
+        image_size=image_size(config),
+        unwrap=camera,
+        view=view if camera is not None else None,
+        on_error=config.data.on_error,
+    )
+
+
+class Roles:
+    """The frames of the roles of a protocol, with their panoramas.
+
+    Only the sequences that the roles need are decoded.
+
+    Args:
+        config: the configuration.
+        names: roles to fill.
+        known: frames of a map that was made before; they are given the role "known".
+    """
+
+    def __init__(self, config: DictConfig, names: tuple[str, ...], known: FrameTable | None = None) -> None:
+        self.protocol = Protocol.from_config(plain(config.protocol))
+        table = read_frames(config)
+        wanted = {name: self.protocol.frames(name, table) for name in names}
+        if known is not None:
+            wanted["known"] = _found_again(known, table)
+        sequences = list(concatenate(list(wanted.values())).rows_by("sequence"))
+        self.library = open_library(config, table.take(np.isin(table.sequence, sequences)))
+        self._frames = {name: self.library.select(frames) for name, frames in wanted.items()}
+
+    def __getitem__(self, name: str) -> FrameTable:
+        frames = self._frames[name]
+        if not len(frames):
+            raise DataError(f"none of the images of the {name} frames could be read")
+        return frames
+
+
+def _found_again(known: FrameTable, table: FrameTable) -> FrameTable:
+    """Return the rows of a table that show the frames of a map, in the map's order.
+
+    Raises:
+        ConfigError: a frame is not there any more, or has another position or room than in the map.
+    """
+    row = {path: number for number, path in enumerate(table.path.tolist())}
+    missing = [path for path in known.path.tolist() if path not in row]
+    if missing:
+        raise ConfigError(
+            f"{len(missing)} of the map's {len(known)} frames are not in the data, the first is {missing[0]}: "
+            "evaluate with the data that the map was made of, or make the map anew"
+        )
+    found = table.take([row[path] for path in known.path.tolist()])
+    moved = ~np.isclose(found.xy, known.xy, rtol=0, atol=1e-9, equal_nan=True).all(axis=1)
+    changed = moved | (found.room != known.room)
+    if changed.any():
+        first = known.path[np.flatnonzero(changed)[0]]
+        raise ConfigError(
+            f"{int(changed.sum())} of the map's {len(known)} frames have another position or room in the data now, the "
+            f"first is {first}: make the map anew with `siamloc map`"
+        )
+    return found
+
+
+def usable(config: DictConfig, frames: FrameTable, known: np.ndarray, lack: str) -> FrameTable:
+    """Return the frames for which `known` holds; say how many lack something, or stop there if so configured.
+
+    Raises:
+        DataError: none is left, or one lacks something and data.on_error is "raise".
+    """
+    if known.all():
+        return frames
+    missing = int((~known).sum())
+    first = frames.path[np.flatnonzero(~known)[0]]
+    text = f"{missing} of {len(frames)} frames {lack}, the first is {first}"
+    if config.data.on_error == "raise":
+        raise DataError(f"{text}: data.on_error=skip leaves them out")
+    if missing == len(frames):
+        raise DataError(f"all {len(frames)} frames {lack}")
+    print(f"{text}: left out")
+    return frames.take(known)
+
+
+def train_run(config: DictConfig) -> Run:
+    """Return the folder that a training writes into."""
+    if config.run is not None:
+        folder = Path(config.run)
+    else:
+        folder = Path("runs") / "-".join(
+            [config.data.name, config.model.branch.name, config.model.head.name, f"seed{config.seed}"]
+        )
+    suffix = sweep_suffix()
+    return Run(folder / suffix if suffix else folder)
+
+
+def map_file(run: Run, name: str) -> Path:
+    """Return where the map of a descriptor lies in a run."""
+    return run.map if name == "network" else run.evaluation(name) / "map.npz"
+
+
+def finished_run(config: DictConfig) -> Run:
+    """Return the run that a command works on; for analytic descriptors any folder will do."""
+    return Run(Path(config.run) if config.run is not None else Path("runs") / config.descriptor.name)
+
+
+def make_descriptor(config: DictConfig, run: Run, options: dict[str, Any]) -> Descriptor:
+    """Return a descriptor by its options (`descriptor` of the configuration), on the configured device."""
+    options = dict(options)
+    name = options.pop("name")
+    if name == "thumbnail":
+        from analytic import Thumbnail
+
+        return Thumbnail(**options)
+    if name in ("network", "untrained"):
+        from siamloc.models import SiameseModule, read_hyperparameters
+
+        trained = Run(Path(options["run"])) if options.get("run") else run
+        checkpoint = trained.checkpoint(config.checkpoint)
+        if name == "untrained":
+            network = SiameseModule(**read_hyperparameters(checkpoint))
+        else:
+            network = SiameseModule.load(checkpoint)
+        _check_architecture(config, network, trained)
+        return network.to(device(config))
+    raise ConfigError(f"unknown descriptor {name!r}: {nearest(name, ('network', 'untrained', 'thumbnail'))}")
+
+
+def device(config: DictConfig) -> str:
+    """Return the device that descriptors are computed on."""
+    import torch
+
+    if config.device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    kind, _, number = str(config.device).partition(":")
+    if kind not in ("cpu", "cuda") or not (number == "" or number.isdigit()):
+        raise ConfigError(f"device must be auto, cpu or cuda, got {config.device!r}")
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device=cuda, but torch finds no GPU here: use device=cpu or auto")
+    return str(config.device)
+
+
+def describe_frames(
+    descriptor: Descriptor, library: PanoramaLibrary, frames: FrameTable, what: str
+) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """Return the position descriptors (n, D) of frames, showing progress."""
+    vectors = (vector for batch in library.batches(frames) for vector in descriptor.describe(batch).position)
+    return np.stack(list(track(vectors, len(frames), what)))
+
+
+def build_map(
+    config: DictConfig, descriptor: Descriptor, library: PanoramaLibrary, frames: FrameTable, what: str
+) -> VisualMap:
+    """Describe map frames and return their map."""
+    vectors = describe_frames(descriptor, library, frames, what)
+    return VisualMap(
+        vectors,
+        frames,
+        identity_of(config, descriptor),
+        descriptor.default_distance,
+        unit=config.data.unit,
+        made={"role": plain(config.protocol.map), "overrides": _map_overrides()},
+    )
+
+
+def identity_of(config: DictConfig, descriptor: Descriptor) -> dict[str, Any]:
+    """Return what decides a frame's descriptor: the descriptor's identity, and how images become panoramas."""
+    camera, view = camera_from_config(plain(config.unwrap), image_size(config))
+    preprocessing = Preprocessing.checked(image_size(config), camera, view)
+    return {**descriptor.identity, "images": preprocessing.parameters()}
+
+
+def _map_overrides() -> list[str]:
+    """Return the overrides that chose the map's frames, for the commands that use the map later."""
+    return [word for word in task_overrides() if word.partition("=")[0].startswith("protocol")]
+
+
+def _check_architecture(config: DictConfig, network: SiameseModule, run: Run) -> None:
+    expected = {"branch": config.model.branch.name, "head": config.model.head.name, "image_size": image_size(config)}
+    for key, wanted in expected.items():
+        found = network.hparams[key]
+        found = tuple(found) if key == "image_size" else found
+        if found != wanted:
+            raise ConfigError(
+                f"the checkpoint of {run.folder} is of another architecture: it has {key} {found}, the configuration "
+                f"says {wanted}; leave {key} out to use the run's own, or train anew"
+            )

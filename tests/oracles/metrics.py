@@ -1,0 +1,67 @@
+"""The measures, written as loops."""
+
+from __future__ import annotations
+
+import math
+
+
+def localization_error(estimated, true) -> list[float]:
+    return [math.dist(a, b) for a, b in zip(estimated, true, strict=True)]
+
+
+def error_floor(map_xy, query_xy) -> list[float]:
+    return [min(math.dist(query, known) for known in map_xy) for query in query_xy]
+
+
+def percentile(values, share: float) -> float:
+    ordered = sorted(values)
+    place = share * (len(ordered) - 1)
+    low = math.floor(place)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (place - low) * (ordered[high] - ordered[low])
+
+
+def summarize(errors) -> dict:
+    return {
+        "count": len(errors),
+        "mean": math.fsum(errors) / len(errors),
+        "median": percentile(errors, 0.5),
+        "p95": percentile(errors, 0.95),
+        "max": max(errors),
+        "rmse": math.sqrt(math.fsum(error**2 for error in errors) / len(errors)),
+    }
+
+
+def recall_at_k(retrieved, map_xy, query_xy, radius: float, k: int) -> tuple[int, int]:
+    """Return hits and answerable queries."""
+    hits = answerable = 0
+    for ranking, query in zip(retrieved, query_xy, strict=True):
+        found = False
+        for place in ranking[:k]:
+            if math.dist(map_xy[place], query) <= radius:
+                found = True
+        hits += found
+        answerable += any(math.dist(known, query) <= radius for known in map_xy)
+    return hits, answerable
+
+
+def pair_accuracy(distances, same, margin: float, threshold: float) -> tuple[int, int, int, int]:
+    """Return right and all of the same-room pairs, then of the others."""
+    right = {True: 0, False: 0}
+    count = {True: 0, False: 0}
+    for distance, truth in zip(distances, same, strict=True):
+        judged_same = min(distance / margin, 1) < threshold
+        count[bool(truth)] += 1
+        right[bool(truth)] += judged_same == bool(truth)
+    return right[True], count[True], right[False], count[False]
+
+
+def confusion(true, predicted, labels) -> list[list[int]]:
+    return [
+        [sum(1 for t, p in zip(true, predicted, strict=True) if (t, p) == (row, column)) for column in labels]
+        for row in labels
+    ]
+
+
+def heading_error(estimated, true) -> list[float]:
+    return [abs(math.atan2(math.sin(a - b), math.cos(a - b))) for a, b in zip(estimated, true, strict=True)]

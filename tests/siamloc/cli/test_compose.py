@@ -1,0 +1,73 @@
+from pathlib import Path
+
+import pytest
+
+from siamloc.cli import main
+from siamloc.cli.compose import compose, config_folder, plain
+from siamloc.data.roles import Protocol
+from siamloc.errors import ConfigError
+from siamloc.models import BRANCHES, HEADS
+
+GROUPS = sorted(path.parent.relative_to(config_folder()).as_posix() for path in config_folder().rglob("*/*.yaml"))
+
+
+def options(group):
+    return sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        f"{group}={option}"
+        for group in sorted(set(GROUPS))
+        if group not in ("building", "simulate")
+        for option in options(group)
+    ],
+)
+def test_every_configuration_file_composes(override):
+    where = ["data.manifest=x"] if override == "data=manifest" else ["data.root=x"]
+    data = [] if override.startswith("data=") else ["data=folder"]
+    config = compose([*data, override, *where])
+    Protocol.from_config(plain(config.protocol))
+
+
+def test_configured_branches_and_heads_are_the_registered_ones():
+    assert options("model/branch") == sorted(BRANCHES)
+    assert options("model/head") == sorted(HEADS)
+
+
+def test_omnidirectional_data_is_unwrapped_by_default():
+    assert compose(["data=cold", "data.root=x"]).unwrap.kind == "polar"
+    assert compose(["data=cold", "data.root=x", "unwrap=none"]).unwrap.kind == "none"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["data=manifst"], "did you mean 'manifest'"),
+        (["model/branch=vg16"], "did you mean 'vgg16'"),
+        (["model/head=fc500_500"], "did you mean 'fc500_500_5'"),
+        (["data.manifst=x"], "did you mean 'data.manifest'"),
+        (["protocol.trian.sequences=[a]"], "did you mean 'protocol.train'"),
+        (["epoch=3"], "did you mean 'epochs'"),
+        (["model/brunch=vgg16"], "did you mean"),
+        (["epochs"], "epochs"),
+        (["data=manifest"], "data.manifest is not set"),
+    ],
+)
+def test_mistakes_are_one_line_with_the_nearest_name(words, says, capsys):
+    assert main(["prepare", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("siamloc: ")
+    assert says in error
+    assert error.count("\n") == 1
+
+
+def test_compose_raises_what_the_command_line_prints():
+    with pytest.raises(ConfigError, match="did you mean 'vgg16'"):
+        compose(["model/branch=vg16"])
+
+
+def test_configuration_lies_in_the_package_or_beside_it():
+    assert (config_folder() / "config.yaml").is_file()
+    assert config_folder().parent in (Path(__file__).parents[3], Path(__file__).parents[3] / "siamloc")
