@@ -1,0 +1,121 @@
+"""What every benchmark hands over: the machine, the versions, the figures, and whether the targets were met.
+
+Run a benchmark as a module from the project's root, such as `python -m benchmarks.search`. Each writes
+`<name>.json` into the folder of `--out`; the date stands inside.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import date
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from siamloc.files import write_json
+from siamloc.tasks.results import versions
+
+RESULTS = Path(__file__).parent / "results"
+
+Work = Callable[[], Any]
+
+
+class Report:
+    """Gathers the targets of one benchmark and writes its file.
+
+    Args:
+        name: of the benchmark, and of its file.
+        folder: of the file.
+        packages: whose versions matter besides those that siamloc always reports.
+    """
+
+    def __init__(self, name: str, folder: Path, packages: Sequence[str] = ()) -> None:
+        self.name = name
+        self.path = folder / f"{name}.json"
+        self._hardware = hardware()  # here, since the load is of interest before the work begins
+        self._packages = packages
+        self._targets: list[dict[str, Any]] = []
+
+    def target(self, text: str, met: bool) -> None:
+        """Say whether a target was met, and take it down."""
+        self._targets.append({"target": text, "met": bool(met)})
+        print(f"target {text}: {'met' if met else 'NOT met'}")
+
+    def write(self, figures: Mapping[str, Any]) -> None:
+        """Write the figures with all that they rest on."""
+        about = {
+            "benchmark": self.name,
+            "schema": 1,
+            "date": date.today().isoformat(),
+            "hardware": self._hardware,
+            "versions": {**versions(), **{package: _version(package) for package in self._packages}},
+        }
+        write_json(self.path, {**about, **figures, "targets": self._targets})
+        print(f"written to {self.path}")
+
+
+def parser(doc: str | None) -> argparse.ArgumentParser:
+    """Return a parser that shows the module's text and knows `--out`."""
+    made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--out", type=Path, default=RESULTS, metavar="FOLDER", help="folder of the JSON file")
+    return made
+
+
+def hardware() -> dict[str, Any]:
+    """Return the processor, the cores that may be used, the threads asked for, the load, and the system."""
+    return {
+        "cpu": _cpu(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "threads": os.environ.get("OMP_NUM_THREADS", "all"),
+        "load_average_before": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "system": platform.platform(),
+    }
+
+
+def seconds(works: Mapping[str, Work], repeats: int) -> dict[str, list[float]]:
+    """Return the seconds of each work, measured in turn after a warm-up, so that a busy machine slows all alike."""
+    for work in works.values():
+        work()
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(repeats):
+        for name, work in works.items():
+            start = time.perf_counter()
+            work()
+            times[name].append(time.perf_counter() - start)
+    return times
+
+
+def medians(works: Mapping[str, Work], repeats: int) -> dict[str, float]:
+    """Return the median seconds of each work, measured as `seconds`."""
+    return {name: statistics.median(values) for name, values in seconds(works, repeats).items()}
+
+
+def milliseconds(work: Work, repeats: int) -> dict[str, float]:
+    """Return medians after a warm-up: by the clock, and what the processors spent on it (less sensitive to others)."""
+    work()
+    clock, processor = [], []
+    for _ in range(repeats):
+        started = time.perf_counter(), time.process_time()
+        work()
+        clock.append(time.perf_counter() - started[0])
+        processor.append(time.process_time() - started[1])
+    return {"ms": round(1000 * statistics.median(clock), 2), "cpu_ms": round(1000 * statistics.median(processor), 2)}
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _cpu() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

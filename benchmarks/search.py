@@ -1,0 +1,96 @@
+"""Time the exact search and the evaluation of absolute localization.
+
+    OMP_NUM_THREADS=2 python -m benchmarks.search [--out FOLDER] [--quick]
+
+Run it on a machine that does nothing else: a matrix product on shared cores waits for its slowest thread. Target: 1,500
+queries evaluated against 556 map frames in less than 50 ms, search included. The large search stands beside its bare
+matrix product.
+"""
+
+from __future__ import annotations
+
+import resource
+from typing import Any
+
+import numpy as np
+
+from benchmarks.report import Report, milliseconds, parser
+from siamloc.data.frames import FrameTable
+from siamloc.maps import VisualMap, nearest
+from siamloc.tasks.absolute import evaluate_absolute
+
+WIDTHS = (5, 500, 1000)
+TARGET_MS = 50.0
+
+
+def main() -> None:
+    arguments = parser(__doc__)
+    arguments.add_argument("--repeats", type=int, default=5)
+    arguments.add_argument("--quick", action="store_true", help="a tenth of the large search, to see that it runs")
+    options = arguments.parse_args()
+    report = Report("search", options.out)
+    evaluations = [evaluation(width, options.repeats) for width in WIDTHS]
+    searches = [large_search(k, options.repeats, 10 if options.quick else 1) for k in (1, 20)]
+    for row in evaluations + searches:
+        print(row)
+    for row in evaluations:
+        what = f"evaluation of 1,500 x 556 descriptors of {row['width']} values under {TARGET_MS:.0f} ms"
+        report.target(f"{what} ({row['ms']:.1f})", row["ms"] < TARGET_MS)
+    memory = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    report.write({"evaluation": evaluations, "search": searches, "peak_memory_mb": memory})
+
+
+def evaluation(width: int, repeats: int) -> dict[str, Any]:
+    """1,500 queries against 556 map frames with given descriptors, search and all measures included."""
+    rng = np.random.default_rng(0)
+    known, queries = frames(rng, 556), frames(rng, 1500)
+    visual_map = VisualMap(rng.normal(size=(556, width)), known)
+    descriptors = rng.normal(size=(1500, width)).astype(np.float32)
+    found = visual_map.search(descriptors, 20)
+    return {
+        "what": "evaluate absolute, 1500 x 556, 9 rooms, 3 lightings",
+        "width": width,
+        **milliseconds(lambda: evaluate_absolute(visual_map, descriptors, queries).measures(), repeats * 4),
+        "search_only": milliseconds(lambda: visual_map.search(descriptors, 20), repeats * 4),
+        "without_search": milliseconds(
+            lambda: evaluate_absolute(visual_map, descriptors, queries, retrieval=found).measures(), repeats * 4
+        ),
+    }
+
+
+def large_search(k: int, repeats: int, shrink: int) -> dict[str, Any]:
+    """10,000 queries in 100,000 references of 128 values, beside the bare matrix product in blocks of 1,000 queries."""
+    rng = np.random.default_rng(0)
+    queries = rng.normal(size=(10_000 // shrink, 128)).astype(np.float32)
+    references = rng.normal(size=(100_000, 128)).astype(np.float32)
+
+    def product() -> None:
+        for start in range(0, len(queries), 1000):
+            for first in range(0, len(references), 4096):
+                queries[start : start + 1000] @ references[first : first + 4096].T
+
+    search, bare = milliseconds(lambda: nearest(queries, references, k), repeats), milliseconds(product, repeats)
+    return {
+        "what": f"search {len(queries)} x {len(references)} x 128",
+        "k": k,
+        **search,
+        "product": bare,
+        "ratio": round(search["ms"] / bare["ms"], 2),
+        "cpu_ratio": round(search["cpu_ms"] / bare["cpu_ms"], 2),
+    }
+
+
+def frames(rng: np.random.Generator, n: int) -> FrameTable:
+    rooms = np.array([f"room {i}" for i in range(9)])
+    lightings = np.array(["cloudy", "night", "sunny"])
+    return FrameTable(
+        path=np.array([f"seq/{i:06d}.jpeg" for i in range(n)]),
+        x=rng.uniform(0, 30, n),
+        y=rng.uniform(0, 15, n),
+        room=rooms[rng.integers(0, 9, n)],
+        lighting=lightings[rng.integers(0, 3, n)],
+    )
+
+
+if __name__ == "__main__":
+    main()
