@@ -16,6 +16,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.panorama import camera_from_config
 from siamloc.data.roles import Protocol
 from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.files import read_json
 from siamloc.maps import VisualMap
 from siamloc.progress import track
 from siamloc.runs import Run
@@ -34,7 +35,24 @@ def read_frames(config: DictConfig) -> FrameTable:
     if kind not in _READER_KEYS:
         raise ConfigError(f"unknown data.kind {kind!r}: {nearest(kind, _READER_KEYS)}")
     where = {key: config.data[key] for key in _READER_KEYS[kind] if key in config.data}
-    return data.read(kind, on_error=config.data.on_error, **where)
+    frames = data.read(kind, on_error=config.data.on_error, **where)
+    if kind == "cold":
+        _check_simulated(config, frames)
+    return frames
+
+
+def _check_simulated(config: DictConfig, frames: FrameTable) -> None:
+    """Compare what simulated images are, as the note beside them says, with how they would be unwrapped."""
+    for folder in sorted({Path(path).parents[1] for path in frames.path.tolist()}):
+        if not (folder / "camera.json").is_file():
+            continue
+        images = read_json(folder / "camera.json").get("images")
+        fitting = {"panorama": ("none",), "omnidirectional": ("polar", "hyperbolic")}.get(images)
+        if fitting is not None and config.unwrap.kind not in fitting:
+            raise ConfigError(
+                f"{folder} holds simulated images of kind {images}, which unwrap={config.unwrap.kind} does not fit: "
+                f"use unwrap={fitting[-1]}" + (", or simulate with camera=panorama" if images != "panorama" else "")
+            )
 
 
 def image_size(config: DictConfig) -> tuple[int, int]:

@@ -9,6 +9,9 @@ from siamloc.data.simulate.parse import parse_building, read_building_file
 from siamloc.data.simulate.plan import check_paths
 from siamloc.errors import DataError, nearest
 
+_ATTEMPTS = 20
+_STRIDE = 1_000_003
+
 
 def building_folder() -> Path:
     """Return the folder of the built-in buildings: of the source tree, or of the installed package."""
@@ -36,7 +39,17 @@ def load_building(name_or_path: str | Path, seed: int = 0) -> Building:
     if name == "random":
         from siamloc.data.simulate.draw import draw_building
 
-        building = parse_building(draw_building(seed), seed, f"random building of seed {seed}")
+        for attempt in range(_ATTEMPTS):
+            # Rarely a chair comes to stand in the path; then the next draw of the same seed is taken.
+            drawn = draw_building(seed + attempt * _STRIDE)
+            building = parse_building(drawn, seed, f"random building of seed {seed}")
+            try:
+                check_paths(building)
+            except DataError:
+                if attempt == _ATTEMPTS - 1:
+                    raise
+            else:
+                break
     else:
         path = Path(name_or_path).expanduser()
         if path.suffix not in (".yaml", ".yml"):

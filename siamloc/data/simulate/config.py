@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from siamloc.data.names import lighting_in
 from siamloc.data.simulate.camera import CAMERAS
 from siamloc.data.simulate.run import Run
 from siamloc.errors import ConfigError, nearest
@@ -27,12 +28,13 @@ class SimulateConfig:
         runs: lightings with numbers, such as ("cloudy1", "night2").
         spacing: metres between frames.
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
-        trajectory: a `places.lst`; one image per listed pose is rendered under the listed name.
+        trajectory: a `places.lst`; one image per listed pose is rendered under the listed name, in one run whose
+            lighting the list's own name tells, unless runs are given. Poses are checked, ways between them are not.
         frames: at most so many frames of each run; all if None.
         workers: processes; as many as there are processors (at most 8) if None.
         quality: of the JPEG files, 1 to 100.
         preview: write a contact sheet and a floor plan instead of the data set.
-        overwrite: replace what another configuration rendered into the folder.
+        overwrite: replace what another configuration rendered into the folder; whole images of this one stay.
     """
 
     out: Path = Path("data")
@@ -54,8 +56,6 @@ class SimulateConfig:
             raise ConfigError(f"camera {self.camera!r} is unknown; {nearest(self.camera, CAMERAS)}")
         if not self.runs:
             raise ConfigError("simulate needs at least one run, such as runs=[cloudy1]")
-        if len(set(self.runs)) < len(self.runs):
-            raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
         if not 1 <= self.quality <= 100:
             raise ConfigError(f"JPEG quality lies between 1 and 100, got {self.quality}")
         for name in ("frames", "workers"):
@@ -64,10 +64,15 @@ class SimulateConfig:
                 raise ConfigError(f"{name} must be at least 1, got {value}")
         if not self.spacing > 0:
             raise ConfigError(f"the spacing of frames must be a positive number of metres, got {self.spacing}")
-        self.drives()
+        names = [run.name for run in self.drives()]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
 
     def drives(self) -> list[Run]:
-        """Return the runs to render."""
+        """Return the runs to render; for a list of poses the one that its name tells, unless other runs are given."""
+        if self.trajectory is not None and self.runs == STANDARD_RUNS:
+            lighting = lighting_in(Path(self.trajectory).name) or "cloudy"
+            return [Run.parse(f"{lighting}1", self.path, self.spacing, self.trajectory)]
         return [Run.parse(name, self.path, self.spacing, self.trajectory) for name in self.runs]
 
     @classmethod

@@ -70,12 +70,14 @@ class _Parser:
 
     def numbers(self, where: Any, value: Any, count: int, what: str) -> tuple[float, ...]:
         whole = isinstance(value, (list, tuple)) and len(value) == count
-        if not whole or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value):
+        if not whole or not all(
+            isinstance(v, (int, float)) and not isinstance(v, bool) and np.isfinite(v) for v in value
+        ):
             raise self.error(where, f"{what} needs {count} numbers, got {value!r}")
         return tuple(float(v) for v in value)
 
     def choice(self, where: Any, value: Any, valid: Iterable[str], what: str) -> str:
-        if value not in valid:
+        if not isinstance(value, str) or value not in valid:
             raise self.error(where, f"{what} {value!r} is unknown; {nearest(str(value), valid)}")
         return str(value)
 

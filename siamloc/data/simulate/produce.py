@@ -26,7 +26,7 @@ from siamloc.data.simulate.scene import Scene, build_scene
 from siamloc.data.simulate.sensor import Exposure
 from siamloc.data.simulate.trajectory import Track
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import atomic_path, content_key, read_json, write_json, write_text
+from siamloc.files import atomic_path, content_key, read_json, storage_errors, write_json, write_text
 from siamloc.progress import track
 
 _SCHEMA = 1
@@ -56,6 +56,8 @@ class Summary:
 
 def simulate(config: SimulateConfig | Mapping[str, Any]) -> Summary:
     """Render a data set, or go on with one that was interrupted.
+
+    With several workers, processes are spawned: a script calls this under `if __name__ == "__main__":`.
 
     Raises:
         ConfigError: a parameter without a meaning.
@@ -96,7 +98,7 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
     """Say what the images of a sequence are; equal descriptions mean equal bytes."""
     camera = make_camera(config.camera)
     lens = camera.view if isinstance(camera, PanoramaCamera) else camera.mirror
-    layout = {key: value for key, value in asdict(building).items() if key != "source"}
+    layout = _without_lines({key: value for key, value in asdict(building).items() if key != "source"})
     layout["paths"] = {name: path.points for name, path in building.paths.items()}
     return {
         "schema": _SCHEMA,
@@ -115,6 +117,26 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
         "trajectory_key": None if run.trajectory is None else content_key(Path(run.trajectory).read_text("utf-8")),
         "quality": config.quality,
     }
+
+
+def _without_lines(value: Any) -> Any:
+    """Leave out where in a file things stand: a comment more makes no other building."""
+    if isinstance(value, dict):
+        return {key: _without_lines(item) for key, item in value.items() if key != "line"}
+    if isinstance(value, (list, tuple)):
+        return [_without_lines(item) for item in value]
+    return value
+
+
+def _is_whole(path: Path) -> bool:
+    """Say whether a JPEG file has its beginning and its end."""
+    with path.open("rb") as file:
+        head = file.read(2)
+        file.seek(0, os.SEEK_END)
+        if file.tell() < 4:
+            return False
+        file.seek(-2, os.SEEK_END)
+        return head == b"\xff\xd8" and file.read() == b"\xff\xd9"
 
 
 def _missing(
@@ -139,13 +161,17 @@ def _missing(
                 f"{sequence} holds images of another simulation (different: {', '.join(changed)}): choose another "
                 "out, or replace them with overwrite=true"
             )
-        for file in images.iterdir():
-            if file.name.startswith(".") or found != wanted:
-                file.unlink()  # left over by a process that was killed, or by another simulation
-            else:
-                present.add(file.name)
-    if any(name not in present for name in drive.names):
-        (sequence / "localization" / "places.lst").unlink(missing_ok=True)
+        pictures = [file for file in images.iterdir() if file.is_file()]
+        if found == wanted:
+            present = {file.name for file in pictures if not file.name.startswith(".") and _is_whole(file)}
+        with storage_errors(images):
+            if any(name not in present for name in drive.names):
+                # First, so that no list ever names an image that is gone.
+                (sequence / "localization" / "places.lst").unlink(missing_ok=True)
+            for file in pictures:
+                # Left over by a process that was killed, cut short, or of another simulation.
+                if file.name not in present:
+                    file.unlink(missing_ok=True)
     write_json(note, wanted)
     rows = [row for row, name in enumerate(drive.names) if name not in present]
     return [(run, rows[start : start + _BATCH]) for start in range(0, len(rows), _BATCH)]
@@ -162,9 +188,14 @@ def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iter
     workers = config.workers or min(_processors(), 8)
     workers = min(workers, len(work))
     if workers <= 1:
-        for run, rows in work:
-            for _ in range(_batch(config, run, rows)):
-                yield 1
+        global _stage
+        _stage = None  # a file of the same name may hold another building than in an earlier call
+        try:
+            for run, rows in work:
+                for _ in range(_batch(config, run, rows)):
+                    yield 1
+        finally:
+            _stage = None
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare_worker) as pool:
         pending = [pool.submit(_batch, config, run, rows) for run, rows in work]
@@ -174,7 +205,9 @@ def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iter
                     yield 1
         except BrokenProcessPool as error:
             raise DataError(
-                "a rendering process died, perhaps for want of memory: run again with fewer workers, what is done stays"
+                "a rendering process died, perhaps for want of memory: run again with fewer workers, what is done "
+                "stays; "
+                "in a script of your own call simulate under `if __name__ == '__main__':`"
             ) from error
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -104,6 +104,7 @@ def listed(building: Building, file: FilePath) -> Track:
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"the trajectory {file} cannot be read: {error}") from error
     names, rows = [], []
+    lines_of: dict[str, int] = {}
     for number, text in enumerate(lines, start=1):
         if not text.strip():
             continue
@@ -113,6 +114,11 @@ def listed(building: Building, file: FilePath) -> Track:
             raise DataError(
                 f"{file}, line {number}: expected an image named t<seconds>_x<m>_y<m>_a<rad>.jpeg, got {name!r}"
             )
+        if not name.lower().endswith((".jpeg", ".jpg")):
+            raise DataError(f"{file}, line {number}: images are written as JPEG, but the list names {name}")
+        if name in lines_of:
+            raise DataError(f"{file}, line {number}: image {name} stands in line {lines_of[name]} already")
+        lines_of[name] = number
         rows.append(pose)
         names.append(name)
     if not rows:
@@ -124,7 +130,7 @@ def listed(building: Building, file: FilePath) -> Track:
         x, y = values[row, 1:3]
         raise DataError(
             f"{file}: {int(inside.sum())} of {len(rows)} poses lie in a wall or on furniture of building "
-            f"{building.name!r}, the first at ({x:.2f}, {y:.2f}): {names[row]}"
+            f"{building.name!r}, the first in line {lines_of[names[row]]} at ({x:.2f}, {y:.2f}): {names[row]}"
         )
     moved = np.linalg.norm(np.gradient(values[:, 1:3], axis=0), axis=1) if len(rows) > 1 else np.zeros(1)
     turned = np.gradient(np.unwrap(values[:, 3])) if len(rows) > 1 else np.zeros(1)

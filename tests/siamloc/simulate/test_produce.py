@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from siamloc.data.cold import read_cold
-from siamloc.data.simulate import SimulateConfig, produce, simulate
+from siamloc.data.simulate import SimulateConfig, load_building, produce, simulate
+from siamloc.data.simulate.buildings import building_folder
 from siamloc.errors import ConfigError, DataError
 
 SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
@@ -41,8 +42,10 @@ def test_the_cold_reader_reads_it(written: Path) -> None:
 
 
 def test_equal_bytes_with_other_worker_counts(written: Path, tmp_path: Path) -> None:
-    simulate({**SMALL, "out": tmp_path, "frames": 20, "workers": 2})
-    two = hashes(tmp_path)
+    simulate({**SMALL, "out": tmp_path / "two", "frames": 20, "workers": 2})
+    simulate({**SMALL, "out": tmp_path / "one", "frames": 20, "workers": 1})
+    two = hashes(tmp_path / "two")
+    assert two == hashes(tmp_path / "one")
     for name, value in hashes(written).items():
         if name.endswith(".jpeg"):
             assert two[name] == value
@@ -123,3 +126,46 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
 def test_bad_configurations(change: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         SimulateConfig.of(change)
+
+
+def test_an_edited_building_is_rendered_anew_in_the_same_process(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.yaml"
+    text = (building_folder() / "mini.yaml").read_text(encoding="utf-8")
+    plan.write_text(text, encoding="utf-8")
+    simulate({**SMALL, "building": str(plan), "out": tmp_path / "a", "frames": 1, "workers": 1})
+    plan.write_text(text.replace("tiles_floor", "carpet_red").replace("linoleum", "parquet"), encoding="utf-8")
+    assert plan.read_text(encoding="utf-8") != text
+    simulate({**SMALL, "building": str(plan), "out": tmp_path / "b", "frames": 1, "workers": 1})
+    first, second = (next(iter((tmp_path / out).rglob("*.jpeg"))).read_bytes() for out in "ab")
+    assert first != second
+
+
+def test_a_comment_more_is_the_same_building(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.yaml"
+    text = (building_folder() / "mini.yaml").read_text(encoding="utf-8")
+    plan.write_text(text, encoding="utf-8")
+    words = {**SMALL, "building": str(plan), "out": tmp_path / "a", "frames": 2, "workers": 1}
+    simulate(words)
+    plan.write_text(f"# one line more\n{text}", encoding="utf-8")
+    assert simulate(words).rendered == 0
+
+
+@pytest.mark.parametrize("size", [0, 3, 500])
+def test_a_cut_image_is_rendered_again(tmp_path: Path, size: int) -> None:
+    words = {**SMALL, "out": tmp_path, "frames": 3, "workers": 1}
+    simulate(words)
+    whole = hashes(tmp_path)
+    picture = min(tmp_path.rglob("*.jpeg"))
+    picture.write_bytes(picture.read_bytes()[:size])
+    assert simulate(words).rendered == 1
+    assert hashes(tmp_path) == whole
+
+
+def test_runs_of_one_name_are_refused() -> None:
+    with pytest.raises(ConfigError, match="listed twice"):
+        SimulateConfig(runs=("cloudy1", "cloudy01"))
+
+
+@pytest.mark.parametrize("seed", [94, 137])
+def test_random_buildings_leave_their_path_free(seed: int) -> None:
+    assert load_building("random", seed).paths

@@ -92,8 +92,16 @@ def test_bad_lists_and_paths(mini: Building, tmp_path: FilePath) -> None:
     file.write_text("picture.jpeg CR-A\n")
     with pytest.raises(DataError, match=r"line 1: expected an image named t<seconds>"):
         listed(mini, file)
+    file.write_text("t1_x0.4_y5.4_a0.png 1PO-A\n")
+    with pytest.raises(DataError, match=r"line 1: images are written as JPEG"):
+        listed(mini, file)
+    file.write_text("t1_x2_y1_a0.jpeg CR-A\nt1_x2_y1_a0.jpeg CR-A\n")
+    with pytest.raises(DataError, match=r"line 2: image t1_x2_y1_a0\.jpeg stands in line 1 already"):
+        listed(mini, file)
     file.write_text("t1_x0.4_y5.4_a0.jpeg 1PO-A\n")
-    with pytest.raises(DataError, match=r"1 of 1 poses lie in a wall or on furniture .* the first at \(0.40, 5.40\)"):
+    with pytest.raises(
+        DataError, match=r"1 of 1 poses lie in a wall or on furniture .* the first in line 1 at \(0.40, 5.40\)"
+    ):
         listed(mini, file)
     with pytest.raises(ConfigError, match="has no path 'path3'; did you mean 'path"):
         drive(mini, "path3", 0.15, np.random.default_rng(0), 0.0)
