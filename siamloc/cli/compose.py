@@ -94,8 +94,8 @@ def run(command: str, main: Main, words: list[str]) -> int:
     return 0
 
 
-def run_composed(command: str, main: Main, words: list[str]) -> DictConfig:
-    """Run a command inside another one, as `run` would, without Hydra's launcher; return its configuration."""
+def run_composed(command: str, main: Main, words: list[str]) -> None:
+    """Run a command inside another one, as `run` would, without Hydra's launcher."""
     if COMMANDS[command].inherits:
         words = _inherited(command, words)
     config = compose(words, COMMANDS[command].config)
@@ -105,7 +105,6 @@ def run_composed(command: str, main: Main, words: list[str]) -> DictConfig:
         main(config)
     finally:
         _given.reset(token)
-    return config
 
 
 def compose(overrides: list[str], name: str = "config") -> DictConfig:

@@ -59,8 +59,8 @@ def main(config: DictConfig) -> None:
         for name, other in others.items()
     }
     folder = run.evaluation(options["name"])
-    _write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
-    print_summary({options["name"]: main_result.measures(), **{n: b.measures() for n, b in baselines.items()}})
+    measures = _write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
+    print_summary({options["name"]: measures["measures"], **measures["baselines"]})
     for name, reason in main_result.skipped.items():
         print(f"{name} left out: {reason}")
     if config.task.plots:
@@ -219,7 +219,8 @@ def _write(
     result: Evaluation,
     baselines: dict[str, Evaluation],
     kind: str,
-) -> None:
+) -> dict[str, Any]:
+    """Write the files and return the measures of the descriptor and of its baselines."""
     tables = result.tables()
     rows = tables.pop("queries", None)
     denominators: dict[str, Any] = {}
@@ -236,6 +237,10 @@ def _write(
         denominators["pairs"] = len(result.pairs)
     for name, baseline in baselines.items():
         tables.update(baseline.tables(f"_{name}"))
+    measures = {
+        "measures": result.measures(),
+        "baselines": {name: baseline.measures() for name, baseline in baselines.items()},
+    }
     write_results(
         folder,
         {
@@ -243,11 +248,11 @@ def _write(
             "protocol": kind,
             "descriptor": descriptor.identity,
             "config": plain(config),
-            "measures": result.measures(),
-            "baselines": {name: baseline.measures() for name, baseline in baselines.items()},
+            **measures,
             "denominators": denominators,
             "skipped": result.skipped,
         },
         rows,
         tables,
     )
+    return measures
