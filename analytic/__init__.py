@@ -5,9 +5,23 @@ Arrays of numpy go in and come out. Importing the package does not load torch.
 
 from __future__ import annotations
 
-from analytic.descriptors.base import Description, Descriptor
+from analytic.descriptors.base import Alignment, Description, Descriptor, Match
+from analytic.descriptors.image import ImageDescriptor
+from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.descriptors.thumbnail import Thumbnail
 from analytic.distances import DISTANCES, distance
 from analytic.errors import AnalyticError
 
-__all__ = ["DISTANCES", "AnalyticError", "Description", "Descriptor", "Thumbnail", "distance"]
+__all__ = [
+    "DESCRIPTORS",
+    "DISTANCES",
+    "Alignment",
+    "AnalyticError",
+    "Description",
+    "Descriptor",
+    "ImageDescriptor",
+    "Match",
+    "Thumbnail",
+    "descriptor",
+    "distance",
+]

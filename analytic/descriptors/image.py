@@ -1,0 +1,145 @@
+"""What the seven descriptors of images have in common: grey values in, parameters as fields, errors for bad sizes."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.descriptors.base import Alignment, Description, Descriptor, shaped, with_channels
+from analytic.errors import AnalyticError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+_LUMA = (0.299, 0.587, 0.114)
+Part = Any  # a tensor, or an array
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageDescriptor(Descriptor):
+    """A descriptor of grey images. Subclasses are frozen dataclasses whose fields are the parameters.
+
+    Args:
+        circular: whether columns are azimuth and wrap around. An ordinary camera's do not; it has no heading either.
+        homomorphic: whether images go through `analytic.filters.homomorphic` first ([C] 2.4).
+        device: where torch computes; it changes no result beyond rounding and is no part of the identity.
+    """
+
+    circular: bool = True
+    homomorphic: bool = False
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        self._check_parameters()
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Name and parameters."""
+        return {"name": self.name, **{f.name: getattr(self, f.name) for f in fields(self) if f.name != "device"}}
+
+    @abstractmethod
+    def resolution(self, width: int) -> float:
+        """Return the smallest turn that the orientation part tells, rad, on images of that many columns."""
+
+    @abstractmethod
+    def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the shapes of position and orientation of one image, as [T] table 3.2 writes them."""
+
+    def describe(self, batch: ArrayLike) -> Description:
+        """Describe grey or colour images (colour becomes BT.601 luma).
+
+        Args:
+            batch: (B, H, W), (B, 3, H, W) or one image (H, W), (3, H, W); uint8, or floating point in [0, 1]. A
+                tensor may lie on any device.
+
+        Raises:
+            AnalyticError: another shape or type, images of different sizes, values that are not finite or out of
+                range, a size that the parameters do not fit.
+        """
+        import torch
+
+        with torch.inference_mode():
+            grey = grey_tensor(batch, self.device)
+            height, width = int(grey.shape[1]), int(grey.shape[2])
+            if width < 2:
+                raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
+            self._check_size(height, width)
+            if self.homomorphic:
+                from analytic.filters import homomorphic_tensor
+
+                grey = homomorphic_tensor(grey, circular=self.circular)
+            position, orientation = self._describe(grey)
+            return Description(_array(position), _array(orientation), self.identity)
+
+    def align(self, queries: Description, references: Description) -> Alignment:
+        """Return the relative heading and the aligned distance of every query to every reference; see `Descriptor`."""
+        self.check_turns()
+        return super().align(queries, references)
+
+    def check_turns(self) -> None:
+        """Raise AnalyticError if columns do not wrap around, so that there is no heading to be found."""
+        if not self.circular:
+            raise AnalyticError(
+                f"{self.name} was made with circular=False: the columns of an ordinary camera are no full turn, so "
+                "there is no relative heading to be found"
+            )
+
+    @abstractmethod
+    def _check_parameters(self) -> None:
+        """Raise AnalyticError for parameters that fit no image."""
+
+    @abstractmethod
+    def _check_size(self, height: int, width: int) -> None:
+        """Raise AnalyticError, naming sizes that would do, for images that the parameters do not fit."""
+
+    @abstractmethod
+    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
+        """Return position (B, D) and orientation (B, K, F) of grey images (B, H, W), float32 in [0, 1]."""
+
+
+def grey_tensor(images: Any, device: str) -> Tensor:
+    """Return images as luma (B, H, W), float32 in [0, 1], on a device. Errors as `ImageDescriptor.describe`."""
+    import torch
+
+    if isinstance(images, torch.Tensor):
+        tensor = shaped(images)
+        if tensor.dtype != torch.uint8 and not tensor.is_floating_point():
+            raise AnalyticError(f"images must be uint8 or floating point in [0, 1], got {tensor.dtype}")
+    else:
+        tensor = torch.from_numpy(_plain(with_channels(images)))
+    tensor = tensor.to(device)
+    if tensor.dtype == torch.uint8:
+        values = tensor.to(torch.float32).mul_(1 / 255)
+    else:
+        values = tensor.to(torch.float32)
+        low, high = (float(value) for value in values.aminmax())
+        if not (low >= 0 and high <= 1):
+            bad = "not finite" if not np.isfinite(low + high) else f"between {low:g} and {high:g}"
+            raise AnalyticError(f"floating-point images must have values in [0, 1], got values {bad}")
+    if values.shape[1] == 1:
+        return values[:, 0]
+    red, green, blue = values.unbind(1)
+    return (red * _LUMA[0]).add_(green, alpha=_LUMA[1]).add_(blue, alpha=_LUMA[2])
+
+
+def _plain(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array that torch takes without a warning: writable, of native byte order, with forward strides."""
+    if array.flags.writeable and array.dtype.isnative and all(stride >= 0 for stride in array.strides):
+        return array
+    return np.array(array, dtype=array.dtype.newbyteorder("="), order="C")
+
+
+def _array(part: Part) -> NDArray[Any]:
+    return np.ascontiguousarray(part if isinstance(part, np.ndarray) else part.cpu().numpy())
+
+
+def divisors_near(number: int, wanted: int) -> str:
+    """Return, for an error, the divisors of a number next to one that does not divide it."""
+    every = [d for d in range(1, number + 1) if number % d == 0]
+    below = [d for d in every if d <= wanted][-1:]
+    above = [d for d in every if d > wanted][:1]
+    return " or ".join(map(str, below + above))

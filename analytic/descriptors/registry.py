@@ -1,0 +1,48 @@
+"""Descriptors by name."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Any, cast
+
+from analytic.descriptors.image import ImageDescriptor
+from analytic.errors import AnalyticError
+
+DESCRIPTORS: dict[str, tuple[str, str]] = {
+    "fs": ("fourier", "FourierSignature"),
+    "hog": ("hog", "Hog"),
+    "gist": ("gist", "Gist"),
+    "wisurf": ("wisurf", "WiSurf"),
+    "briefgist": ("briefgist", "BriefGist"),
+    "radon_fourier": ("radon", "RadonFourier"),
+    "radon_poc": ("radon", "RadonPoc"),
+}
+
+
+def descriptor(name: str, **params: Any) -> ImageDescriptor:
+    """Return the descriptor of that name.
+
+    Args:
+        name: one of DESCRIPTORS.
+        params: see the class; what is left out has the configuration that [T] found best.
+
+    Raises:
+        AnalyticError: an unknown name or parameter, or a value that fits no image.
+    """
+    if name not in DESCRIPTORS:
+        raise AnalyticError(f"unknown descriptor {name!r}: {_nearest(name, list(DESCRIPTORS))}")
+    module, kind = DESCRIPTORS[name]
+    made = cast(type[ImageDescriptor], getattr(import_module(f"analytic.descriptors.{module}"), kind))
+    valid = [field.name for field in fields(made)]
+    for key in params:
+        if key not in valid:
+            raise AnalyticError(f"descriptor {name!r} has no parameter {key!r}: {_nearest(key, valid)}")
+    return made(**params)
+
+
+def _nearest(word: str, valid: list[str]) -> str:
+    close = get_close_matches(str(word), valid, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}valid: {', '.join(valid)}"
