@@ -29,6 +29,7 @@ from augment.thesis import Variant, variants
 
 Job = tuple[int, Path, list[Path], list[Variant]]  # frame, source, its outputs, the variants to be made
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
+Reader = Callable[[Path], NDArray[np.uint8]]
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ def expand(
     threads: int = 2,
     on_error: Literal["skip", "raise"] = "skip",
     progress: Progress | None = None,
+    read: Reader | None = None,
 ) -> Expansion:
     """Write the variants of images, each file whole or not at all.
 
@@ -74,6 +76,8 @@ def expand(
         threads: pictures in work at once.
         on_error: "skip" reports a source that cannot be read and goes on; "raise" stops.
         progress: called with (items, total, what), yields the items; for a bar.
+        read: returns the picture (3, H, W), uint8, RGB, of a source, or raises AugmentError; called from several
+            threads. The file as it is if None.
 
     Raises:
         AugmentError: no images, outputs that do not fit or coincide, a folder that is not empty, a resume with other
@@ -100,8 +104,12 @@ def expand(
             file.truncate(0)
             table.writeheader()
         with ThreadPoolExecutor(max(int(threads), 1)) as pool:
-            results = _bounded(pool, partial(_expand_frame, folder, int(seed)), work, 2 * max(int(threads), 1))
-            for source, made, reason in progress(results, len(work), "augmenting frames") if progress else results:
+            results = _bounded(
+                pool, partial(_expand_frame, folder, int(seed), read or read_picture), work, 2 * max(int(threads), 1)
+            )
+            for source, made, reason in (
+                progress(results, len(work), "augmenting frames") if progress and work else results
+            ):
                 if reason and on_error == "raise":
                     raise AugmentError(reason)
                 if reason:
@@ -149,16 +157,28 @@ def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
     return found[0].policy.apply(picture, {key: [value] for key, value in stored.items()})
 
 
-def _expand_frame(folder: Path, seed: int, job: Job) -> tuple[Path, list[Row], str]:
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """Return the picture (3, H, W), uint8, RGB, of an image file.
+
+    Raises:
+        AugmentError: the file is missing or no image.
+    """
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+    if image is None:
+        raise AugmentError(f"{path} {'is not a readable image' if path.is_file() else 'does not exist'}")
+    return np.ascontiguousarray(image[:, :, ::-1].transpose(2, 0, 1), dtype=np.uint8)
+
+
+def _expand_frame(folder: Path, seed: int, read: Reader, job: Job) -> tuple[Path, list[Row], str]:
     """Write what is missing of one frame; return its source, the rows of the table, and what went wrong."""
     frame, source, row, missing = job
-    image = cv2.imread(str(source), cv2.IMREAD_COLOR) if source.is_file() else None
-    if image is None:
-        return source, [], f"{source} {'is not a readable image' if source.is_file() else 'does not exist'}"
-    picture = torch.from_numpy(np.ascontiguousarray(image[:, :, ::-1].transpose(2, 0, 1)))[None]
+    try:
+        picture = torch.from_numpy(read(source))[None]
+    except AugmentError as error:
+        return source, [], str(error)
     made = []
     for variant in missing:
-        params = parameters(variant, seed, frame, image.shape[:2])
+        params = parameters(variant, seed, frame, (picture.shape[2], picture.shape[3]))
         result = variant.policy.apply(picture, params)[0].permute(1, 2, 0).numpy()[:, :, ::-1]
         target = row[variant.number]
         _write_image(target, np.ascontiguousarray(result))

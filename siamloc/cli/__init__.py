@@ -43,9 +43,9 @@ def _dispatch(words: list[str]) -> int:
     if words[0] in ("-V", "--version"):
         print(f"siamloc {__version__}")
         return 0
-    command, *overrides = words
-    if command not in COMMANDS:
-        raise ConfigError(f"unknown command {command!r}: {nearest(command, COMMANDS)}")
+    command, overrides = _command(words)
+    if command is None:
+        return 0
     if "-h" in overrides or "--help" in overrides:
         print(command_help(command))
         return 0
@@ -53,6 +53,25 @@ def _dispatch(words: list[str]) -> int:
     from siamloc.cli.compose import run
 
     return run(command, module.main, overrides)
+
+
+def _command(words: list[str]) -> tuple[str | None, list[str]]:
+    """Return the command, which may be two words, and what follows it; None if only help was asked for.
+
+    Raises:
+        ConfigError: an unknown command.
+    """
+    for count in (2, 1):
+        if " ".join(words[:count]) in COMMANDS:
+            return " ".join(words[:count]), words[count:]
+    family = [name for name in COMMANDS if name.startswith(f"{words[0]} ")]
+    if not family:
+        raise ConfigError(f"unknown command {words[0]!r}: {nearest(words[0], COMMANDS)}")
+    if {"-h", "--help"} & set(words):
+        print("\n\n".join(map(command_help, family)))
+        return None, []
+    given = " ".join(words[:2]) if len(words) > 1 and "=" not in words[1] else words[0]
+    raise ConfigError(f"unknown command {given!r}: use one of {', '.join(family)}")
 
 
 def _sentence(error: Exception) -> str | None:

@@ -97,4 +97,9 @@ _EXPECTED: dict[str, _Test] = {
     "task.pairs.count": _whole(1),
     "task.plots": _FLAG,
     "top": _whole(1),
+    "depth": _whole(1),
+    "workers": (lambda value: value is None or _whole(1)[0](value), "a whole number from 1"),
+    "count": _whole(1),
+    "out": _TEXT,
+    "sequences": (lambda value: isinstance(value, list), "a list, such as ['*cloudy3']"),
 }

@@ -136,6 +136,40 @@ COMMANDS = {
         "siamloc localize run=runs/vgg16 images=[photo.jpeg]",
         inherits=True,
     ),
+    "augment expand": Command(
+        "expand",
+        "write an augmented data set in the input's own layout",
+        """
+        Makes `depth` pictures of every frame (the original, spots of light and darkness, global light, blur and the
+        other effects, their combinations, rotations) and writes them as the data set was: COLD's folders and names
+        with the turned heading, a manifest, or an image folder. augmentation.csv holds the parameters of every
+        picture. Pictures are panoramas of data.image_size, unwrapped already.
+
+        data=manifest|cold|folder   kind of data set, with data.manifest=FILE or data.root=FOLDER
+        out=FOLDER                  where to
+        depth=16                    pictures of every frame; 16, 44, 128, 129 and 246 in the thesis
+        sequences=[...]             names or patterns of the sequences to expand; all if not given
+        resume=true                 go on in a folder that was interrupted; only what is missing is made
+        seed=0 workers=2
+        data.on_error=raise         stop at the first unreadable image instead of leaving it out
+        """,
+        "siamloc augment expand data=cold data.root=/data/COLD sequences=['*seq2_cloudy3'] depth=16 out=expanded",
+        config="expand",
+    ),
+    "augment preview": Command(
+        "preview",
+        "draw every effect at several strengths on one sheet",
+        """
+        Without images and data it shows rooms of the simulated building.
+
+        out=augmentation.png      the picture; .jpg and .webp too
+        images=[a.jpeg,folder]    panoramas to show the effects on
+        data=... unwrap=...       or frames spread over a data set
+        count=6                   how many panoramas take turns
+        """,
+        "siamloc augment preview out=augmentation.png",
+        config="preview",
+    ),
     "demo": Command(
         "demo",
         "the whole main job on a small made-up building",

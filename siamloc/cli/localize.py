@@ -8,9 +8,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from siamloc.cli.steps import finished_run
-from siamloc.data.frames import image_files
-from siamloc.errors import ConfigError, DataError
+from siamloc.cli.steps import finished_run, images_named
+from siamloc.errors import DataError
 from siamloc.files import write_text
 from siamloc.runtime import Localizer, Location
 
@@ -19,7 +18,7 @@ def main(config: DictConfig) -> None:
     """Locate the images, print a line for each and write them to a CSV file."""
     run = finished_run(config)
     folder = Path(config.bundle) if config.bundle is not None else run.bundle
-    images = _files([config.images] if isinstance(config.images, str) else list(config.images))
+    images = images_named(config.images)
     localizer = Localizer(folder, top=config.top)
     rows, failed = [], []
     for path in images:
@@ -43,24 +42,6 @@ def main(config: DictConfig) -> None:
     writer.writerows(rows)
     write_text(target, text.getvalue())
     print(f"{len(rows)} of {len(images)} images located: {target}")
-
-
-def _files(names: list[str]) -> list[Path]:
-    if not names:
-        raise ConfigError("no images given: name files or folders, images=[a.jpeg,folder]")
-    paths: list[Path] = []
-    for name in names:
-        path = Path(name)
-        if path.is_dir():
-            inside = image_files(path)
-            if not inside:
-                raise DataError(f"{path} holds no images")
-            paths.extend(inside)
-        elif path.is_file():
-            paths.append(path)
-        else:
-            raise DataError(f"there is no image {path}")
-    return paths
 
 
 def _row(path: Path, location: Location) -> dict[str, object]:

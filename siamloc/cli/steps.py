@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from analytic import Descriptor
 from siamloc.cli.compose import plain, sweep_suffix, task_overrides
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.frames import FrameTable, concatenate, image_files
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.panorama import camera_from_config
 from siamloc.data.roles import Protocol
@@ -61,6 +61,36 @@ def image_size(config: DictConfig) -> tuple[int, int]:
     if not (isinstance(size, list) and len(size) == 2 and all(isinstance(n, int) and n > 0 for n in size)):
         raise ConfigError(f"data.image_size must be [rows, columns] in pixels, got {size}")
     return size[0], size[1]
+
+
+def preprocessing(config: DictConfig) -> Preprocessing:
+    """Return how images become panoramas."""
+    camera, view = camera_from_config(plain(config.unwrap), image_size(config))
+    return Preprocessing.checked(image_size(config), camera, view if camera is not None else None)
+
+
+def images_named(names: Any) -> list[Path]:
+    """Return the image files that a key names: one file or folder, or a list of them.
+
+    Raises:
+        ConfigError: none named.
+        DataError: a file that is not there, or a folder without images.
+    """
+    paths: list[Path] = []
+    for name in [names] if isinstance(names, str) else list(names):
+        path = Path(name)
+        if path.is_dir():
+            inside = image_files(path)
+            if not inside:
+                raise DataError(f"{path} holds no images")
+            paths.extend(inside)
+        elif path.is_file():
+            paths.append(path)
+        else:
+            raise DataError(f"there is no image {path}")
+    if not paths:
+        raise ConfigError("no images given: name files or folders, images=[a.jpeg,folder]")
+    return paths
 
 
 def open_library(config: DictConfig, frames: FrameTable) -> PanoramaLibrary:
@@ -231,9 +261,7 @@ def build_map(
 
 def identity_of(config: DictConfig, descriptor: Descriptor) -> dict[str, Any]:
     """Return what decides a frame's descriptor: the descriptor's identity, and how images become panoramas."""
-    camera, view = camera_from_config(plain(config.unwrap), image_size(config))
-    preprocessing = Preprocessing.checked(image_size(config), camera, view)
-    return {**descriptor.identity, "images": preprocessing.parameters()}
+    return {**descriptor.identity, "images": preprocessing(config).parameters()}
 
 
 def _map_overrides() -> list[str]:

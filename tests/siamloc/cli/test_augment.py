@@ -1,0 +1,125 @@
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from augment.expand import replay
+from augment.expansion_files import read_table
+from siamloc import data
+from siamloc.cli import main
+from tests.drawn import write_manifest
+
+
+@pytest.fixture(scope="module")
+def manifest(tmp_path_factory):
+    return write_manifest(tmp_path_factory.mktemp("drawn"), {"day": "cloudy", "dark": "night"}, frames_per_room=1)
+
+
+def words(manifest, out, *more):
+    return [
+        *("augment", "expand", f"data.manifest={manifest}", "data.image_size=[32,128]", f"out={out}", "depth=16"),
+        *more,
+    ]
+
+
+@pytest.fixture(scope="module")
+def expanded(manifest, tmp_path_factory):
+    out = tmp_path_factory.mktemp("expanded") / "out"
+    assert main(words(manifest, out, "sequences=[day]")) == 0
+    return out
+
+
+def test_every_frame_gets_its_variants_and_the_table_repeats_them(manifest, expanded):
+    frames = data.read("manifest", manifest=manifest).select(sequence="day")
+    found = data.read("manifest", manifest=expanded / "manifest.csv", on_error="raise")
+    assert len(found) == 16 * len(frames)
+    rows = read_table(expanded / "augmentation.csv")
+    assert len(rows) == len(found)
+    for row in rows[:16]:
+        source = cv2.imread(row["source"])[:, :, ::-1].transpose(2, 0, 1)
+        picture = replay(row, torch.from_numpy(np.ascontiguousarray(source))[None])[0].numpy()
+        written = cv2.imread(str(expanded / row["image"]))[:, :, ::-1].transpose(2, 0, 1)
+        limit = 0 if row["image"].endswith(".png") else 12
+        assert np.abs(picture.astype(int) - written).mean() <= limit
+    added = [float(row["heading"]) for row in rows]
+    wrapped = np.exp(1j * (np.repeat(frames.theta, 16) + added))
+    np.testing.assert_allclose(np.exp(1j * found.theta), wrapped, atol=1e-9)
+
+
+def test_a_folder_in_use_is_refused_and_resuming_makes_what_is_missing(manifest, expanded, capsys):
+    before = {path: path.read_bytes() for path in sorted(expanded.rglob("*")) if path.is_file()}
+    assert main(words(manifest, expanded, "sequences=[day]")) == 2
+    assert "is not empty: choose another folder, or go on with resume=true" in capsys.readouterr().err
+    lost = [path for path in before if path.suffix in (".png", ".jpeg", ".jpg")][3:7]
+    untouched = {path: path.stat().st_mtime_ns for path in before if path.suffix in (".png", ".jpeg", ".jpg")}
+    for path in lost:
+        path.unlink()
+    assert main(words(manifest, expanded, "sequences=[day]", "resume=true")) == 0
+    assert f"{len(untouched) - 4} were there" in capsys.readouterr().out
+    assert {path: path.read_bytes() for path in sorted(expanded.rglob("*")) if path.is_file()} == before
+    assert all(path.stat().st_mtime_ns == when for path, when in untouched.items() if path not in lost)
+
+
+def test_one_unreadable_image_is_left_out_and_said(manifest, tmp_path, capsys):
+    table = write_manifest(tmp_path / "in", {"day": "cloudy"}, frames_per_room=1)
+    broken = data.read("manifest", manifest=table).path[1]
+    Path(broken).write_bytes(b"no image")
+    assert main(words(table, tmp_path / "out")) == 0
+    assert "left out: 1 of 3 images, the first: " in capsys.readouterr().out
+    assert len(data.read("manifest", manifest=tmp_path / "out" / "manifest.csv")) == 32
+    assert main(words(table, tmp_path / "strict", "data.on_error=raise")) == 2
+    assert str(broken) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("word", "sentence"),
+    [
+        ("depth=0", "depth must be a whole number from 1, got 0"),
+        ("sequences=[evening]", "no frame has sequence 'evening'"),
+        ("dept=3", "did you mean 'depth'"),
+        ("out={folder}", "holds images that are to be expanded"),
+    ],
+)
+def test_wrong_words_get_one_sentence(manifest, tmp_path, capsys, word, sentence):
+    assert main(words(manifest, tmp_path / "out", word.format(folder=manifest.parent))) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_data_set_is_not_expanded_into_itself(tmp_path, capsys):
+    room = tmp_path / "in" / "train" / "KT-A"
+    room.mkdir(parents=True)
+    cv2.imwrite(str(room / "a.png"), np.zeros((8, 32, 3), np.uint8))
+    common = ["augment", "expand", "data=folder", f"data.root={tmp_path / 'in'}", "data.image_size=[8,32]"]
+    assert main([*common, f"out={tmp_path / 'in' / 'more'}"]) == 2
+    assert "lies in the data set" in capsys.readouterr().err
+    assert main([*common, f"out={tmp_path / 'out'}", "depth=4"]) == 0
+    assert len(list((tmp_path / "out" / "train" / "KT-A").iterdir())) == 4
+    with (tmp_path / "out" / "augmentation.csv").open(newline="") as file:
+        assert all(json.loads(row["parameters"]) for row in csv.DictReader(file))
+
+
+def test_a_preview_of_data_and_of_files(manifest, tmp_path, capsys):
+    size = "data.image_size=[32,128]"
+    assert main(["augment", "preview", f"data.manifest={manifest}", size, f"out={tmp_path / 'a' / 'sheet.png'}"]) == 0
+    assert cv2.imread(str(tmp_path / "a" / "sheet.png")).shape[1] > 1000
+    image = data.read("manifest", manifest=manifest).path[0]
+    assert main(["augment", "preview", f"images=[{image}]", size, f"out={tmp_path / 'sheet.jpg'}"]) == 0
+    assert "21 effects on 1 panoramas" in capsys.readouterr().out
+    assert main(["augment", "preview", f"images=[{manifest}]", f"out={tmp_path / 'sheet.png'}"]) == 2
+    assert f"{manifest} cannot be shown: " in capsys.readouterr().err
+    assert main(["augment", "preview", f"images=[{image}]", f"out={tmp_path / 'sheet.txt'}"]) == 2
+    assert "must be a picture" in capsys.readouterr().err
+
+
+def test_the_two_commands_are_named_where_one_is_missing(capsys):
+    assert main(["augment", "depth=3"]) == 2
+    assert "unknown command 'augment': use one of augment expand, augment preview" in capsys.readouterr().err
+    assert main(["augment", "--help"]) == 0
+    assert capsys.readouterr().out.count("example:") == 2
