@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 Item = TypeVar("Item")
 
 
-def track(items: Iterable[Item], total: int, what: str, every_seconds: float = 10.0) -> Iterator[Item]:
+def track(
+    items: Iterable[Item],
+    total: int,
+    what: str,
+    every_seconds: float = 10.0,
+    size: Callable[[Item], int] | None = None,
+) -> Iterator[Item]:
     """Yield the items and show how far the work is, its rate and the time left, on standard error.
 
     Args:
@@ -18,14 +24,19 @@ def track(items: Iterable[Item], total: int, what: str, every_seconds: float = 1
         total: how many there are.
         what: the work in words, such as "decoding images".
         every_seconds: distance of the plain lines when standard error is not a terminal.
+        size: how many of the total an item stands for, such as `len` for batches; 1 if None.
     """
     if sys.stderr.isatty():
-        yield from _bar(items, total, what)
+        yield from _bar(items, total, what, size or _one)
     else:
-        yield from _lines(items, total, what, every_seconds)
+        yield from _lines(items, total, what, every_seconds, size or _one)
 
 
-def _bar(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
+def _one(item: object) -> int:
+    return 1
+
+
+def _bar(items: Iterable[Item], total: int, what: str, size: Callable[[Item], int]) -> Iterator[Item]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -37,19 +48,24 @@ def _bar(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
         TimeRemainingColumn(),
     )
     start = time.monotonic()
+    done = 0
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task(what, total=total, rate="")
-        for done, item in enumerate(items, start=1):
+        for item in items:
             yield item
+            done += size(item)
             rate = done / max(time.monotonic() - start, 1e-9)
-            progress.update(task, advance=1, rate=f"{rate:.1f}/s")
+            progress.update(task, completed=done, rate=f"{rate:.1f}/s")
 
 
-def _lines(items: Iterable[Item], total: int, what: str, every_seconds: float) -> Iterator[Item]:
+def _lines(
+    items: Iterable[Item], total: int, what: str, every_seconds: float, size: Callable[[Item], int]
+) -> Iterator[Item]:
     start = last = time.monotonic()
     done = 0
-    for done, item in enumerate(items, start=1):
+    for item in items:
         yield item
+        done += size(item)
         now = time.monotonic()
         if now - last >= every_seconds and done < total:
             rate = done / (now - start)

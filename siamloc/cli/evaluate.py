@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
-from analytic import Descriptor
+from analytic import Description, Descriptor
 from siamloc.cli.compose import config_folder, plain
 from siamloc.cli.steps import (
     Roles,
     build_map,
-    describe_frames,
+    described,
     finished_run,
     identity_of,
+    label_of,
     make_descriptor,
     map_file,
 )
@@ -23,9 +26,9 @@ from siamloc.cli.tables import print_summary
 from siamloc.data.frames import FrameTable
 from siamloc.data.pairs import PairSampler
 from siamloc.errors import ConfigError, DataError, SiamlocError, nearest
-from siamloc.maps import VisualMap
+from siamloc.maps import Retrieval, VisualMap, estimated_headings, match
 from siamloc.runs import Run
-from siamloc.tasks.absolute import AbsoluteResult, evaluate_absolute
+from siamloc.tasks.absolute import AbsoluteResult, evaluate_absolute, neighbours
 from siamloc.tasks.results import write_results
 from siamloc.tasks.room_retrieval import PairResult, RoomResult, evaluate_pairs, evaluate_rooms
 
@@ -42,7 +45,8 @@ def main(config: DictConfig) -> None:
     options = plain(config.descriptor)
     descriptor = make_descriptor(config, run, options)
     skipped: dict[str, str] = {}
-    others = _baseline_descriptors(config, run, options["name"], skipped)
+    label = label_of(options)
+    others = _baseline_descriptors(config, run, label, skipped)
     known = _saved_map(config, run, descriptor)
     if known is not None:
         roles = Roles(config, ("query",), known.frames)
@@ -52,15 +56,15 @@ def main(config: DictConfig) -> None:
         map_frames = roles["map"]
         known = build_map(config, descriptor, roles.library, map_frames, "describing the map")
     _check_apart(roles.protocol.kind, known.frames, roles["query"])
-    main_result = _evaluate(config, descriptor, known, roles, options["name"])
+    main_result = _evaluate(config, descriptor, known, roles, label)
     main_result.skipped.update(skipped)
     baselines = {
         name: _evaluate(config, other, _map_like(config, other, map_frames, roles, name), roles, name)
         for name, other in others.items()
     }
-    folder = run.evaluation(options["name"])
+    folder = run.evaluation(label)
     measures = _write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
-    print_summary({options["name"]: measures["measures"], **measures["baselines"]})
+    print_summary({label: measures["measures"], **measures["baselines"]})
     for name, reason in main_result.skipped.items():
         print(f"{name} left out: {reason}")
     if config.task.plots:
@@ -93,7 +97,7 @@ class Evaluation:
 
 def _saved_map(config: DictConfig, run: Run, descriptor: Descriptor) -> VisualMap | None:
     """Return the map that `siamloc map` made for this descriptor, if there is one."""
-    path = map_file(run, config.descriptor.name)
+    path = map_file(run, label_of(plain(config.descriptor)))
     if not path.is_file():
         return None
     known = VisualMap.load(path)
@@ -143,33 +147,95 @@ def _map_like(config: DictConfig, descriptor: Descriptor, frames: FrameTable, ro
 
 
 def _evaluate(config: DictConfig, descriptor: Descriptor, known: VisualMap, roles: Roles, name: str) -> Evaluation:
-    queries = roles["query"]
-    vectors = describe_frames(descriptor, roles.library, queries, f"describing the queries, {name}")
     result = Evaluation()
-    if "absolute" in config.task.names:
-        part = _that_have(config, "position", "absolute", known, vectors, queries, result)
-        if part is not None:
-            result.absolute = evaluate_absolute(*part, list(config.task.radii), list(config.task.ks))
-    if "room_retrieval" in config.task.names:
-        part = _that_have(config, "room label", "room_retrieval", known, vectors, queries, result)
-        if part is not None:
-            result.rooms = evaluate_rooms(*part)
-            result.pairs = _pairs(config, descriptor, part[1], part[2], result.skipped)
-    if result.absolute is None and result.rooms is None:
+    queries = roles["query"]
+    k = neighbours(list(config.task.ks), len(known))
+    searches = {
+        task: search
+        for task, what, count in (("absolute", "position", k), ("room_retrieval", "room label", 1))
+        if task in config.task.names and (search := _search(config, what, task, known, queries, count, result))
+    }
+    if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(result.skipped.values())}")
+    vectors = _run_searches(descriptor, roles, searches, f"describing the queries, {name}")
+    if "absolute" in searches:
+        search = searches["absolute"]
+        radii, ks = list(config.task.radii), list(config.task.ks)
+        result.absolute = evaluate_absolute(
+            search.known, None, queries.take(search.rows), radii, ks, search.retrieval, search.headings
+        )
+    if "room_retrieval" in searches:
+        search = searches["room_retrieval"]
+        labelled = queries.take(search.rows)
+        result.rooms = evaluate_rooms(search.known, None, labelled, search.retrieval)
+        if vectors is not None:
+            result.pairs = _pairs(config, descriptor, vectors[search.rows], labelled, result.skipped)
     return result
 
 
-def _that_have(
+@dataclass
+class _Search:
+    """Queries to be looked for in a map, and what was found so far.
+
+    Attributes:
+        known: map frames that have what the task needs.
+        rows: of the queries that have it (n,), in order.
+        k: neighbours wanted.
+    """
+
+    known: VisualMap
+    rows: NDArray[np.int64]
+    k: int
+    found: list[Retrieval] = field(default_factory=list)
+    turned: list[NDArray[np.float64] | None] = field(default_factory=list)
+
+    @property
+    def retrieval(self) -> Retrieval:
+        return Retrieval(
+            np.concatenate([part.indices for part in self.found]),
+            np.concatenate([part.distances for part in self.found]),
+        )
+
+    @property
+    def headings(self) -> NDArray[np.float64] | None:
+        told = [part for part in self.turned if part is not None]
+        return np.concatenate(told) if len(told) == len(self.turned) else None
+
+
+def _run_searches(descriptor: Descriptor, roles: Roles, searches: dict[str, _Search], what: str) -> Vectors | None:
+    """Describe the queries and look for them; return the position parts, or None for such as are not kept.
+
+    The parts of descriptors that are compared after turning are large, so that only those of a batch are there at once.
+    """
+    parts: Iterable[Description] = described(descriptor, roles.library, roles["query"], what)
+    if not descriptor.aligned:
+        parts = [Description.concatenate(list(parts))]
+    start, vectors = 0, []
+    for part in parts:
+        for search in searches.values():
+            inside = search.rows[(search.rows >= start) & (search.rows < start + len(part))] - start
+            queries = part if len(inside) == len(part) else part.take(inside)
+            if len(queries):
+                found = match(search.known, queries, descriptor, search.k)
+                search.found.append(found)
+                search.turned.append(estimated_headings(search.known, queries, descriptor, found))
+        start += len(part)
+        vectors.append(part.position)
+        if descriptor.aligned:
+            vectors.clear()
+    return vectors[0] if vectors else None
+
+
+def _search(
     config: DictConfig,
     what: str,
     task: str,
     known: VisualMap,
-    vectors: Vectors,
     queries: FrameTable,
+    k: int,
     result: Evaluation,
-) -> tuple[VisualMap, Vectors, FrameTable] | None:
-    """Return map and queries without the frames that lack what a task needs, and note how many those are."""
+) -> _Search | None:
+    """Return the search among the frames that have what a task needs, and note how many do not."""
     in_map, in_queries = (
         table.has_position if what == "position" else table.room != "" for table in (known.frames, queries)
     )
@@ -183,9 +249,7 @@ def _that_have(
         if config.data.on_error == "raise":
             raise DataError(f"{text}: data.on_error=skip leaves them out")
         result.skipped[f"{task}, {where}"] = text
-    if not in_map.all():
-        known = replace(known, descriptors=known.descriptors[in_map], frames=known.frames.take(in_map))
-    return known, vectors[in_queries], queries.take(in_queries)
+    return _Search(known if in_map.all() else known.take(in_map), np.flatnonzero(in_queries), k)
 
 
 def _pairs(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from omegaconf import DictConfig
 
-from analytic import Descriptor
+from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from siamloc.cli.compose import plain, sweep_suffix, task_overrides
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, concatenate, image_files
@@ -190,6 +191,11 @@ def train_run(config: DictConfig) -> Run:
     return Run(folder / suffix if suffix else folder)
 
 
+def label_of(options: Mapping[str, Any]) -> str:
+    """Return what a descriptor's folder and its row in a table are called: its label if it has one, else its name."""
+    return str(options.get("label") or options["name"])
+
+
 def map_file(run: Run, name: str) -> Path:
     """Return where the map of a descriptor lies in a run."""
     return run.map if name == "network" else run.evaluation(name) / "map.npz"
@@ -197,17 +203,18 @@ def map_file(run: Run, name: str) -> Path:
 
 def finished_run(config: DictConfig) -> Run:
     """Return the run that a command works on; for analytic descriptors any folder will do."""
-    return Run(Path(config.run) if config.run is not None else Path("runs") / config.descriptor.name)
+    return Run(Path(config.run) if config.run is not None else Path("runs") / label_of(plain(config.descriptor)))
 
 
 def make_descriptor(config: DictConfig, run: Run, options: dict[str, Any]) -> Descriptor:
     """Return a descriptor by its options (`descriptor` of the configuration), on the configured device."""
     options = dict(options)
     name = options.pop("name")
+    options.pop("label", None)
     if name == "thumbnail":
-        from analytic import Thumbnail
-
         return Thumbnail(**options)
+    if name in DESCRIPTORS:
+        return descriptor(name, **options, circular=config.data.circular, device=device(config))
     if name in ("network", "untrained"):
         from siamloc.models import SiameseModule, read_hyperparameters
 
@@ -219,7 +226,9 @@ def make_descriptor(config: DictConfig, run: Run, options: dict[str, Any]) -> De
             network = SiameseModule.load(checkpoint)
         _check_architecture(config, network, trained)
         return network.to(device(config))
-    raise ConfigError(f"unknown descriptor {name!r}: {nearest(name, ('network', 'untrained', 'thumbnail'))}")
+    raise ConfigError(
+        f"unknown descriptor {name!r}: {nearest(name, ('network', 'untrained', 'thumbnail', *DESCRIPTORS))}"
+    )
 
 
 def device(config: DictConfig) -> str:
@@ -236,26 +245,30 @@ def device(config: DictConfig) -> str:
     return str(config.device)
 
 
-def describe_frames(
-    descriptor: Descriptor, library: PanoramaLibrary, frames: FrameTable, what: str
-) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Return the position descriptors (n, D) of frames, showing progress."""
-    vectors = (vector for batch in library.batches(frames) for vector in descriptor.describe(batch).position)
-    return np.stack(list(track(vectors, len(frames), what)))
+def describe_frames(descriptor: Descriptor, library: PanoramaLibrary, frames: FrameTable, what: str) -> Description:
+    """Return the description of frames, showing progress."""
+    return Description.concatenate(list(described(descriptor, library, frames, what)))
+
+
+def described(descriptor: Descriptor, library: PanoramaLibrary, frames: FrameTable, what: str) -> Iterator[Description]:
+    """Yield the descriptions of frames, batch by batch, showing progress."""
+    parts = (descriptor.describe(batch) for batch in library.batches(frames))
+    return track(parts, len(frames), what, size=len)
 
 
 def build_map(
     config: DictConfig, descriptor: Descriptor, library: PanoramaLibrary, frames: FrameTable, what: str
 ) -> VisualMap:
     """Describe map frames and return their map."""
-    vectors = describe_frames(descriptor, library, frames, what)
+    description = describe_frames(descriptor, library, frames, what)
     return VisualMap(
-        vectors,
+        description.position,
         frames,
         identity_of(config, descriptor),
         descriptor.default_distance,
         unit=config.data.unit,
         made={"role": plain(config.protocol.map), "overrides": _map_overrides()},
+        orientation=description.orientation,
     )
 
 

@@ -10,7 +10,7 @@ from rich.table import Table
 
 
 def print_summary(methods: Mapping[str, Mapping[str, Any]]) -> None:
-    """Print a row per method and lighting: error, floor, excess, recall@1, room accuracy, and their denominators."""
+    """Print a row per method and lighting: errors, floor, excess, recall@1, room accuracy, and their denominators."""
     first = next(iter(methods.values()))
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("method")
@@ -23,6 +23,8 @@ def print_summary(methods: Mapping[str, Mapping[str, Any]]) -> None:
             table.add_column(f"{name}\n[{unit}]".replace("[", r"\["), justify="right")
         for radius in radii:
             table.add_column(f"recall@1\n{radius:g} {unit}", justify="right")
+        if _any_heading(methods):
+            table.add_column("heading\n\\[deg]", justify="right")
         table.add_column("queries", justify="right")
     if "room_retrieval" in first:
         table.add_column("room\nretrieved", justify="right")
@@ -31,7 +33,7 @@ def print_summary(methods: Mapping[str, Mapping[str, Any]]) -> None:
         table.add_column("pairs\ndifferent", justify="right")
     for method, measures in methods.items():
         for lighting in _lightings(measures):
-            table.add_row(method, lighting, *_cells(measures, lighting, first))
+            table.add_row(method, lighting, *_cells(measures, lighting, first, _any_heading(methods)))
     # Without a terminal the width is a guess that would fold the columns.
     console = Console()
     console.print(table) if console.is_terminal else Console(width=160).print(table)
@@ -49,7 +51,12 @@ def _lightings(measures: Mapping[str, Any]) -> list[str]:
     return [*labels, "all"] if len(labels) != 1 else labels
 
 
-def _cells(measures: Mapping[str, Any], lighting: str, first: Mapping[str, Any]) -> list[str]:
+def _any_heading(methods: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Say whether a method told headings."""
+    return any("heading_error" in measures.get("absolute", {}).get("overall", {}) for measures in methods.values())
+
+
+def _cells(measures: Mapping[str, Any], lighting: str, first: Mapping[str, Any], with_heading: bool) -> list[str]:
     def group(name: str) -> Mapping[str, Any] | None:
         part = measures.get(name)
         if part is None:
@@ -63,6 +70,8 @@ def _cells(measures: Mapping[str, Any], lighting: str, first: Mapping[str, Any])
         values = [error["mean"], error["median"], error["p95"], absolute["floor"]["mean"], absolute["excess"]["mean"]]
         cells += [f"{value:.3f}" for value in values]
         cells += [_percent(recall["recall"]) for recall in absolute["recall"] if recall["k"] == 1]
+        if with_heading:
+            cells.append(f"{absolute['heading_error']['mean']:.1f}" if "heading_error" in absolute else "-")
         cells.append(str(absolute["queries"]))
     if "room_retrieval" in first:
         rooms = group("room_retrieval")

@@ -5,9 +5,15 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-__all__ = ["Retrieval", "VisualMap", "nearest"]
+__all__ = ["Retrieval", "VisualMap", "estimated_headings", "match", "nearest"]
 
-_HOME = {"Retrieval": "search", "nearest": "search", "VisualMap": "visual_map"}
+_HOME = {
+    "Retrieval": "search",
+    "nearest": "search",
+    "VisualMap": "visual_map",
+    "match": "matching",
+    "estimated_headings": "matching",
+}
 
 
 def __getattr__(name: str) -> Any:

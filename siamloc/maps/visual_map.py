@@ -6,13 +6,15 @@ import json
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from analytic.descriptors.base import Description
 from analytic.distances import DISTANCES
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
@@ -35,6 +37,7 @@ class VisualMap:
         distance: how descriptors are compared: a name in `analytic.DISTANCES`.
         unit: what x and y count, "m" if nothing else is known.
         made: how its frames were chosen, as plain values; for the record only.
+        orientation: (n, K, F) what tells headings, read-only; None for a descriptor that has no such part.
 
     Raises:
         DataError: no frames, not as many descriptors as frames, or values that are not finite.
@@ -47,6 +50,7 @@ class VisualMap:
     distance: str = "euclidean"
     unit: str = "m"
     made: dict[str, Any] = field(default_factory=dict)
+    orientation: NDArray[Any] | None = None
 
     def __post_init__(self) -> None:
         descriptors = np.array(self.descriptors, dtype=np.float32)
@@ -66,6 +70,8 @@ class VisualMap:
             raise ConfigError(f"unknown distance {self.distance!r}: {nearest_name(self.distance, DISTANCES)}")
         descriptors.flags.writeable = False
         object.__setattr__(self, "descriptors", descriptors)
+        if self.orientation is not None:
+            object.__setattr__(self, "orientation", _checked_orientation(self.orientation, len(self.frames)))
         object.__setattr__(self, "identity", plain(dict(self.identity)))
 
     def __len__(self) -> int:
@@ -75,6 +81,16 @@ class VisualMap:
     def width(self) -> int:
         """Values in a descriptor, D."""
         return self.descriptors.shape[1]
+
+    @cached_property
+    def description(self) -> Description:
+        """The map as what its descriptor compares; its spectrum is computed once for all queries."""
+        return Description(self.descriptors, self.orientation)
+
+    def take(self, rows: NDArray) -> VisualMap:
+        """Return the map of the rows given by positions or by a mask."""
+        orientation = None if self.orientation is None else self.orientation[rows]
+        return replace(self, descriptors=self.descriptors[rows], frames=self.frames.take(rows), orientation=orientation)
 
     def search(self, descriptors: ArrayLike, k: int = 1) -> Retrieval:
         """Return the k nearest map frames of each descriptor (n, D), exactly; min(k, len(map)) of them.
@@ -117,6 +133,8 @@ class VisualMap:
         }
         arrays: dict[str, NDArray] = {"header": np.array(json.dumps(header, ensure_ascii=False))}
         arrays["descriptors"] = self.descriptors
+        if self.orientation is not None:
+            arrays["orientation"] = self.orientation
         arrays.update({f"frame_{name}": column for name, column in self.frames.columns().items()})
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
             for name, array in arrays.items():
@@ -152,6 +170,7 @@ class VisualMap:
                 distance=header["distance"],
                 unit=header["unit"],
                 made=header.get("made", {}),
+                orientation=arrays.get("orientation"),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(f"{path} is not a whole siamloc map ({error}): build it anew") from error
@@ -164,6 +183,18 @@ class VisualMap:
 
 
 _ABSENT = object()
+
+
+def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
+    array = np.array(orientation)
+    if array.ndim != 3 or len(array) != frames or 0 in array.shape or array.dtype.kind not in "fcu":
+        raise DataError(
+            f"a map's orientation parts must be numbers of shape ({frames}, K, F), got {array.dtype} {array.shape}"
+        )
+    if not np.isfinite(array).all():
+        raise DataError("a map's orientation parts hold values that are not finite: look at the images")
+    array.flags.writeable = False
+    return array
 
 
 def _read_header(path: Path, arrays: Mapping[str, NDArray]) -> dict[str, Any]:

@@ -13,10 +13,11 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-from siamloc.tasks.columns import Columns, one_descriptor_per_query, room_names, rows_by_label
+from siamloc.tasks.columns import Columns, retrieve, room_names, rows_by_label
 from siamloc.tasks.metrics import (
     error_floor,
     first_rank_within,
+    heading_error,
     localization_error,
     one_percent,
     recall_from_ranks,
@@ -77,41 +78,56 @@ class AbsoluteResult:
 
 def evaluate_absolute(
     visual_map: VisualMap,
-    descriptors: ArrayLike,
+    descriptors: ArrayLike | None,
     frames: FrameTable,
     radii: Sequence[float] = (0.5, 1.0),
     ks: Sequence[int] = (1, 5, 10, 20),
     retrieval: Retrieval | None = None,
+    headings: ArrayLike | None = None,
 ) -> AbsoluteResult:
     """Locate queries in a map and compare with their true poses.
 
     Args:
         visual_map: m frames, all with positions.
-        descriptors: of the queries (n, D), n at least 1.
+        descriptors: of the queries (n, D), n at least 1; None where their retrieval is given.
         frames: the queries (n), all with positions.
         radii: radii of the recall, in units of x and y.
         ks: numbers of retrieved frames for the recall; that of 1 % of the map is always measured too.
         retrieval: what the map's search gave, to search only once; it must hold enough neighbours.
+        headings: estimated headings of the queries (n,), rad; measured where the true one is known.
 
     Raises:
         ConfigError: no radii or ks, or such that are out of range or stand twice.
         DataError: frames without positions, or descriptors that do not fit the frames or the map.
     """
     radii, ks = _checked_settings(radii, ks)
-    values = one_descriptor_per_query(descriptors, frames)
     _require_positions(frames, "queries")
     _require_positions(visual_map.frames, "map frames")
-    k = min(max(*ks, one_percent(len(visual_map))), len(visual_map))
-    found = visual_map.search(values, k) if retrieval is None else retrieval
+    k = neighbours(ks, len(visual_map))
+    found = retrieve(visual_map, descriptors, frames, k, retrieval)
     if len(found) != len(frames) or found.indices.shape[1] < k:
         raise DataError(f"the retrieval must hold {k} neighbours of {len(frames)} queries, got {found.indices.shape}")
     known = visual_map.frames
     columns = _columns(known, frames, found)
+    if headings is not None:
+        estimated = np.asarray(headings, dtype=np.float64)
+        if estimated.shape != (len(frames),):
+            raise DataError(f"{len(frames)} queries need as many headings, got shape {estimated.shape}")
+        columns["est_theta"] = estimated
+        known_heading = np.isfinite(frames.theta) & np.isfinite(estimated)
+        error = np.full(len(frames), np.nan)
+        error[known_heading] = heading_error(estimated[known_heading], frames.theta[known_heading])
+        columns["heading_error"] = np.degrees(error)
     for radius in radii:
         columns[rank_column(radius)] = first_rank_within(found.indices[:, :k], known.xy, frames.xy, radius)
     rooms = room_names(known, frames)[0]
     map_columns = {"path": known.path, "x": known.x, "y": known.y, "theta": known.theta, "room": rooms}
     return AbsoluteResult(columns, map_columns, radii, ks, visual_map.unit)
+
+
+def neighbours(ks: Sequence[int], map_frames: int) -> int:
+    """Return how many neighbours of each query the recalls need."""
+    return min(max(*ks, one_percent(map_frames)), map_frames)
 
 
 def measures_of(
@@ -122,8 +138,9 @@ def measures_of(
     Returns:
         unit, map_frames, radii, ks, and the groups "overall", "lighting" (by label) and "room" (by label). A group
         holds `queries`; `error`, `floor` and `excess` (error - floor) as summaries; `recall` as a list of
-        `metrics.Recall` as dictionaries, one per radius and k; `recall_at_one_percent`, one per radius; and
-        `baselines` by name. Queries without a label count as "(unlabelled)" where others carry one.
+        `metrics.Recall` as dictionaries, one per radius and k; `recall_at_one_percent`, one per radius;
+        `baselines` by name; and `heading_error` in degrees where headings were estimated and the true ones are known.
+        Queries without a label count as "(unlabelled)" where others carry one.
     """
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
@@ -194,7 +211,16 @@ def _group(
         "recall": recalls(ks),
         "recall_at_one_percent": recalls([one_percent(map_frames)]),
         "baselines": {name: {"error": summarize(numbers[f"baseline_{name}"])} for name in baseline_names(numbers)},
+        **_heading(numbers),
     }
+
+
+def _heading(numbers: Mapping[str, NDArray]) -> dict[str, Any]:
+    """Return the summary of the heading errors in degrees; nothing where none is known."""
+    if "heading_error" not in numbers:
+        return {}
+    known = numbers["heading_error"][np.isfinite(numbers["heading_error"])]
+    return {"heading_error": summarize(known)} if len(known) else {}
 
 
 def _checked_settings(radii: Sequence[float], ks: Sequence[int]) -> tuple[tuple[float, ...], tuple[int, ...]]:

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
+from siamloc.maps.search import Retrieval
+from siamloc.maps.visual_map import VisualMap
 
 Columns = dict[str, NDArray[Any]]
 UNLABELLED = "(unlabelled)"
@@ -31,15 +33,21 @@ def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
     return [table.room if len(buildings) <= 1 else table.place for table in tables]
 
 
-def one_descriptor_per_query(descriptors: ArrayLike, frames: FrameTable) -> NDArray:
-    """Return the descriptors as an array.
+def retrieve(
+    visual_map: VisualMap, descriptors: ArrayLike | None, frames: FrameTable, k: int, retrieval: Retrieval | None
+) -> Retrieval:
+    """Return the retrieval that was given, or search the map for the descriptors.
 
     Raises:
-        DataError: no queries, or not one descriptor for each.
+        DataError: no queries, not one descriptor for each, or neither descriptors nor a retrieval.
     """
-    values = np.asarray(descriptors)
     if not len(frames):
         raise DataError("there are no queries to evaluate")
+    if retrieval is not None:
+        return retrieval
+    if descriptors is None:
+        raise DataError("queries are evaluated by their descriptors or by their retrieval: give one of the two")
+    values = np.asarray(descriptors)
     if values.ndim != 2 or len(values) != len(frames):
         raise DataError(f"{len(frames)} queries need descriptors of shape ({len(frames)}, D), got {values.shape}")
-    return values
+    return visual_map.search(values, k)

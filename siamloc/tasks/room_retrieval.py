@@ -14,7 +14,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-from siamloc.tasks.columns import Columns, one_descriptor_per_query, room_names, rows_by_label
+from siamloc.tasks.columns import Columns, retrieve, room_names, rows_by_label
 from siamloc.tasks.metrics import confusion_matrix, pair_accuracy, pair_dissimilarity
 
 
@@ -140,23 +140,22 @@ def evaluate_pairs(
 
 
 def evaluate_rooms(
-    visual_map: VisualMap, descriptors: ArrayLike, frames: FrameTable, retrieval: Retrieval | None = None
+    visual_map: VisualMap, descriptors: ArrayLike | None, frames: FrameTable, retrieval: Retrieval | None = None
 ) -> RoomResult:
     """Take the room of the nearest map frame for each query's room.
 
     Args:
         visual_map: m frames, all with room labels.
-        descriptors: of the queries (n, D), n at least 1.
+        descriptors: of the queries (n, D), n at least 1; None where their retrieval is given.
         frames: the queries (n), all with room labels. Rooms of different buildings are different rooms.
         retrieval: what the map's search gave, to search only once.
 
     Raises:
         DataError: frames without room labels, or descriptors that do not fit the frames or the map.
     """
-    values = one_descriptor_per_query(descriptors, frames)
     _require_rooms(frames, "queries")
     _require_rooms(visual_map.frames, "map frames")
-    found = visual_map.search(values, 1) if retrieval is None else retrieval
+    found = retrieve(visual_map, descriptors, frames, 1, retrieval)
     if len(found) != len(frames):
         raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")
     match = found.indices[:, 0]

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+import analytic
+from siamloc.data.frames import FrameTable
+from siamloc.errors import FormatError
+from siamloc.maps import VisualMap, estimated_headings, match
+
+RNG = np.random.default_rng(5)
+IMAGES = RNG.integers(0, 256, (9, 16, 64), dtype=np.uint8)
+HOG = analytic.descriptor("hog", rows=4, window=16)
+BRIEF = analytic.descriptor("briefgist", rows=4, columns=16)
+
+
+def frames(n, theta=None):
+    return FrameTable(path=[f"{i}.png" for i in range(n)], x=np.arange(n), y=np.zeros(n), theta=theta)
+
+
+def map_of(descriptor, images, theta=None):
+    found = descriptor.describe(images)
+    distance = descriptor.default_distance
+    return VisualMap(found.position, frames(len(images), theta), distance=distance, orientation=found.orientation)
+
+
+@pytest.mark.parametrize("descriptor", [HOG, BRIEF], ids=lambda d: d.name)
+def test_the_nearest_frames_are_those_of_all_distances(descriptor):
+    known = map_of(descriptor, IMAGES)
+    queries = descriptor.describe(np.roll(IMAGES[:4], 8, axis=2))
+    apart = descriptor.pairwise(queries, known.description)
+    found = match(known, queries, descriptor, 3)
+    assert np.array_equal(found.indices, np.argsort(apart, axis=1, kind="stable")[:, :3])
+    np.testing.assert_allclose(found.distances, np.sort(apart, axis=1)[:, :3], atol=1e-5)
+    assert match(known, queries, descriptor, 100).indices.shape == (4, 9)
+
+
+@pytest.mark.parametrize("descriptor", [HOG, BRIEF], ids=lambda d: d.name)
+def test_a_turned_frame_has_the_heading_of_its_map_frame_and_the_turn(descriptor):
+    theta = RNG.uniform(-np.pi, np.pi, len(IMAGES))
+    known = map_of(descriptor, IMAGES, theta)
+    queries = descriptor.describe(np.roll(IMAGES, 12, axis=2))  # 12 of 64 columns: to the left
+    found = match(known, queries, descriptor, 1)
+    assert found.indices[:, 0].tolist() == list(range(9))
+    headings = estimated_headings(known, queries, descriptor, found)
+    np.testing.assert_allclose(np.exp(1j * headings), np.exp(1j * (theta + 2 * np.pi * 12 / 64)), atol=1e-6)
+    assert (np.abs(headings) <= np.pi).all()
+
+
+def test_no_headings_where_there_is_nothing_to_tell_them_by():
+    queries = HOG.describe(IMAGES)
+    found = match(map_of(HOG, IMAGES), queries, HOG, 1)
+    assert estimated_headings(map_of(HOG, IMAGES), queries, HOG, found) is None  # the map frames have no heading
+    flat = analytic.Thumbnail(2, 4)
+    seen = flat.describe(IMAGES)
+    known = VisualMap(seen.position, frames(9, np.zeros(9)))
+    assert estimated_headings(known, seen, flat, match(known, seen, flat, 1)) is None
+    ordinary = analytic.descriptor("hog", rows=4, window=16, circular=False)
+    known = map_of(ordinary, IMAGES, np.zeros(9))
+    seen = ordinary.describe(IMAGES)
+    assert estimated_headings(known, seen, ordinary, match(known, seen, ordinary, 1)) is None
+
+
+def test_orientation_parts_are_saved_with_the_map(tmp_path):
+    known = map_of(HOG, IMAGES, np.zeros(9))
+    known.save(tmp_path / "map.npz")
+    loaded = VisualMap.load(tmp_path / "map.npz")
+    assert np.array_equal(loaded.orientation, known.orientation)
+    part = loaded.take(np.array([3, 1]))
+    assert np.array_equal(part.orientation, known.orientation[[3, 1]])
+    assert part.frames.path.tolist() == ["3.png", "1.png"]
+
+
+@pytest.mark.parametrize("orientation", [np.zeros((2, 3, 4)), np.zeros((9, 3)), np.full((9, 2, 2), np.nan)])
+def test_orientation_parts_that_do_not_fit_are_an_error(orientation):
+    with pytest.raises(ValueError, match="a map's orientation parts"):
+        VisualMap(np.zeros((9, 4)), frames(9), orientation=orientation)
+
+
+def test_a_map_whose_orientation_was_cut_is_no_map(tmp_path):
+    known = map_of(HOG, IMAGES)
+    known.save(tmp_path / "map.npz")
+    content = (tmp_path / "map.npz").read_bytes()
+    (tmp_path / "map.npz").write_bytes(content[: len(content) // 2])
+    with pytest.raises(FormatError, match="not a whole one"):
+        VisualMap.load(tmp_path / "map.npz")
