@@ -193,6 +193,12 @@ class SiameseModule(LightningModule, Descriptor):
     def _log_epoch(self, stage: str, statistics: PairStatistics) -> None:
         values = statistics.compute() if statistics.update_called else {}
         statistics.reset()
+        loss = values.get("loss")
+        if loss is not None and not bool(torch.isfinite(torch.as_tensor(loss))):
+            raise ConfigError(
+                f"the training diverged: {stage}/loss of epoch {self.current_epoch + 1} is {float(loss)}; train anew "
+                f"with a smaller optimizer.learning_rate than {self.hparams['learning_rate']:g}"
+            )
         # The sums are already those of all processes; averaging equal numbers over them changes nothing.
         self.log_dict({f"{stage}/{name}": value for name, value in values.items()}, sync_dist=True)
 

@@ -270,3 +270,14 @@ def test_describing_is_in_full_precision_under_autocast():
 def test_images_that_cannot_be_described_are_refused(images, message):
     with pytest.raises(DataError, match=message):
         make().describe(images)
+
+
+@pytest.mark.parametrize("stage", ["train", "val"])
+def test_a_training_that_diverges_is_stopped_before_its_epoch_is_saved(stage):
+    module = make(learning_rate=0.5)
+    descriptors = torch.zeros(4, 5)
+    losses = torch.tensor([1.0, float("nan")])
+    getattr(module, f"{stage}_statistics").update(descriptors, torch.ones(2), losses, torch.tensor([True, False]))
+    end = module.on_train_epoch_end if stage == "train" else module.on_validation_epoch_end
+    with pytest.raises(ConfigError, match=f"diverged: {stage}/loss of epoch 1 is nan; .* than 0.5"):
+        end()

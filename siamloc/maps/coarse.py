@@ -1,0 +1,185 @@
+"""`CoarseLayer`: which frames of a map belong together, and what stands for each group."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import DataError, FormatError
+from siamloc.files import atomic_path, plain
+from siamloc.maps.visual_map import VisualMap
+
+_FORMAT = "siamloc-coarse-layer"
+_VERSION = 1
+UNASSIGNED = -1
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseLayer:
+    """Nodes over the frames of a map: rooms, clusters, or the places of an incremental map. Immutable.
+
+    Attributes:
+        labels: (n,) the node of each map frame, 0 ... k - 1 and none of them empty; UNASSIGNED for frames in no node.
+        representatives: (k, D) float32, the mean descriptor of each node ([C] 4).
+        positions: (k, 2) the mean position of each node's frames, NaN where no frame has one.
+        names: (k,) what nodes are called: rooms by their codes, others by their number.
+        edges: (e, 2) nodes that the robot went between, each pair once, the smaller number first.
+        made: how the layer was built (method, parameters), and what building it took, as plain values.
+
+    Raises:
+        DataError: parts that do not fit each other.
+    """
+
+    labels: NDArray[np.int64]
+    representatives: NDArray[np.float32]
+    positions: NDArray[np.float64]
+    names: NDArray[np.str_]
+    edges: NDArray[np.int64]
+    made: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        k = len(self.representatives)
+        labels = np.asarray(self.labels)
+        if labels.ndim != 1 or labels.dtype.kind not in "iu" or (labels < UNASSIGNED).any():
+            raise DataError(f"a coarse layer needs a whole number from -1 for each frame, got {labels.dtype}")
+        if not k or sorted(set(labels.tolist()) - {UNASSIGNED}) != list(range(k)):
+            raise DataError(f"a coarse layer of {k} representatives needs frames of the nodes 0 ... {k - 1}, each used")
+        if self.positions.shape != (k, 2) or self.names.shape != (k,) or self.edges.shape != (len(self.edges), 2):
+            raise DataError(
+                f"{k} nodes need positions ({k}, 2), names ({k},) and edges (e, 2), got {self.positions.shape}, "
+                f"{self.names.shape} and {self.edges.shape}"
+            )
+        for name in ("labels", "representatives", "positions", "names", "edges"):
+            array = np.array(getattr(self, name))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.representatives)
+
+    @classmethod
+    def of_labels(
+        cls,
+        known: VisualMap,
+        labels: ArrayLike,
+        names: ArrayLike | None = None,
+        made: Mapping[str, Any] | None = None,
+    ) -> CoarseLayer:
+        """Build the layer that labels of a map's frames make.
+
+        Nodes are connected where consecutive frames of one sequence lie in them.
+
+        Args:
+            known: n frames.
+            labels: (n,) node of each, 0 ... k - 1, or UNASSIGNED.
+            names: (k,); the numbers if None.
+            made: how.
+
+        Raises:
+            DataError: not one label for each frame, none that is assigned, or a node without frames.
+        """
+        labels = np.asarray(labels, dtype=np.int64)
+        if labels.shape != (len(known),):
+            raise DataError(f"{len(known)} map frames need as many labels, got shape {labels.shape}")
+        k = int(labels.max()) + 1
+        if k < 1:
+            raise DataError("no map frame was assigned to a node: there is no coarse layer to build")
+        counts = np.bincount(labels[labels >= 0], minlength=k)
+        if (counts == 0).any():
+            raise DataError(f"node {int(np.flatnonzero(counts == 0)[0])} has no frames: number the nodes without gaps")
+        members = [np.flatnonzero(labels == node) for node in range(k)]
+        return cls(
+            labels=labels,
+            representatives=np.stack(
+                [known.descriptors[rows].mean(axis=0, dtype=np.float64) for rows in members]
+            ).astype(np.float32),
+            positions=np.stack([_mean_position(known.frames.xy[rows]) for rows in members]),
+            names=np.array([str(node) for node in range(k)] if names is None else names, dtype=np.str_),
+            edges=connections(labels, known.frames.sequence),
+            made=dict(made or {}),
+        )
+
+    @classmethod
+    def of_rooms(cls, known: VisualMap) -> CoarseLayer:
+        """Build the layer of the rooms; frames without a label are in no node.
+
+        Raises:
+            DataError: no frame has a room label.
+        """
+        places = np.where(known.frames.room != "", known.frames.place, "")
+        names = sorted(set(places.tolist()) - {""})
+        if not names:
+            raise DataError("no map frame has a room label: rooms cannot be the coarse layer of this map")
+        number = {name: node for node, name in enumerate(names)}
+        labels = np.array([number.get(place, UNASSIGNED) for place in places.tolist()])
+        return cls.of_labels(known, labels, names, {"name": "rooms"})
+
+    def members(self, node: int) -> NDArray[np.int64]:
+        """Return the rows of the map in a node."""
+        return np.flatnonzero(self.labels == node)
+
+    def save(self, path: str | Path) -> None:
+        """Write the layer into one npz file, atomically.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        header = {"format": _FORMAT, "version": _VERSION, "nodes": len(self), "made": plain(self.made)}
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file,
+                header=np.array(json.dumps(header, ensure_ascii=False)),
+                **{name: getattr(self, name) for name in _ARRAYS},
+            )
+
+    @classmethod
+    def load(cls, path: str | Path) -> CoarseLayer:
+        """Read a layer that `save` wrote.
+
+        Raises:
+            FormatError: the file is missing, cut short, no such layer, or of a newer version.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise FormatError(f"{path} does not exist: build the layer first with `siamloc map build=...`")
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                header = json.loads(str(archive["header"][()]))
+                arrays = {name: archive[name] for name in _ARRAYS}
+        except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            raise FormatError(f"{path} is not a coarse layer, or not a whole one: build it anew") from error
+        if header.get("format") != _FORMAT:
+            raise FormatError(f"{path} is not a coarse layer: build it with `siamloc map build=...`")
+        if header["version"] > _VERSION:
+            raise FormatError(
+                f"{path} has format version {header['version']}, this siamloc reads up to {_VERSION}: update siamloc"
+            )
+        try:
+            return cls(**arrays, made=header["made"])
+        except DataError as error:
+            raise FormatError(f"{path} is not a whole coarse layer ({error}): build it anew") from error
+
+
+_ARRAYS = ("labels", "representatives", "positions", "names", "edges")
+
+
+def connections(labels: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
+    """Return the pairs of nodes (e, 2) that the robot went between; frames in no node are passed over."""
+    pairs: set[tuple[int, int]] = set()
+    for name in dict.fromkeys(sequence.tolist()):
+        passed = labels[(sequence == name) & (labels >= 0)]
+        steps = np.sort(np.stack([passed[:-1], passed[1:]], axis=1), axis=1)
+        pairs.update((int(a), int(b)) for a, b in steps[steps[:, 0] != steps[:, 1]])
+    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
+
+
+def _mean_position(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    known = xy[np.isfinite(xy).all(axis=1)]
+    return known.mean(axis=0) if len(known) else np.full(2, np.nan)
