@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from difflib import get_close_matches
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,13 +56,13 @@ def euclidean(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 def cosine(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector is at 1 from everything."""
     a, b = _checked(a, b)
-    return np.clip(1 - _unit(a) @ _unit(b).T, 0, 2)
+    return between_units(unit_vectors(a), unit_vectors(b))
 
 
 def correlation(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.11). A constant vector is at 1 from everything."""
     a, b = _checked(a, b)
-    return cosine(_centred(a), _centred(b))
+    return between_units(unit_vectors(a, centred=True), unit_vectors(b, centred=True))
 
 
 DISTANCES: dict[str, Pairwise] = {
@@ -99,6 +100,14 @@ def _centred(a: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.abs(centred).max(axis=1, keepdims=True, initial=0) <= rounding, 0.0, centred)
 
 
-def _unit(a: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit_vectors(a: NDArray[Any], centred: bool = False) -> NDArray[np.float64]:
+    """Return the vectors (n, D) scaled to length 1, after taking off their means if `centred`; zero ones stay zero."""
+    a = np.asarray(a, dtype=np.float64)
+    a = _centred(a) if centred else a
     norm = np.linalg.norm(a, axis=1, keepdims=True)
     return np.divide(a, norm, out=np.zeros_like(a), where=norm > 0)
+
+
+def between_units(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 1 - cosine similarity (n, m) of unit vectors (n, D) and (m, D)."""
+    return np.clip(1 - a @ b.T, 0, 2)

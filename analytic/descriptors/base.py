@@ -6,12 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.descriptors import circular
+from analytic.distances import between_units, unit_vectors
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
 
@@ -50,12 +51,14 @@ class Description:
             raise AnalyticError("there is no description to put together")
         for part in parts:
             check_alike(parts[0], part)
-        orientations = [part.orientation for part in parts if part.orientation is not None]
-        return Description(
-            np.concatenate([part.position for part in parts]),
-            np.concatenate(orientations) if orientations else None,
-            parts[0].identity,
-        )
+        return Description(*joined([(part.position, part.orientation) for part in parts]), parts[0].identity)
+
+    def units(self, centred: bool) -> NDArray[np.float64]:
+        """Return the position parts as unit vectors, centred or not, kept so that a map is normalized once."""
+        kept, name = vars(self), f"units, centred {centred}"
+        if name not in kept:
+            kept[name] = unit_vectors(self.position, centred)
+        return kept[name]
 
     @cached_property
     def spectrum(self) -> NDArray[np.complex64]:
@@ -99,10 +102,17 @@ class Descriptor(ABC):
     Attributes:
         name: what configurations and files call it.
         default_distance: the distance between position descriptors that it is meant for.
+        aligned: whether position parts are compared only after turning them alike, so that only `pairwise` can.
     """
 
-    name: str
-    default_distance: str = "euclidean"
+    name: ClassVar[str]
+    default_distance: ClassVar[str] = "euclidean"
+    aligned: ClassVar[bool] = False
+
+    @property
+    def tells_heading(self) -> bool:
+        """Whether `relative_heading` works on descriptions that have an orientation part."""
+        return True
 
     @property
     @abstractmethod
@@ -118,7 +128,12 @@ class Descriptor(ABC):
     ) -> NDArray[np.float64]:
         """Return the distances (n, m) between position descriptors, by the default distance or a named one."""
         self.check(queries, references)
-        return distance_named(distance or self.default_distance)(queries.position, references.position)
+        name = distance or self.default_distance
+        measure = distance_named(name)
+        if name not in ("cosine", "correlation"):
+            return measure(queries.position, references.position)
+        centred = name == "correlation"
+        return between_units(queries.units(centred), references.units(centred))
 
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading and the aligned distance of every query to every reference (n, m).
@@ -131,9 +146,12 @@ class Descriptor(ABC):
         """
         self.check(queries, references)
         steps = self._steps(queries, references)
-        correlation = circular.correlate(queries.spectrum, references.spectrum, steps)
-        best = correlation.argmax(axis=2)
-        peak = np.take_along_axis(correlation, best[..., None], axis=2)[..., 0].astype(np.float64)
+        best = np.zeros((len(queries), len(references)), dtype=np.int64)
+        peak = np.zeros(best.shape)
+        for part in circular.blocks(*best.shape, steps):
+            found = circular.correlate(queries.spectrum[:, part[0]], references.spectrum[:, part[1]], steps)
+            best[part] = found.argmax(axis=2)
+            peak[part] = np.take_along_axis(found, best[part][..., None], axis=2)[..., 0]
         squared = _squares(queries)[:, None] + _squares(references)[None, :] - 2 * peak
         return Alignment(circular.heading(best, steps), np.sqrt(np.maximum(squared, 0)))
 
@@ -186,6 +204,22 @@ class Descriptor(ABC):
                 )
         assert queries.orientation is not None
         return int(queries.orientation.shape[1])
+
+
+def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[NDArray[Any], NDArray[Any] | None]:
+    """Return position and orientation parts of all rows.
+
+    Where the position part is the orientation part in one line, it stays so: they are kept in memory once.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    orientations = [orientation for _, orientation in parts if orientation is not None]
+    if not orientations:
+        return np.concatenate([position for position, _ in parts]), None
+    orientation = np.concatenate(orientations)
+    if all(both is not None and np.shares_memory(position, both) for position, both in parts):
+        return orientation.reshape(len(orientation), -1), orientation
+    return np.concatenate([position for position, _ in parts]), orientation
 
 
 def check_alike(first: Description, second: Description) -> None:

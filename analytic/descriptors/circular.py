@@ -7,10 +7,13 @@ which costs one small product per frequency in place of one comparison per turn.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+_VALUES = 1 << 23  # of correlations held at once: 32 MiB
 
 
 def spectrum(columns: NDArray[Any]) -> NDArray[np.complex64]:
@@ -31,7 +34,8 @@ def correlate(queries: NDArray[np.complex64], references: NDArray[np.complex64],
     """
     from scipy import fft
 
-    crossed = queries @ references.conj().transpose(0, 2, 1)
+    # Conjugating the few queries and the result is Q conj(R) again, and leaves the map's spectra as they lie.
+    crossed = (queries.conj() @ references.transpose(0, 2, 1)).conj()
     return fft.irfft(crossed.transpose(1, 2, 0), n=steps, axis=2)
 
 
@@ -39,3 +43,13 @@ def heading(step: NDArray[Any], steps: int) -> NDArray[np.float64]:
     """Return the angle of a number of steps to the left, rad in (-pi, pi]."""
     turned = np.asarray(step) % steps
     return np.where(2 * turned > steps, turned - steps, turned) * (2 * np.pi / steps)
+
+
+def blocks(n: int, m: int, steps: int) -> Iterator[tuple[slice, slice]]:
+    """Yield the blocks of a table of pairs (n, m) whose correlations at every turn fit in a bounded memory."""
+    most = max(1, _VALUES // steps)
+    width = max(1, min(m, most))
+    height = max(1, most // width)
+    for top in range(0, n, height):
+        for left in range(0, m, width):
+            yield slice(top, top + height), slice(left, left + width)

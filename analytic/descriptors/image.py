@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors.base import Alignment, Description, Descriptor, shaped, with_channels
+from analytic.descriptors.base import Alignment, Description, Descriptor, joined, shaped, with_channels
+from analytic.descriptors.threads import each
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 _LUMA = (0.299, 0.587, 0.114)
+_PIXELS = 1 << 17  # in work at once
 Part = Any  # a tensor, or an array
 
 
@@ -41,6 +43,11 @@ class ImageDescriptor(Descriptor):
         """Name and parameters."""
         return {"name": self.name, **{f.name: getattr(self, f.name) for f in fields(self) if f.name != "device"}}
 
+    @property
+    def tells_heading(self) -> bool:
+        """Whether columns wrap around; without that there is no heading."""
+        return self.circular
+
     @abstractmethod
     def resolution(self, width: int) -> float:
         """Return the smallest turn that the orientation part tells, rad, on images of that many columns."""
@@ -60,20 +67,27 @@ class ImageDescriptor(Descriptor):
             AnalyticError: another shape or type, images of different sizes, values that are not finite or out of
                 range, a size that the parameters do not fit.
         """
+        images = image_tensor(batch)
+        height, width = int(images.shape[2]), int(images.shape[3])
+        if width < 2:
+            raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
+        self._check_size(height, width)
+        # A few images at a time stay in the processor's cache, which is worth more than fewer calls.
+        few = max(1, _PIXELS // (height * width)) if self.device == "cpu" else len(images)
+        parts = each(self._describe_part, images.split(few))
+        return Description(*joined(parts), self.identity)
+
+    def _describe_part(self, images: Tensor) -> tuple[NDArray[Any], NDArray[Any]]:
         import torch
 
         with torch.inference_mode():
-            grey = grey_tensor(batch, self.device)
-            height, width = int(grey.shape[1]), int(grey.shape[2])
-            if width < 2:
-                raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
-            self._check_size(height, width)
+            grey = grey_tensor(images, self.device)
             if self.homomorphic:
                 from analytic.filters import homomorphic_tensor
 
                 grey = homomorphic_tensor(grey, circular=self.circular)
             position, orientation = self._describe(grey)
-            return Description(_array(position), _array(orientation), self.identity)
+            return _array(position), _array(orientation)
 
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading and the aligned distance of every query to every reference; see `Descriptor`."""
@@ -101,16 +115,22 @@ class ImageDescriptor(Descriptor):
         """Return position (B, D) and orientation (B, K, F) of grey images (B, H, W), float32 in [0, 1]."""
 
 
-def grey_tensor(images: Any, device: str) -> Tensor:
-    """Return images as luma (B, H, W), float32 in [0, 1], on a device. Errors as `ImageDescriptor.describe`."""
+def image_tensor(images: Any) -> Tensor:
+    """Return images as a tensor (B, C, H, W), where they lie. Errors as `ImageDescriptor.describe`."""
     import torch
 
-    if isinstance(images, torch.Tensor):
-        tensor = shaped(images)
-        if tensor.dtype != torch.uint8 and not tensor.is_floating_point():
-            raise AnalyticError(f"images must be uint8 or floating point in [0, 1], got {tensor.dtype}")
-    else:
-        tensor = torch.from_numpy(_plain(with_channels(images)))
+    if not isinstance(images, torch.Tensor):
+        return torch.from_numpy(_plain(with_channels(images)))
+    tensor = shaped(images)
+    if tensor.dtype != torch.uint8 and not tensor.is_floating_point():
+        raise AnalyticError(f"images must be uint8 or floating point in [0, 1], got {tensor.dtype}")
+    return tensor
+
+
+def grey_tensor(tensor: Tensor, device: str) -> Tensor:
+    """Return images (B, C, H, W) as luma (B, H, W), float32 in [0, 1], on a device. Errors as `describe`."""
+    import torch
+
     tensor = tensor.to(device)
     if tensor.dtype == torch.uint8:
         values = tensor.to(torch.float32).mul_(1 / 255)

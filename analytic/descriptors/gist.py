@@ -1,0 +1,300 @@
+"""Gist: how strongly a bank of Gabor filters answers, in bands and in windows ([T] 3.2.3, 3.3.3; [I] 3.2; [C] 2.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from math import ceil, cos, floor, pi, sin
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.descriptors.image import ImageDescriptor, Part, divisors_near
+from analytic.errors import AnalyticError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+LEVELS = 2
+CENTRE = 0.25  # cycles per pixel of the level's own picture
+_FLOOR = 2.0**-9
+_FAINT = 1e-3
+_HELD = 1 << 17  # values of responses held at once
+_HELD_ELSEWHERE = 1 << 25
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gist(ImageDescriptor):
+    """Mean magnitude of Gabor responses at two resolutions: in horizontal bands, and in vertical windows.
+
+    The picture, H rows i counted downwards and W columns j, is continued in elevation by reflection, each end row
+    repeated once (row -1 - i is row i, row 2 H - 1 - i is row i: a period of 2 H rows), and wraps around in azimuth.
+    With `circular=False` it is reflected in the same way in azimuth (a period of 2 W columns). All filtering is that
+    of the periodic picture, by its discrete Fourier transform, so that nothing else is assumed at the borders.
+
+    Filter k of m has the orientation theta = pi k / m, k = 0 ... m - 1, and the centre frequency f (cos theta,
+    sin theta) in cycles per pixel to the right and downwards: theta = 0 answers to upright edges. Its transfer
+    function is a round (aspect ratio 1) Gaussian about this centre, one octave wide at half its height, lowered so
+    that it is 0 from the distance f on, which takes in the constant picture:
+
+        G(d) = 2 max(0, (2^(-9 (d / f)^2) - 2^-9) / (1 - 2^-9)),    d = distance to the centre in the frequency plane,
+
+    at the frequencies u / 2H and v / W (v / 2W) in [-1/2, 1/2). It passes one of each pair of opposite frequencies, so
+    that the response is complex, its real and imaginary part being the even and the odd filter. A wave at the centre
+    frequency with amplitude a has a response of magnitude a.
+
+    Level 0 is the picture itself, with f = 1/4. Level 1 is the picture at half resolution, its frequencies from 1/4
+    on removed, with a filter of 1/4 cycles per pixel there, that is f = 1/8 here; as this filter passes nothing above
+    1/4, filtering the picture itself with f = 1/8 gives the same response. It is read at all H x W pixels, as that of
+    level 0: a turn by any number of columns then only moves it, where the picture of W / 2 columns would change.
+
+    With R(level, k; i, j) the magnitude of the response:
+
+    Position (2 * blocks * orientations,): value (level * blocks + b) * orientations + k is the mean of R, filter k of
+    `orientations`, over the rows b H / blocks ... (b + 1) H / blocks - 1 and all columns.
+    Orientation (W / step, orientation_levels * orientation_filters): value [n, level * orientation_filters + k] is
+    the mean of R, filter k of `orientation_filters`, over all rows and the columns n step ... n step + window - 1,
+    which wrap around. With `circular=False` windows end at the last column, and the mean is over what they have.
+    With `normalized` the values o of each window n become (o - m) / sqrt(|o - m|^2 + 0.001^2), m being the mean of
+    the window's values and |.| the Euclidean length: what is left is which orientations prevail in a window. All
+    filters answer to noise alike, and the edge of something that stands in the way counts as any other edge, in the
+    few windows that hold it; among plain means both can outweigh the rest of the picture.
+
+    The position part, and plain means, scale with contrast and ignore an offset of the grey values. [T] 3.5.1 finds
+    its best result by Pearson's correlation, the default distance; it ignores contrast as well.
+
+    Args:
+        blocks: horizontal bands, k7 of [T] table 3.1. They divide the height of an image.
+        orientations: filters of the position part, m1, for 0 to 180 degrees.
+        window: width of a vertical window in columns, l2. Wide ones, which [T] 3.5.3 finds best for plain means,
+            blur the heading of normalized ones.
+        step: columns between the windows, d2; it divides the width of an image. It is the angular resolution.
+        orientation_filters: filters of the orientation part, m2.
+        orientation_levels: 1 (level 0 alone) or 2.
+        normalized: whether the windows of the orientation part are normalized.
+
+    The defaults are the best of [T] 3.5.1 for the position, and those of [I] 6.1 for the heading, whose
+    mapper has blocks=16 and orientations=16. The time goes with the number of different orientations.
+
+    Raises:
+        AnalyticError: numbers that are not positive, more levels than 2, or a single filter in windows that are
+            normalized, of which nothing would be left.
+    """
+
+    name = "gist"
+    default_distance = "correlation"
+
+    blocks: int = 32
+    orientations: int = 256
+    window: int = 8
+    step: int = 2
+    orientation_filters: int = 16
+    orientation_levels: int = 1
+    normalized: bool = True
+
+    def resolution(self, width: int) -> float:
+        """Return the turn of one step, rad."""
+        return 2 * pi * self.step / width
+
+    def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return (2 k7 m1,) and (k8, levels m2), k8 = width / step."""
+        position = (LEVELS * self.blocks * self.orientations,)
+        return position, (width // self.step, self.orientation_levels * self.orientation_filters)
+
+    def _check_parameters(self) -> None:
+        for key in ("blocks", "orientations", "window", "step", "orientation_filters"):
+            if getattr(self, key) < 1:
+                raise AnalyticError(f"gist needs {key} of at least 1, got {getattr(self, key)}")
+        if self.orientation_levels not in (1, LEVELS):
+            raise AnalyticError(f"gist has 1 or 2 levels in its orientation part, got {self.orientation_levels}")
+        if self.normalized and self.orientation_filters == 1:
+            raise AnalyticError(
+                "gist needs orientation_filters of at least 2 to tell which one prevails, got 1: use more of them, or "
+                "normalized=False"
+            )
+
+    def _check_size(self, height: int, width: int) -> None:
+        if height % self.blocks:
+            raise AnalyticError(
+                f"gist's blocks={self.blocks} do not divide the image's height of {height} pixels: use blocks="
+                f"{divisors_near(height, self.blocks)}, or resize the image"
+            )
+        if width % self.step:
+            raise AnalyticError(
+                f"gist's step={self.step} does not divide the image's width of {width} pixels: use step="
+                f"{divisors_near(width, self.step)}, or resize the image"
+            )
+        if self.window > width:
+            raise AnalyticError(
+                f"gist's window={self.window} is wider than the image of {width} columns: use at most window={width}"
+            )
+
+    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
+        import torch
+
+        size = periodic(grey[:1], self.circular).numel()
+        held = _HELD if grey.device.type == "cpu" else _HELD_ELSEWHERE
+        parts = [self._describe_few(images, max(1, held // size)) for images in grey.split(max(1, held // size))]
+        return torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
+
+    def _describe_few(self, grey: Tensor, most: int) -> tuple[Tensor, Tensor]:
+        """Return the parts of a few images, holding that many of their responses at once."""
+        import torch
+
+        count, height, width = grey.shape
+        chosen = choose(self.orientations, self.orientation_filters)
+        responses = Responses(periodic(grey, self.circular), min(max(1, most // count), len(chosen.angles)))
+        bands: list[Tensor] = []
+        columns: list[Tensor] = []
+        for level in range(LEVELS):
+            filters = bank(*responses.shape, CENTRE / 2**level, chosen.angles, str(grey.device))
+            for few in responses.chunks(len(chosen.angles)):
+                # Two halves of rows: those of the picture, and those of its reflection.
+                halves = responses(filters, few)[..., :width].unflatten(2, (2, height))
+                bands.append(halves.mean(dim=-1))
+                if level < self.orientation_levels:
+                    columns.extend(halves[a - few.start].mean(dim=2) for a in chosen.columns if a in few)
+        rows = torch.cat(bands).unflatten(0, (LEVELS, -1))
+        rows = torch.stack([rows[:, :, :, 0], rows[:, :, :, 1].flip(-1)], dim=2).unflatten(-1, (self.blocks, -1))
+        position = rows.mean(dim=-1)[:, chosen.position[0], chosen.position[1]]
+        upright = torch.stack(columns).unflatten(0, (self.orientation_levels, -1))
+        means = upright.movedim(3, 2)[:, chosen.orientation[0], chosen.orientation[1]].flatten(0, 1)
+        means = means @ windows(width, self.window, self.step, self.circular, str(grey.device))
+        orientation = means.permute(1, 2, 0)
+        if self.normalized:
+            orientation = orientation - orientation.mean(dim=2, keepdim=True)
+            orientation = orientation / (orientation.square().sum(dim=2, keepdim=True) + _FAINT**2).sqrt()
+        return position.permute(2, 0, 3, 1).flatten(1), orientation
+
+
+class Chosen(NamedTuple):
+    """Which filters are computed, and where those of each part are found among them.
+
+    Attributes:
+        angles: orientations in [0, pi / 2]; the others are these, reflected.
+        columns: places of the angles that the orientation part needs.
+        position: for each filter of the position part its place, and 1 if it is the reflected one.
+        orientation: the same for the orientation part, with the place counted in `columns`.
+    """
+
+    angles: tuple[float, ...]
+    columns: tuple[int, ...]
+    position: tuple[list[int], list[int]]
+    orientation: tuple[list[int], list[int]]
+
+
+@lru_cache(maxsize=32)
+def choose(orientations: int, orientation_filters: int) -> Chosen:
+    """Return what has to be computed for two sets of orientations.
+
+    The picture is its own reflection, so that the response of the orientation pi - theta in its rows is that of theta
+    in the reflected rows, up to its sign in phase: one transform of the 2 H rows gives two orientations.
+    """
+    wanted = [[Fraction(k, m) for k in range(m)] for m in (orientations, orientation_filters)]
+    folded = [sorted({min(share, 1 - share) for share in shares}) for shares in wanted]
+    computed = sorted({*folded[0], *folded[1]})
+    columns = tuple(computed.index(share) for share in folded[1])
+
+    def places(shares: list[Fraction], among: list[Fraction]) -> tuple[list[int], list[int]]:
+        return [among.index(min(s, 1 - s)) for s in shares], [int(s > 1 - s) for s in shares]
+
+    return Chosen(
+        tuple(float(share) * pi for share in computed),
+        columns,
+        places(wanted[0], computed),
+        places(wanted[1], folded[1]),
+    )
+
+
+class Bank(NamedTuple):
+    """Transfer functions, cut out of the frequency plane around the centre of each.
+
+    Attributes:
+        values: (filters, rows, columns) float32.
+        corners: row and column of each cut in the plane whose zero is in the middle, as fftshift gives it.
+    """
+
+    values: Tensor
+    corners: list[tuple[int, int]]
+
+
+@lru_cache(maxsize=8)
+def bank(height: int, width: int, frequency: float, angles: tuple[float, ...], device: str) -> Bank:
+    """Return the filters of some orientations in [0, pi / 2] for periodic pictures of one size."""
+    import torch
+
+    sides = (height, width)
+    cut = [min(side, floor(2 * frequency * side) + 1) for side in sides]
+    values, corners = [], []
+    for angle in angles:
+        squares, corner = [], []
+        for side, size, centre in zip(sides, cut, (frequency * sin(angle), frequency * cos(angle)), strict=True):
+            lowest = min(ceil((centre - frequency) * side) + side // 2, side - size)
+            corner.append(lowest)
+            squares.append(((np.arange(lowest, lowest + size) - side // 2) / side - centre) ** 2)
+        apart = np.add.outer(*squares) / frequency**2
+        values.append((2 * np.maximum(0, (2.0 ** (-9 * apart) - _FLOOR) / (1 - _FLOOR))).astype(np.float32))
+        corners.append((corner[0], corner[1]))
+    return Bank(torch.from_numpy(np.stack(values)).to(device), corners)
+
+
+@lru_cache(maxsize=8)
+def windows(width: int, window: int, step: int, circular: bool, device: str) -> Tensor:
+    """Return the matrix (W, W / step) that takes columns to the means of windows."""
+    import torch
+
+    column, first = np.arange(width)[:, None], np.arange(0, width, step)[None]
+    inside: NDArray[np.bool_] = (column - first) % width < window
+    if not circular:
+        inside &= column >= first
+    return torch.from_numpy((inside / inside.sum(axis=0)).astype(np.float32)).to(device)
+
+
+def periodic(grey: Tensor, circular: bool) -> Tensor:
+    """Return images (B, H, W) continued to one period (B, 2H, W), or (B, 2H, 2W) of one that does not wrap around."""
+    import torch
+
+    tall = torch.cat([grey, grey.flip(1)], dim=1)
+    return tall if circular else torch.cat([tall, tall.flip(2)], dim=2)
+
+
+class Responses:
+    """Magnitudes of the responses of periodic pictures (B, rows, columns) to filters, some at a time.
+
+    They lie in memory taken once: that of one filter on one panorama stays in the cache.
+    """
+
+    def __init__(self, pictures: Tensor, most: int) -> None:
+        import torch
+
+        count, height, width = pictures.shape
+        self.shape = (int(height), int(width))
+        self.most = most
+        self.cut = (0, 0)
+        self.spectrum = torch.fft.fftshift(torch.fft.fft2(pictures), dim=(-2, -1))
+        self.product = self.spectrum.new_zeros((most, count, height, width))
+        self.magnitude = pictures.new_empty(self.product.shape)
+
+    def chunks(self, filters: int) -> list[range]:
+        """Return the ranges of filters that fit at a time."""
+        return [range(first, min(first + self.most, filters)) for first in range(0, filters, self.most)]
+
+    def __call__(self, filters: Bank, few: range) -> Tensor:
+        """Return the magnitudes (filters, B, rows, columns) for some filters of a bank, valid until the next call."""
+        import torch
+
+        product = self.product[: len(few)]
+        down, right = filters.values.shape[1:]
+        if self.cut != (down, right):
+            self.product.zero_()
+            self.cut = (down, right)
+        for place, a in enumerate(few):
+            top, left = filters.corners[a]
+            # The cut lies in the corner of the plane, not where it was: moving frequencies leaves magnitudes alone.
+            seen = self.spectrum[:, top : top + down, left : left + right]
+            torch.mul(seen, filters.values[a], out=product[place, :, :down, :right])
+        parts = torch.view_as_real(torch.fft.ifft2(product))
+        parts.mul_(parts)
+        return torch.add(parts[..., 0], parts[..., 1], out=self.magnitude[: len(few)]).sqrt_()

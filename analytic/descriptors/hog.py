@@ -1,0 +1,218 @@
+"""Histograms of oriented gradients of a whole panorama ([T] 3.2.2, [I] 3.1, [C] 2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import pi
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.descriptors import circular
+from analytic.descriptors.base import Alignment, Description
+from analytic.descriptors.image import ImageDescriptor, divisors_near
+from analytic.errors import AnalyticError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+_CHUNK = 1 << 22  # values of a correlation held at once
+_NOTHING = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hog(ImageDescriptor):
+    """Histograms of gradient directions: in horizontal bands for the position, in vertical windows for the heading.
+
+    Gradients are central differences of the grey values f (row i, column j): Dx = (f[i, j + 1] - f[i, j - 1]) / 2 and
+    Dy = (f[i + 1, j] - f[i - 1, j]) / 2, rows counted downwards. The first and the last column are neighbours;
+    above the first and below the last row, that row is repeated, so that Dy is half the difference of two rows there.
+    With `circular=False` the first and the last column are repeated as well.
+
+    Each pixel adds its magnitude |G| = sqrt(Dx^2 + Dy^2) ([T] eq. 3.1) to one bin, that of its direction
+    theta = atan2(Dy, Dx) over 360 degrees: of b bins it is bin floor(theta b / (2 pi) + 1 / 2) mod b. Bin t therefore
+    is centred on 2 pi t / b, and bin 0 on a gradient to the right. The edges that a building has most of, upright and
+    level ones, fall in the middle of a bin and not on the border of two, where rounding or the least noise would
+    decide. A pixel without gradient adds nothing. Nothing is interpolated and nothing is normalized; the
+    default distance, Pearson's, with which [T] 3.5.1 has its best result, ignores gain and offset.
+
+    Position (B, rows * bins): value r * bins + t is the sum over bin t in band r, bands counted from above, each
+    H / rows rows high and as wide as the image. Orientation (B, W / step, orientation_bins): value [k, t] is the sum
+    over bin t in window k, as high as the image: columns k * step to k * step + window - 1, which wrap around. With
+    `circular=False` windows end at the last column.
+
+    The relative heading is the turn, in steps of windows, at which the circular correlation of the two orientation
+    parts along the windows, summed over the bins, is largest: the scalar product of [T] 3.3.2. With `whitened` it is
+    that of phases: the discrete Fourier transform of each bin along the windows, divided by its magnitude frequency
+    by frequency, takes the place of the histograms; magnitudes below 1e-5 of the image's largest count as zero. No
+    part of the picture then outweighs the others, as the upright edge of a person in front of the camera would. The
+    aligned distance is the Euclidean one of the histograms at that turn, whitened or not.
+
+    Args:
+        rows: horizontal bands, k5 in [T] table 3.1. They divide the height of an image.
+        bins: directions in the position part, b1.
+        window: width of a vertical window in columns, l1. [T] 3.5.3 finds wide ones best.
+        step: columns between the windows, d1; it divides the width of an image. It is the angular resolution.
+        orientation_bins: directions in the orientation part, b2.
+        whitened: whether the heading comes from phases alone.
+
+    The defaults are the best of [T] 3.5.1 for the position, and step and bins of [I] 6.1 for the heading; how wide its
+    windows are, neither says. The mapper of [I] 6.1 and [T] 4.5.1 has rows=16, bins=16, step=2, orientation_bins=16.
+
+    Raises:
+        AnalyticError: numbers that are not positive.
+    """
+
+    name = "hog"
+    default_distance = "correlation"
+
+    rows: int = 8
+    bins: int = 32
+    window: int = 32
+    step: int = 2
+    orientation_bins: int = 16
+    whitened: bool = True
+
+    def resolution(self, width: int) -> float:
+        """Return the turn of one step, rad."""
+        return 2 * pi * self.step / width
+
+    def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return (k5 b1,) and (k6, b2), k6 = width / step."""
+        return (self.rows * self.bins,), (width // self.step, self.orientation_bins)
+
+    def align(self, queries: Description, references: Description) -> Alignment:
+        """Return the relative heading and the aligned distance of every query to every reference; see the class."""
+        self.check_turns()
+        self.check(queries, references)
+        steps = self._steps(queries, references)
+        best = np.zeros((len(queries), len(references)), dtype=np.int64)
+        peak = np.zeros(best.shape)
+        size = max(1, _CHUNK // (steps * max(1, len(references))))
+        for start in range(0, len(queries), size):
+            part = slice(start, start + size)
+            plain = sought = circular.correlate(queries.spectrum[:, part], references.spectrum, steps)
+            if self.whitened:
+                sought = circular.correlate(_phases(queries)[:, part], _phases(references), steps)
+            best[part] = sought.argmax(axis=2)
+            peak[part] = np.take_along_axis(plain, best[part, :, None], axis=2)[..., 0]
+        squared = _squares(queries)[:, None] + _squares(references)[None] - 2 * peak
+        return Alignment(circular.heading(best, steps), np.sqrt(np.maximum(squared, 0)))
+
+    def _check_parameters(self) -> None:
+        for key in ("rows", "bins", "window", "step", "orientation_bins"):
+            if getattr(self, key) < 1:
+                raise AnalyticError(f"hog needs {key} of at least 1, got {getattr(self, key)}")
+
+    def _check_size(self, height: int, width: int) -> None:
+        if height % self.rows:
+            raise AnalyticError(
+                f"hog's rows={self.rows} bands do not divide the image's height of {height} pixels: use rows="
+                f"{divisors_near(height, self.rows)}, or resize the image"
+            )
+        if width % self.step:
+            raise AnalyticError(
+                f"hog's step={self.step} does not divide the image's width of {width} pixels: use step="
+                f"{divisors_near(width, self.step)}, or resize the image"
+            )
+        if self.window > width:
+            raise AnalyticError(
+                f"hog's window={self.window} is wider than the image of {width} columns: use at most window={width}"
+            )
+
+    def _describe(self, grey: Tensor) -> tuple[Tensor, Tensor]:
+        height, width = int(grey.shape[1]), int(grey.shape[2])
+        across, down = differences(grey, self.circular)
+        magnitude = (across * across).addcmul_(down, down).sqrt_().flatten(1)
+        angle = down.atan2_(across)
+        band, column = cells(height, width, self.rows, self.bins, self.orientation_bins, str(grey.device))
+        place = direction(angle, self.bins).add_(band)
+        position = histograms(place, magnitude, self.rows, self.bins)
+        if self.bins == self.orientation_bins:
+            place.sub_(band).add_(column)
+        else:
+            place = direction(angle, self.orientation_bins).add_(column)
+        each = histograms(place, magnitude, width, self.orientation_bins)
+        return position.flatten(1), self._windows(each)
+
+    def _windows(self, each: Tensor) -> Tensor:
+        """Return the sums (B, W / step, b) over windows of the histograms of columns (B, W, b)."""
+        import torch
+
+        width = each.shape[1]
+        # The column before the first is where a running sum starts; it counts in no window.
+        ends = each[:, : self.window] if self.circular else torch.zeros_like(each[:, : self.window])
+        total = torch.cat([torch.zeros_like(each[:, :1]), each, ends], dim=1).cumsum(dim=1, dtype=torch.float64)
+        last = total[:, self.window : self.window + width : self.step]
+        return (last - total[:, : width : self.step]).to(torch.float32)
+
+
+def _phases(description: Description) -> NDArray[np.complex64]:
+    """Return the spectrum with magnitudes of 1, or of 0 where there is next to nothing; kept like the spectrum."""
+    kept: dict[str, Any] = vars(description)
+    if "phases" not in kept:
+        magnitude = np.abs(description.spectrum)
+        least = _NOTHING * magnitude.max(axis=(0, 2), keepdims=True)
+        zeros = np.zeros_like(description.spectrum)
+        kept["phases"] = np.divide(description.spectrum, magnitude, out=zeros, where=magnitude > least)
+    return kept["phases"]
+
+
+def _squares(description: Description) -> NDArray[np.float64]:
+    assert description.orientation is not None
+    return np.einsum("bkf,bkf->b", description.orientation, description.orientation, dtype=np.float64)
+
+
+def differences(grey: Tensor, circular: bool) -> tuple[Tensor, Tensor]:
+    """Return 2 Dx and 2 Dy (B, H, W) of images (B, H, W)."""
+    import torch
+
+    across, down = torch.empty_like(grey), torch.empty_like(grey)
+    torch.sub(grey[:, :, 2:], grey[:, :, :-2], out=across[:, :, 1:-1])
+    torch.sub(grey[:, :, 1], grey[:, :, -1 if circular else 0], out=across[:, :, 0])
+    torch.sub(grey[:, :, 0 if circular else -1], grey[:, :, -2], out=across[:, :, -1])
+    last = grey.shape[1] - 1
+    torch.sub(grey[:, 2:], grey[:, :-2], out=down[:, 1:-1])
+    torch.sub(grey[:, min(1, last)], grey[:, 0], out=down[:, 0])
+    torch.sub(grey[:, last], grey[:, max(last - 1, 0)], out=down[:, last])
+    return across, down
+
+
+def direction(angle: Tensor, bins: int) -> Tensor:
+    """Return the places 0 ... bins of angles (B, H, W) in [-pi, pi]: place p is bin p - bins // 2.
+
+    The first place and the last are one bin, which the angle -pi = pi cuts in two. What lies between whole places is
+    cut off, which rounds down since nothing is negative.
+    """
+    import torch
+
+    return torch.mul(angle, bins / (2 * pi)).add_(bins // 2 + 0.5).to(torch.int64)
+
+
+def histograms(place: Tensor, magnitude: Tensor, cells: int, bins: int) -> Tensor:
+    """Return half the sums of magnitudes by cell and bin, (B, cells, bins).
+
+    Args:
+        place: (B, H, W), cell * (bins + 1) + the place of the direction.
+        magnitude: (B, H * W), of differences: twice that of the gradients.
+        cells: number of cells.
+        bins: number of bins.
+    """
+    import torch
+
+    found = torch.zeros((len(place), cells * (bins + 1)), device=place.device)
+    found = found.scatter_add_(1, place.flatten(1), magnitude).unflatten(1, (cells, bins + 1))
+    folded = found[..., :bins] * 0.5
+    folded[..., 0] += found[..., bins] * 0.5
+    return folded.roll(-(bins // 2), dims=-1)
+
+
+@lru_cache(maxsize=8)
+def cells(height: int, width: int, rows: int, bins: int, orientation_bins: int, device: str) -> tuple[Tensor, Tensor]:
+    """Return where the histograms of each row's band (H, 1) and of each column (1, W) begin."""
+    import torch
+
+    band = torch.arange(height, device=device)[:, None] // (height // rows)
+    return band * (bins + 1), torch.arange(width, device=device)[None] * (orientation_bins + 1)

@@ -1,0 +1,181 @@
+"""Two descriptors of the Radon transform of an omnidirectional image ([T] 3.2.6, 3.3.6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING, ClassVar
+
+from analytic.descriptors.aligned import AlignedDescriptor
+from analytic.descriptors.image import ImageDescriptor, Part, divisors_near
+from analytic.descriptors.radon_transform import check_geometry, check_image, harmonics, orientations, steps
+from analytic.errors import AnalyticError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+_LEAST = 1e-9  # of the largest magnitude: below it a coefficient is rounding and keeps less than the length 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadonFourier(ImageDescriptor):
+    """The Fourier signature of the Radon transform: its magnitudes for the position, its phases for the heading.
+
+    Let r (T, size / 2), T = 360 / step, be the Radon transform that `analytic.descriptors.radon_transform` defines,
+    half lines at the distances 1/2, 3/2, ... pixels. The columns retained are means of lines, which leave no part of
+    the disc out: with n = size / 2 / lines, q[t, k] is the mean of r[t, k n ... k n + n - 1]. The signature is the
+    discrete Fourier transform along the orientations, in which a turn only changes phases:
+
+        c[u, k] = (1 / T) sum_t q[t, k] exp(-2 pi i u t / T),    u = 0 ... T - 1.
+
+    Position (T * lines,): value u * lines + k is |c[u, k]|. As q is real, the values of u and T - u are equal; they are
+    kept both, so that the size is the one of [T] table 3.2. Those above the frequencies of the transform are 0.
+    Orientation (T, orientation_lines): the matrix that has the same phases and no magnitudes, from the mean lines of
+    `orientation_lines`: value [t, k] is
+
+        p[t, k] = (1 / T) sum_u g[u, k] exp(2 pi i u t / T),    g = c[u, k] / max(|c[u, k]|, 1e-9 max over u |c[u, k]|),
+
+    and 0 for a line of zeros. It moves by one along t when the robot turns left by `step` degrees, and its circular
+    correlation is that of the phases of [T] 3.3.1. With the magnitudes left in, the slow changes that an occlusion
+    adds would decide.
+
+    The default distance is Manhattan's, with which [T] 3.5.1 has its best result. A turn by any number of columns
+    leaves the position part; one that is no multiple of `step` is told to within half a step.
+
+    With `circular=False` each row of a panorama is followed by its mirror image first, and there is no heading.
+
+    Args:
+        step: degrees between orientations, p1 of [T] table 3.1; divides 360, at most 120. It is the angular resolution.
+        size: side of the omnidirectional image in pixels, Nx; even.
+        lines: columns retained in the position part, k11; divides size / 2.
+        orientation_lines: columns retained in the orientation part, k12; divides size / 2.
+        source: "panorama", wrapped back to a disc, or "omnidirectional", square images.
+
+    Raises:
+        AnalyticError: a step that does not divide 360, an odd size, lines that do not divide half of it, an unknown
+            source.
+    """
+
+    name: ClassVar[str] = "radon_fourier"
+    default_distance: ClassVar[str] = "manhattan"
+
+    step: float = 1.0
+    size: int = 256
+    lines: int = 32
+    orientation_lines: int = 32
+    source: str = "panorama"
+
+    def resolution(self, width: int) -> float:
+        """Return the turn by one step, rad."""
+        return 2 * pi / steps(self.step)
+
+    def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return (360 / p1, k11) and (360 / p1, k12); the arrays are (B, 360 / p1 * k11) and (B, 360 / p1, k12)."""
+        return (steps(self.step), self.lines), (steps(self.step), self.orientation_lines)
+
+    def _check_parameters(self) -> None:
+        check_geometry(self.name, self.step, self.size, self.source)
+        for key in ("lines", "orientation_lines"):
+            value = getattr(self, key)
+            if value < 1 or self.size // 2 % value:
+                raise AnalyticError(
+                    f"radon_fourier's {key}={value} must divide the {self.size // 2} lines of size={self.size}: use "
+                    f"{key}={divisors_near(self.size // 2, value)}"
+                )
+
+    def _check_size(self, height: int, width: int) -> None:
+        check_image(self.name, self.source, height, width)
+
+    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
+        import torch
+
+        count = steps(self.step)
+        kept = harmonics(grey, self.step, self.size, self.lines, self.source, self.circular)
+        magnitude = kept.abs().transpose(0, 1)
+        position = magnitude.new_zeros((len(grey), count, self.lines), dtype=torch.float32)
+        position[:, : len(kept)] = magnitude
+        position[:, count - len(kept) + 1 :] = magnitude[:, 1:].flip(1)
+        if self.orientation_lines != self.lines:
+            kept = harmonics(grey, self.step, self.size, self.orientation_lines, self.source, self.circular)
+        size = kept.abs()
+        phases = kept / _at_least(size, size.amax(dim=0, keepdim=True))
+        return position.flatten(1), orientations(phases, count).div_(count).to(torch.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadonPoc(AlignedDescriptor):
+    """The Radon transform, compared by phase-only correlation: similarity is its peak, the heading the peak's place.
+
+    Let r (T, N), T = 360 / step and N = size / 2, be the Radon transform that `analytic.descriptors.radon_transform`
+    defines, and F[u, v] its two-dimensional discrete Fourier transform. Phase-only correlation of a query Q and a
+    reference R is the inverse transform of their product without magnitudes, Q conj(R) / (|Q| |R|). As turning the
+    robot moves r along its orientations alone, no other shift is looked at: the correlation for a turn by s steps is
+
+        poc[s] = (1 / A) sum over u, v of gQ[u, v] conj(gR[u, v]) exp(2 pi i u s / T),
+        g[u, v] = F[u, v] / max(|F[u, v]|, 1e-9 max |F|),
+
+    1 / A making that of an image with itself 1 at s = 0: A = sqrt(sum |gQ|^2 sum |gR|^2). Frequencies u that the
+    transform does not hold (it is limited to |u| <= M) are 0 and add nothing.
+
+    Each factor g depends on one image alone. A description therefore holds the matrix of phases, which is
+    x = inverse transform of g, divided by its Euclidean length; zeros for a black image. By Parseval's theorem poc[s]
+    is the circular correlation of two of them along the orientations, sum over t, k of xQ[t, k] xR[t - s, k].
+
+    Position (T * N,): value t * N + k is x[t, k]. Orientation (T, N): the same matrix.
+    The distance is 1 - max over s of poc[s], in [0, 2]: "cosine" at the best turn, as the lengths are 1. Other
+    distances are taken at that turn. r itself is what `radon_transform` returns.
+
+    Turns by multiples of `step` leave the distances. Those by another angle lower the peak, and are told to
+    within half a step.
+
+    With `circular=False` each row of a panorama is followed by its mirror image first, only s = 0 is compared, and
+    there is no heading.
+
+    Args:
+        step: degrees between orientations, p1 of [T] table 3.1; divides 360, at most 120. It is the angular resolution.
+        size: side of the omnidirectional image in pixels, Nx; even.
+        source: "panorama", wrapped back to a disc, or "omnidirectional", square images.
+
+    Raises:
+        AnalyticError: a step that does not divide 360, an odd size, an unknown source.
+    """
+
+    name: ClassVar[str] = "radon_poc"
+    default_distance: ClassVar[str] = "cosine"
+
+    step: float = 4.0
+    size: int = 256
+    source: str = "panorama"
+
+    def resolution(self, width: int) -> float:
+        """Return the turn by one step, rad."""
+        return 2 * pi / steps(self.step)
+
+    def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return (360 / p1, Nx / 2) twice; the arrays are (B, 360 / p1 * Nx / 2) and (B, 360 / p1, Nx / 2)."""
+        return (steps(self.step), self.size // 2), (steps(self.step), self.size // 2)
+
+    def _check_parameters(self) -> None:
+        check_geometry(self.name, self.step, self.size, self.source)
+
+    def _check_size(self, height: int, width: int) -> None:
+        check_image(self.name, self.source, height, width)
+
+    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
+        import torch
+
+        kept = harmonics(grey, self.step, self.size, self.size // 2, self.source, self.circular)
+        crossed = torch.fft.fft(kept, dim=2)
+        size = crossed.abs()
+        phases = crossed / _at_least(size, size.amax(dim=(0, 2), keepdim=True))
+        matrix = orientations(torch.fft.ifft(phases, dim=2), steps(self.step))
+        length = matrix.flatten(1).norm(dim=1)[:, None, None]
+        matrix = (matrix / length.clamp_min_(torch.finfo(matrix.dtype).tiny)).to(torch.float32)
+        return matrix.flatten(1), matrix
+
+
+def _at_least(size: Tensor, largest: Tensor) -> Tensor:
+    """Return magnitudes to divide by: none is zero, nor small beside the largest."""
+    import torch
+
+    return size.maximum((_LEAST * largest).clamp_min_(torch.finfo(size.dtype).tiny))

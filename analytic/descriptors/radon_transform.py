@@ -1,0 +1,200 @@
+"""The Radon transform of an omnidirectional image, computed where a turn of the robot is a shift: in polar coordinates.
+
+The omnidirectional image fills a disc of the radius R = size / 2, in pixels of an image of size x size. A point of it
+has the radius rho and the angle alpha, counted counter-clockwise as one looks at the picture, from the direction
+straight down. A camera that looks up into its mirror shows the robot's front at the upper rim and its left on the
+right; alpha then grows with the columns of the panorama, alpha = 2 pi (c + 1/2) / W at the middle of column c, and a
+turn of the robot to the left by delta turns the picture counter-clockwise by delta.
+
+**From a panorama** (H, W): the ring 0.2 R <= rho < R. Row i lies at the radius R - (i + 1/2) 0.8 R / H: the upper row
+outside, as a ring is unwrapped by default. Between the middles of rows the picture is linear in rho, and constant
+from the first and the last middle to the rim of the ring. Outside of the ring it is 0.
+With `circular=False` each row is followed by its mirror image, so that the seam is no edge; W is twice as large then.
+
+**From an omnidirectional image** (S, S): its inscribed disc, scaled to R. It is first sampled at H = S // 2 radii
+(i + 1/2) S / (2 H) pixels, outermost first, and W = 4 ceil(pi S / 4) angles 2 pi (c + 1/2) / W, bilinearly between the
+middles of pixels: the point lies rho sin(alpha) to the right of and rho cos(alpha) below the picture's middle. That
+is a panorama as above, but with the disc rho < R in place of the ring: the row radii are R - (i + 1/2) R / H.
+
+Along the angle a row is the trigonometric polynomial through its W values, of which the frequencies m = 0 ... M are
+kept, M = min((T - 1) // 2, (W - 1) // 2), T = 360 / step being the number of orientations: what neither T
+orientations nor W columns can carry is left out. So the transform commutes with turns by any angle:
+
+    f(rho, alpha) = sum over |m| <= M of P[rho, m] exp(i m alpha),
+    P[row, m] = (1 / W) sum_c p[row, c] exp(-i m 2 pi (c + 1/2) / W).
+
+**Lines.** Orientation t has the direction phi = 2 pi t / T, line k = 0 ... size / 2 - 1 the distance d = k + 1/2
+pixels from the middle: the points with rho cos(alpha - phi) = d. These are half of all lines, the other half being
+those of the opposite directions. A line is summed at points half a pixel apart, l = +-1/4, +-3/4, ... pixels from
+its foot, as far as rho = sqrt(d^2 + l^2) < R:
+
+    r[t, k] = (1/2) sum_l f(sqrt(d^2 + l^2), phi + atan2(l, d)),
+
+in grey values times pixels. A left turn by 360 / T degrees moves r one row down: r[t] becomes r[t + 1].
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import ceil, pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.descriptors.image import divisors_near, grey_tensor, image_tensor
+from analytic.errors import AnalyticError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+SOURCES = ("panorama", "omnidirectional")
+INNER = 0.2  # inner radius of a panorama's ring, as a share of the outer one
+_SPACING = 0.5  # pixels between the points of a line
+
+
+def radon_transform(
+    batch: ArrayLike, *, step: float = 1.0, size: int = 256, source: str = "panorama", device: str = "cpu"
+) -> NDArray[np.float32]:
+    """Return the Radon transform r (B, 360 / step, size / 2) of grey or colour images; see the module.
+
+    Args:
+        batch: as `ImageDescriptor.describe` takes it; square images for the source "omnidirectional".
+        step: degrees between orientations, p1 of [T] table 3.1.
+        size: side of the omnidirectional image in pixels, Nx.
+        source: "panorama" or "omnidirectional".
+        device: where torch computes.
+
+    Raises:
+        AnalyticError: images that `describe` does not take, a step that does not divide 360, an odd size, images of
+            the source "omnidirectional" that are not square.
+    """
+    import torch
+
+    check_geometry("radon_transform", step, size, source)
+    with torch.inference_mode():
+        grey = grey_tensor(image_tensor(batch), device)
+        check_image("radon_transform", source, int(grey.shape[1]), int(grey.shape[2]))
+        found = harmonics(grey, step, size, size // 2, source)
+        return orientations(found, steps(step)).to(torch.float32).cpu().numpy()
+
+
+def steps(step: float) -> int:
+    """Return the number of orientations of a full turn."""
+    return round(360 / step)
+
+
+def check_geometry(name: str, step: float, size: int, source: str) -> None:
+    """Raise AnalyticError unless step, size and source fit each other."""
+    if not 0 < step <= 120 or abs(steps(step) * step - 360) > 1e-6:
+        near = divisors_near(360, int(min(max(step, 1), 119)) if step == step else 1)
+        raise AnalyticError(
+            f"{name} needs a step in degrees that divides 360, at most 120, such as {near}; got step={step}"
+        )
+    if size < 2 or size % 2:
+        raise AnalyticError(f"{name} needs an even size of at least 2 pixels, got size={size}")
+    if source not in SOURCES:
+        raise AnalyticError(f"unknown source {source!r} of {name}: valid: {', '.join(SOURCES)}")
+
+
+def check_image(name: str, source: str, height: int, width: int) -> None:
+    """Raise AnalyticError for a single column of pixels, and for an omnidirectional image that is not square."""
+    if width < 2:
+        raise AnalyticError(f"{name} needs images of at least 2 columns, got {height} x {width} pixels")
+    if source == "omnidirectional" and height != width:
+        raise AnalyticError(
+            f"{name} with source='omnidirectional' takes square images with the mirror's centre in the middle, got "
+            f"{height} x {width} pixels: crop them to {min(height, width)} x {min(height, width)}, or use "
+            "source='panorama'"
+        )
+
+
+def harmonics(
+    grey: Tensor, step: float, size: int, lines: int, source: str = "panorama", circular: bool = True
+) -> Tensor:
+    """Return the Fourier coefficients of the transform along its orientations (M + 1, B, lines), complex128.
+
+    r[t] = sum over |m| <= M of c[m] exp(2 pi i m t / T), c[-m] being the conjugate of c[m].
+
+    Args:
+        grey: (B, H, W).
+        step: degrees between orientations.
+        size: side of the disc in pixels.
+        lines: how many are kept; it divides size / 2. Line k of them is the mean of as many neighbours.
+        source: what the images are.
+        circular: whether the columns of a panorama wrap around.
+    """
+    import torch
+
+    if source == "omnidirectional":
+        polar, inner = _unwrapped(grey), 0.0
+    else:
+        polar, inner = grey if circular else torch.cat([grey, grey.flip(2)], dim=2), INNER
+    height, width = int(polar.shape[1]), int(polar.shape[2])
+    # In double precision a coefficient near zero, too, keeps its magnitude and phase when the robot turns.
+    kernel, phase = _operator(height, width, size, lines, steps(step), inner, str(grey.device))
+    found = torch.fft.rfft(polar.to(torch.float64), dim=2)[:, :, : len(phase)] * phase
+    parts = torch.view_as_real(found.permute(2, 1, 0).contiguous()).flatten(2)  # (M + 1, H, 2 B)
+    summed = (kernel @ parts).unflatten(2, (-1, 2))
+    return torch.view_as_complex(summed.transpose(1, 2).contiguous())
+
+
+def orientations(found: Tensor, count: int) -> Tensor:
+    """Return what has the given coefficients (M + 1, B, F) along T orientations, (B, T, F), float64."""
+    import torch
+
+    return torch.fft.irfft(found.transpose(0, 1), n=count, dim=1, norm="forward")
+
+
+def _unwrapped(image: Tensor) -> Tensor:
+    """Return the polar samples (B, H, W) of the inscribed discs of square images (B, S, S), float64."""
+    import torch
+
+    grid = _polar_grid(int(image.shape[1]), str(image.device)).expand(len(image), -1, -1, -1)
+    images = image[:, None].to(torch.float64)
+    found = torch.nn.functional.grid_sample(images, grid, "bilinear", padding_mode="border", align_corners=False)
+    return found[:, 0]
+
+
+@lru_cache(maxsize=8)
+def _polar_grid(side: int, device: str) -> Tensor:
+    """Return where to sample (1, H, W, 2): to the right and down from the middle, 1 being half the image's side."""
+    import torch
+
+    height, width = side // 2, 4 * ceil(pi * side / 4)
+    radius = 1 - (np.arange(height) + 0.5) / height
+    angle = 2 * pi * (np.arange(width) + 0.5) / width
+    grid = radius[:, None, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    return torch.from_numpy(grid)[None].to(device)
+
+
+@lru_cache(maxsize=8)
+def _operator(
+    height: int, width: int, size: int, lines: int, count: int, inner: float, device: str
+) -> tuple[Tensor, Tensor]:
+    """Return the share of each row in each line by frequency (M + 1, lines, H), and the columns' phases (M + 1,).
+
+    As a line is symmetric about its foot, the sum of exp(i m alpha) along it is one of cosines: all shares are real.
+    """
+    import torch
+
+    outer = size / 2
+    frequency = np.arange(min((count - 1) // 2, (width - 1) // 2) + 1)
+    distance = np.arange(size // 2) + 0.5
+    place = (np.arange(ceil(outer / _SPACING)) + 0.5) * _SPACING
+    kernel = np.zeros((len(frequency), lines, height))
+    together = size // 2 // lines
+    for line, d in enumerate(distance):
+        radius, angle = np.hypot(d, place), np.arctan2(place, d)
+        seen = (radius < outer) & (radius >= inner * outer)
+        share = _rows(radius[seen], height, outer, inner)
+        kernel[:, line // together] += (share @ np.cos(angle[seen, None] * frequency)).T
+    kernel *= 2 * _SPACING / together  # both sides of the foot
+    phase = np.exp(-1j * pi * frequency / width) / width
+    return torch.from_numpy(kernel).to(device), torch.from_numpy(phase).to(device)
+
+
+def _rows(radius: NDArray[np.float64], height: int, outer: float, inner: float) -> NDArray[np.float64]:
+    """Return the weight of each row at some radii (H, n), linear between the middles of rows."""
+    row = np.clip((outer - radius) / (outer * (1 - inner)) * height - 0.5, 0, height - 1)
+    return np.maximum(0, 1 - np.abs(row - np.arange(height)[:, None]))

@@ -1,0 +1,57 @@
+"""Images of a batch side by side: one thread for each, in place of several threads for every small operation.
+
+The operations on one image are so small that sharing them out costs about what it saves, and on a busy processor, where
+every thread waits for the last, many times that.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from threading import Barrier
+from typing import Any
+
+
+def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
+    """Return the function's results, in order, computed by as many threads as torch is set to use.
+
+    Every part is computed by one thread, so that what comes out does not depend on their number.
+    """
+    import torch
+
+    threads = torch.get_num_threads()
+    if threads == 1:
+        return [function(part) for part in parts]
+    if len(parts) == 1:
+        torch.set_num_threads(1)
+        try:
+            return [function(parts[0])]
+        finally:
+            torch.set_num_threads(threads)
+    return list(_pool(threads, os.getpid()).map(function, parts))
+
+
+@lru_cache(maxsize=1)
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    """Return the threads of this process; one that was forked off has none of its parent's."""
+    import torch
+
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="analytic")
+    begun = Barrier(threads)
+    for future in [pool.submit(_alone, begun) for _ in range(threads)]:
+        future.result()
+    # The setting holds for the thread that makes it and for those that begin later: these shall have what there was.
+    torch.set_num_threads(threads)
+    return pool
+
+
+def _alone(begun: Barrier) -> None:
+    """Let one thread of a pool use itself only, once all of them have begun, so that none is set up twice."""
+    import torch
+
+    begun.wait()
+    torch.set_num_threads(1)
+    torch.get_num_threads()  # a thread takes over the setting when it first asks for it
+    begun.wait()

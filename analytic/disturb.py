@@ -1,0 +1,105 @@
+"""What goes wrong with the images of a test: noise and occlusion ([T] 3.4.2). Maps are made from clean ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.descriptors.base import with_channels
+from analytic.errors import AnalyticError
+
+NOISE_LEVELS = (0.0, 0.0025, 0.005, 0.01, 0.02, 0.05)
+OCCLUSION_LEVELS = (0.0, 0.05, 0.1, 0.2, 0.4)
+
+
+def noise(batch: ArrayLike, variance: float, generator: np.random.Generator) -> NDArray[Any]:
+    """Return images with white Gaussian noise of mean 0, each channel of each pixel its own draw.
+
+    Args:
+        batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
+        variance: of the noise on an image in [0, 1]; [T] has NOISE_LEVELS.
+        generator: where the draws come from.
+
+    Returns:
+        As many images of the same shape and type; values that leave the range are cut off, uint8 is rounded.
+
+    Raises:
+        AnalyticError: another shape or type, a variance that is negative or not finite.
+    """
+    images = _images(batch, generator)
+    if not (np.isfinite(variance) and variance >= 0):
+        raise AnalyticError(f"the variance of noise must be a number of at least 0, got {variance}")
+    if variance == 0:
+        return images.copy()
+    scale = 255 if images.dtype == np.uint8 else 1
+    noisy = generator.normal(0, scale * np.sqrt(variance), images.shape) + images
+    if scale == 255:
+        np.rint(noisy, out=noisy)
+    return np.clip(noisy, 0, scale, out=noisy).astype(images.dtype)
+
+
+def occlude(
+    batch: ArrayLike,
+    share: float,
+    generator: np.random.Generator,
+    *,
+    bars: int = 4,
+    value: float = 0.0,
+    circular: bool = True,
+) -> NDArray[Any]:
+    """Return images with vertical bars over a share of the columns, elsewhere in each image.
+
+    The bars are as high as the image, of equal widths up to one column, and do not overlap, so that they cover
+    round(share * W) columns exactly. Every set of gaps between them is equally likely.
+
+    Args:
+        batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
+        share: of the columns, in [0, 1]; [T] has OCCLUSION_LEVELS.
+        generator: where the draws come from.
+        bars: how many; fewer if there are not so many columns to cover.
+        value: of a bar, in [0, 1]: 0 is black.
+        circular: whether a bar may go on across the seam of a panorama.
+
+    Returns:
+        As many images of the same shape and type.
+
+    Raises:
+        AnalyticError: another shape or type, a share or value outside [0, 1], less than one bar.
+    """
+    images = _images(batch, generator)
+    for key, number in (("share", share), ("value", value)):
+        if not 0 <= number <= 1:
+            raise AnalyticError(f"the {key} of an occlusion must be in [0, 1], got {number}")
+    if bars < 1:
+        raise AnalyticError(f"an occlusion needs at least 1 bar, got {bars}")
+    hidden = images.copy()
+    fill = np.rint(255 * value) if images.dtype == np.uint8 else value
+    for image in with_channels(hidden):
+        image[..., _covered(images.shape[-1], share, bars, circular, generator)] = fill
+    return hidden
+
+
+def _covered(width: int, share: float, bars: int, circular: bool, generator: np.random.Generator) -> NDArray[np.bool_]:
+    """Return which columns (W,) the bars of one image cover."""
+    total = round(share * width)
+    bars = min(bars, total)
+    covered = np.zeros(width, dtype=bool)
+    if not bars:
+        return covered
+    edges = np.arange(bars + 1) * total // bars
+    # Sorted places among the free columns are where the bars stand when these have no width.
+    starts = np.sort(generator.integers(0, width - total + 1, bars)) + edges[:-1]
+    for start, length in zip(starts, np.diff(edges), strict=True):
+        covered[start : start + length] = True
+    return np.roll(covered, generator.integers(width)) if circular else covered
+
+
+def _images(batch: ArrayLike, generator: np.random.Generator) -> NDArray[Any]:
+    if not isinstance(generator, np.random.Generator):
+        raise AnalyticError(
+            f"draws come from a numpy.random.Generator, such as numpy.random.default_rng(seed), got {generator!r}"
+        )
+    with_channels(batch)  # shape and type
+    return np.asarray(batch)

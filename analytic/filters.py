@@ -1,0 +1,105 @@
+"""The homomorphic filter, which takes the light off a picture ([C] 2.4)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.descriptors.base import with_channels
+from analytic.errors import AnalyticError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+CUTOFF = 4.0
+LOW = 0.5
+HIGH = 1.0
+_BLACK = 1 / 255  # the logarithm of black: one grey value of eight bits
+
+
+def homomorphic(
+    batch: ArrayLike, cutoff: float = CUTOFF, low: float = LOW, high: float = HIGH, *, circular: bool = True
+) -> NDArray[Any]:
+    """Return images with less of the slow changes of light; see `homomorphic_tensor`.
+
+    A colour image keeps its colours: each channel I becomes (I + 1/255) g - 1/255, the gain g being that of the
+    pixel's luma (BT.601).
+
+    Args:
+        batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
+        cutoff: where the filter changes from `low` to `high`, in cycles per image width.
+        low: gain of what changes slowly, at least 0; below 1 takes it off.
+        high: gain of what changes fast, at least `low`; above 1 sharpens.
+        circular: whether columns wrap around; otherwise they are continued by their mirror image.
+
+    Returns:
+        As many images of the same shape and type; values that leave the range are cut off, uint8 is rounded.
+
+    Raises:
+        AnalyticError: another shape or type, values out of range, a cutoff that is not positive, gains out of order.
+    """
+    import torch
+
+    from analytic.descriptors.image import grey_tensor, image_tensor
+
+    _check(cutoff, low, high)
+    images = with_channels(batch)
+    with torch.inference_mode():
+        grey = grey_tensor(image_tensor(batch), "cpu")
+        filtered = homomorphic_tensor(grey, circular=circular, cutoff=cutoff, low=low, high=high, clip=False)
+        gain = ((filtered + _BLACK) / (grey + _BLACK))[:, None].numpy()
+    scale = 255 if images.dtype == np.uint8 else 1
+    found = np.clip((images + _BLACK * scale) * gain - _BLACK * scale, 0, scale)
+    if scale == 255:
+        found = np.rint(found)
+    return found.astype(images.dtype).reshape(np.shape(batch))
+
+
+def homomorphic_tensor(
+    grey: Tensor, *, circular: bool, cutoff: float = CUTOFF, low: float = LOW, high: float = HIGH, clip: bool = True
+) -> Tensor:
+    """Return grey images (B, H, W), float32 in [0, 1], after the filter.
+
+    What a camera sees is light times reflectance; light changes slowly across a picture, reflectance fast. The
+    logarithm makes a sum of the product, where a linear filter tells slow from fast:
+
+        exp(F^-1(T F(log(I + 1/255)))) - 1/255, cut off to [0, 1],
+        T(u, v) = low + (high - low) (1 - exp(-(D / cutoff)^2 / 2)), D = W sqrt((u / N)^2 + (v / M)^2).
+
+    F is the discrete Fourier transform of the picture continued by its mirror image in elevation (M = 2 H rows: the
+    last row is followed by itself) and, unless columns wrap around (N = W), likewise in azimuth (N = 2 W). u and v are
+    signed whole frequencies, so that D is in cycles per image width, the same in both directions. The mean of the
+    logarithm (D = 0) has the gain `low`, too, which brings exposures closer together.
+    """
+    import torch
+
+    _check(cutoff, low, high)
+    height, width = int(grey.shape[1]), int(grey.shape[2])
+    log = torch.log(grey + _BLACK)
+    log = torch.cat([log, log.flip(1)], dim=1)
+    if not circular:
+        log = torch.cat([log, log.flip(2)], dim=2)
+    transfer = _transfer(int(log.shape[1]), int(log.shape[2]), width, cutoff, low, high, str(grey.device))
+    smooth = torch.fft.irfft2(torch.fft.rfft2(log) * transfer, s=log.shape[1:])
+    filtered = torch.exp(smooth[:, :height, :width]) - _BLACK
+    return filtered.clamp_(0, 1) if clip else filtered
+
+
+@lru_cache(maxsize=8)
+def _transfer(rows: int, columns: int, width: int, cutoff: float, low: float, high: float, device: str) -> Tensor:
+    """Return T (rows, columns // 2 + 1)."""
+    import torch
+
+    v = torch.fft.fftfreq(rows, d=1 / width, device=device)[:, None]
+    u = torch.fft.rfftfreq(columns, d=1 / width, device=device)[None]
+    return low + (high - low) * (1 - torch.exp(-(u**2 + v**2) / (2 * cutoff**2)))
+
+
+def _check(cutoff: float, low: float, high: float) -> None:
+    if not (np.isfinite(cutoff) and cutoff > 0):
+        raise AnalyticError(f"the homomorphic filter needs a cutoff above 0 cycles per image width, got {cutoff}")
+    if not 0 <= low <= high < np.inf:
+        raise AnalyticError(f"the homomorphic filter needs gains 0 <= low <= high, got low={low} and high={high}")

@@ -1,0 +1,140 @@
+"""BRIEF-gist: bits, turns, disturbances, mistakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analytic import AnalyticError, descriptor
+from analytic.disturb import noise, occlude
+
+PHOTOS = Path("../shared/data/corridor/query")
+MADE = descriptor("briefgist", rows=4, columns=8)
+BATCH = np.random.default_rng(0).integers(0, 256, (5, 3, 16, 48), dtype=np.uint8)
+
+
+def test_a_bit_tells_whether_a_window_is_brighter_than_the_one_before():
+    picture = np.zeros((4, 6), dtype=np.uint8)
+    picture[:2] = [[10, 30, 20, 20, 50, 10], [10, 30, 40, 0, 10, 50]]  # means 20, 20, 30
+    picture[2:] = [[90, 90, 80, 80, 70, 70], [90, 90, 80, 80, 70, 70]]
+    made = descriptor("briefgist", rows=2, columns=3)
+    found = made.describe(picture)
+    assert found.position.tolist() == [[0, 0, 1, 1, 0, 0]]
+    assert found.orientation[0].tolist() == [[0, 1], [0, 0], [1, 0]]
+    assert found.position.dtype == found.orientation.dtype == np.float32
+    ordinary = descriptor("briefgist", rows=2, columns=3, circular=False).describe(picture)
+    assert ordinary.position.tolist() == [[0, 0, 1, 0, 0, 0]]
+
+
+def test_sizes_are_those_of_the_thesis():
+    made = descriptor("briefgist")
+    found = made.describe(np.zeros((128, 512), dtype=np.uint8))
+    assert made.sizes(128, 512) == ((1024,), (16, 64))
+    assert found.position.shape == (1, 1024)
+    assert found.orientation.shape == (1, 16, 64)
+    assert made.resolution(512) == pytest.approx(np.pi / 8)
+
+
+def test_the_orientation_part_holds_the_bits_of_the_position_part():
+    found = MADE.describe(BATCH)
+    assert np.array_equal(found.position.reshape(5, 4, 8).transpose(0, 2, 1), found.orientation)
+    assert 0 < found.position.mean() < 1
+
+
+def test_a_batch_is_its_images_in_grey_and_colour():
+    whole = MADE.describe(BATCH)
+    singles = [MADE.describe(image).position[0] for image in BATCH]
+    assert np.array_equal(whole.position, singles)
+    many = np.concatenate([BATCH[:, 0]] * 100)
+    assert np.array_equal(MADE.describe(many).position, np.concatenate([MADE.describe(BATCH[:, 0]).position] * 100))
+
+
+@given(grey=st.floats(0, 1, width=32))
+def test_a_constant_image_has_no_bit_set(grey):
+    assert not MADE.describe(np.full((16, 48), grey, dtype=np.float32)).position.any()
+
+
+@given(turn=st.integers(-8, 8))
+def test_a_turn_is_found_and_changes_no_distance(turn):
+    there, turned = MADE.describe(BATCH), MADE.describe(np.roll(BATCH, 6 * turn, axis=-1))
+    assert np.array_equal(MADE.pairwise(turned, there), MADE.pairwise(there, there))
+    assert np.array_equal(MADE.pairwise(there, turned), MADE.pairwise(there, there))
+    assert np.diag(MADE.pairwise(turned, there)).max() == 0
+    expected = (2 * np.pi * turn / 8 + np.pi) % (2 * np.pi) - np.pi
+    found = MADE.relative_heading(turned, there)
+    np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * np.full(5, expected)), atol=1e-9)
+
+
+def test_the_distance_is_the_number_of_different_bits():
+    queries, references = MADE.describe(BATCH), MADE.describe(255 - BATCH)
+    found = MADE.pairwise(queries, references)
+    for i, query in enumerate(queries.orientation):
+        for j, reference in enumerate(references.orientation):
+            ways = [np.sum(query != np.roll(reference, s, axis=0)) for s in range(8)]
+            assert found[i, j] == min(ways)
+    assert np.array_equal(found, MADE.pairwise(queries, references, "hamming"))
+    assert np.array_equal(found, MADE.pairwise(queries, references, "manhattan"))
+    np.testing.assert_allclose(MADE.pairwise(queries, references, "euclidean") ** 2, found, rtol=1e-5)
+
+
+def test_localize_gives_place_and_heading():
+    found = MADE.localize(MADE.describe(np.roll(BATCH[[3, 1]], -12, axis=-1)), MADE.describe(BATCH))
+    assert found.index.tolist() == [3, 1]
+    assert found.distance.tolist() == [0, 0]
+    np.testing.assert_allclose(found.heading, -np.pi / 2)
+
+
+def test_of_equal_turns_the_smallest_is_taken():
+    twice = np.concatenate([BATCH[0, 0, :, :24]] * 2, axis=1)
+    there = MADE.describe(twice)
+    assert MADE.relative_heading(MADE.describe(np.roll(twice, 6, axis=-1)), there)[0] == pytest.approx(np.pi / 4)
+    assert MADE.relative_heading(MADE.describe(np.roll(twice, 30, axis=-1)), there)[0] == pytest.approx(np.pi / 4)
+
+
+def test_without_wrap_around_bits_are_compared_as_they_stand():
+    made = descriptor("briefgist", rows=4, columns=8, circular=False)
+    there, turned = made.describe(BATCH), made.describe(np.roll(BATCH, 12, axis=-1))
+    expected = [[np.sum(a != b) for b in there.position] for a in turned.position]
+    assert np.array_equal(made.pairwise(turned, there), expected)
+    with pytest.raises(AnalyticError, match="circular=False"):
+        made.relative_heading(turned, there)
+
+
+def test_heading_in_spite_of_noise_and_bars():
+    if not PHOTOS.is_dir():
+        pytest.skip(f"no photographs: {PHOTOS} is missing")
+    photos = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(PHOTOS.glob("*.jpg"))[::2]]
+    panoramas = np.stack([cv2.resize(photo, (512, 128), interpolation=cv2.INTER_AREA) for photo in photos])
+    made = descriptor("briefgist")
+    rng = np.random.default_rng(0)
+    steps = rng.integers(0, 16, len(panoramas))
+    turned = np.stack([np.roll(p, 32 * s, axis=1) for p, s in zip(panoramas, steps, strict=True)])
+    query = made.describe(occlude(noise(turned, 0.005, rng), 0.1, rng))
+    found = made.relative_heading(query, made.describe(panoramas)) / made.resolution(512)
+    assert (np.abs((found - steps + 8) % 16 - 8) < 1.01).mean() >= 0.95
+
+
+@pytest.mark.parametrize(
+    ("params", "says"),
+    [
+        ({"rows": 0}, "at least 1 x 2 windows, got 0 x 16"),
+        ({"columns": 1}, "at least 1 x 2 windows, got 64 x 1"),
+        ({"rows": 5, "columns": 8}, "5 rows of windows, which do not divide its 16 rows of pixels: take 4 or 8"),
+        ({"rows": 64, "columns": 8}, "64 rows of windows, which do not divide its 16 rows of pixels: take 16 for"),
+        ({"rows": 4, "columns": 7}, "take 6 or 8 for 'columns', or resize"),
+    ],
+)
+def test_mistakes_are_one_sentence(params, says):
+    with pytest.raises(AnalyticError, match=says):
+        descriptor("briefgist", **params).describe(BATCH)
+
+
+def test_an_unknown_distance_is_named():
+    found = MADE.describe(BATCH)
+    with pytest.raises(AnalyticError, match="unknown distance 'haming'"):
+        MADE.pairwise(found, found, "haming")

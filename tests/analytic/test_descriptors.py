@@ -1,0 +1,267 @@
+"""What every analytic descriptor has to do, whatever it is made of."""
+
+import pickle
+from math import prod
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from analytic import DESCRIPTORS, AnalyticError, Description, descriptor
+from analytic.disturb import noise, occlude
+
+PHOTOGRAPHS = Path(__file__).parents[2].parent / "shared/data/corridor/ref"
+RNG = np.random.default_rng(11)
+COLOUR = RNG.integers(0, 256, (4, 3, 32, 128), dtype=np.uint8)
+for plane in COLOUR.reshape(-1, 32, 128):  # neighbouring pixels of a picture have much in common
+    smooth = cv2.GaussianBlur(np.hstack([plane] * 3), (0, 0), 2)[:, 128:256]
+    plane[:] = cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX)
+
+SMALL = {
+    "fs": {"rows": 4, "columns": 6, "orientation_rows": 8, "orientation_columns": 32, "turns": 128},
+    "hog": {"rows": 4, "bins": 8, "window": 16, "step": 2, "orientation_bins": 8},
+    "gist": {"blocks": 4, "orientations": 4, "window": 8, "step": 2, "orientation_filters": 4},
+    "wisurf": {"rows": 2, "windows": 16},
+    "briefgist": {"rows": 4, "columns": 16},
+    "radon_fourier": {"step": 11.25, "size": 32, "lines": 4, "orientation_lines": 8},
+    "radon_poc": {"step": 11.25, "size": 32},
+}
+PUBLISHED = {
+    "gist": {"orientations": 16},
+    "wisurf": {"windows": 128},
+    "radon_fourier": {"step": 360 / 256},  # whole columns
+    "radon_poc": {"step": 360 / 64},
+}
+OTHER = {
+    "fs": {"rows": 2},
+    "hog": {"rows": 2},
+    "gist": {"blocks": 2},
+    "wisurf": {"rows": 1},
+    "briefgist": {"rows": 2},
+    "radon_fourier": {"lines": 2},
+    "radon_poc": {"size": 64},
+}
+
+every = pytest.mark.parametrize("name", DESCRIPTORS)
+
+
+def small(name, **params):
+    return descriptor(name, **{**SMALL[name], **params})
+
+
+def columns_per_step(made, width):
+    steps = made.resolution(width) * width / (2 * np.pi)
+    assert steps == pytest.approx(round(steps))
+    assert round(steps) >= 1
+    return round(steps)
+
+
+def apart(one, other):
+    """Angles between headings, rad."""
+    return np.abs(np.angle(np.exp(1j * (one - other))))
+
+
+def assert_alike(found, expected, tolerance):
+    """The vectors agree within a share of their length."""
+    for part, wanted in ((found.position, expected.position), (found.orientation, expected.orientation)):
+        scale = np.linalg.norm(wanted.reshape(len(wanted), -1), axis=1) + 1e-12
+        difference = np.linalg.norm((part - wanted).reshape(len(wanted), -1), axis=1)
+        assert (difference <= tolerance * scale).all()
+
+
+@every
+def test_sizes_are_the_promised_ones(name):
+    made = small(name)
+    found = made.describe(COLOUR)
+    position, orientation = made.sizes(32, 128)
+    assert found.position.shape == (4, prod(position))
+    assert found.orientation.ndim == 3
+    assert found.orientation.shape[0] == 4
+    assert prod(found.orientation.shape[1:]) == prod(orientation)
+    assert found.position.dtype == np.float32
+    assert np.isfinite(found.position).all()
+    assert np.isfinite(found.orientation).all()
+
+
+@every
+def test_a_turn_changes_the_heading_alone(name):
+    made = small(name)
+    step = columns_per_step(made, 128)
+    here = made.describe(COLOUR)
+    for turn in (1, 3, 128 // step // 2, 128 // step - 1):
+        there = made.describe(np.roll(COLOUR, turn * step, axis=-1))
+        if made.aligned:
+            before, after = made.pairwise(here, here), made.pairwise(there, here)
+            np.testing.assert_allclose(after, before, atol=1e-3 * before.max())
+        else:
+            length = np.linalg.norm(here.position, axis=1)
+            assert (np.linalg.norm(there.position - here.position, axis=1) <= 1e-4 * length).all()
+        expected = 2 * np.pi * turn * step / 128
+        assert apart(made.relative_heading(there, here), expected).max() < 1e-6
+        found = made.localize(there, here)
+        assert found.index.tolist() == [0, 1, 2, 3]
+        assert apart(found.heading, expected).max() < 1e-6
+
+
+@every
+@pytest.mark.data
+def test_the_heading_survives_bars_and_noise_on_photographs(name):
+    if not PHOTOGRAPHS.is_dir():
+        pytest.skip(f"needs the photographs in {PHOTOGRAPHS}")
+    pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(PHOTOGRAPHS.glob("*.jpg"))[::6]]
+    pictures = np.stack([cv2.resize(picture, (512, 128), interpolation=cv2.INTER_AREA) for picture in pictures])
+    made = descriptor(name, **PUBLISHED.get(name, {}))
+    step = columns_per_step(made, 512)
+    here = made.describe(pictures)
+    good = []
+    for seed in range(3):
+        generator = np.random.default_rng(seed)
+        turns = generator.integers(0, 512 // step, len(pictures)) * step
+        turned = np.stack([np.roll(picture, turn, axis=-1) for picture, turn in zip(pictures, turns, strict=True)])
+        there = made.describe(noise(occlude(turned, 0.1, generator), 0.005, generator))
+        error = apart(made.relative_heading(there, here), 2 * np.pi * turns / 512)
+        good.extend(error <= made.resolution(512) * 1.001)
+    assert np.mean(good) >= 0.95
+
+
+@every
+def test_a_batch_is_its_images_in_any_order(name):
+    made = small(name)
+    whole = made.describe(COLOUR)
+    singles = Description.concatenate([made.describe(image) for image in COLOUR])
+    assert_alike(singles, whole, 1e-5)
+    assert_alike(made.describe(COLOUR[[2, 0]]), whole.take([2, 0]), 1e-5)
+    many = made.describe(np.concatenate([COLOUR] * 10))
+    assert_alike(many.take(slice(36, 40)), whole, 1e-5)
+
+
+@every
+def test_colour_grey_bytes_and_tensors_agree(name):
+    made = small(name)
+    whole = made.describe(COLOUR)
+    share = COLOUR.astype(np.float32) / 255
+    luma = np.einsum("bchw,c->bhw", share.astype(np.float64), [0.299, 0.587, 0.114])
+    for same in (share, share.astype(np.float64), luma, luma.astype(np.float32), torch.from_numpy(COLOUR)):
+        assert_alike(made.describe(same), whole, 1e-3)
+    grey = np.rint(luma * 255).astype(np.uint8)
+    assert_alike(made.describe(grey), made.describe(np.repeat(grey[:, None], 3, axis=1)), 1e-3)
+    assert_alike(made.describe(grey[0]), made.describe(grey).take([0]), 1e-5)
+
+
+@every
+def test_describing_leaves_the_images_alone(name):
+    for images in (COLOUR[:, 0].copy(), COLOUR[:, 0].astype(np.float32) / 255):
+        kept = images.copy()
+        small(name).describe(images)
+        assert np.array_equal(images, kept)
+
+
+@every
+@pytest.mark.parametrize("value", [0, 128, 255])
+def test_a_constant_picture_has_finite_values(name, value):
+    made = small(name)
+    flat, picture = made.describe(np.full((32, 128), value, dtype=np.uint8)), made.describe(COLOUR)
+    assert np.isfinite(flat.position).all()
+    assert np.isfinite(flat.orientation).all()
+    for queries, references in ((flat, flat), (flat, picture), (picture, flat)):
+        assert np.isfinite(made.pairwise(queries, references)).all()
+        alignment = made.align(queries, references)
+        assert np.isfinite(alignment.heading).all()
+        assert np.isfinite(alignment.distance).all()
+
+
+@every
+def test_what_takes_off_light_can_go_first(name):
+    plain, filtered = small(name), small(name, homomorphic=True)
+    assert not np.array_equal(filtered.describe(COLOUR).position, plain.describe(COLOUR).position)
+    step = columns_per_step(filtered, 128)
+    here, there = filtered.describe(COLOUR), filtered.describe(np.roll(COLOUR, 2 * step, axis=-1))
+    assert apart(filtered.relative_heading(there, here), 4 * np.pi * step / 128).max() < 1e-6
+
+
+@every
+def test_the_identity_is_the_name_and_the_parameters(name):
+    made = small(name)
+    assert made.identity["name"] == name
+    assert made.identity.items() >= SMALL[name].items()
+    assert made.describe(COLOUR).identity == made.identity
+    parameters = {key: value for key, value in made.identity.items() if key != "name"}
+    assert descriptor(name, **parameters) == made
+    assert "device" not in made.identity
+
+
+@every
+def test_a_descriptor_can_be_pickled_and_hashed(name):
+    made = small(name)
+    again = pickle.loads(pickle.dumps(made))
+    assert again == made
+    assert hash(again) == hash(made)
+    assert np.array_equal(again.describe(COLOUR).position, made.describe(COLOUR).position)
+
+
+@every
+def test_descriptions_of_other_parameters_are_not_compared(name):
+    made = small(name)
+    for other in (small(name, homomorphic=True), small(name, **OTHER[name])):
+        for compare in (made.pairwise, made.align, made.relative_heading, made.localize):
+            with pytest.raises(AnalyticError, match="made with other parameters"):
+                compare(made.describe(COLOUR), other.describe(COLOUR))
+
+
+@every
+def test_an_ordinary_camera_has_no_heading(name):
+    made = small(name, circular=False)
+    found = made.describe(COLOUR)
+    assert np.isfinite(found.position).all()
+    assert (np.diag(made.pairwise(found, found)) <= made.pairwise(found, found).min(axis=1) + 1e-6).all()
+    with pytest.raises(AnalyticError, match="no relative heading"):
+        made.relative_heading(found, found)
+
+
+@every
+@pytest.mark.parametrize(
+    ("images", "says"),
+    [
+        (np.full((32, 128), np.nan), "not finite"),
+        (np.full((32, 128), np.inf, dtype=np.float32), "not finite"),
+        (np.full((32, 128), 1.5), r"values in \[0, 1\], got values between 1.5 and 1.5"),
+        (np.zeros((32, 128), dtype=np.int32), "got int32"),
+        (np.zeros((32, 1)), "at least 2 columns, got 32 x 1"),
+        (np.zeros((2, 5, 32, 128)), r"got \(2, 5, 32, 128\)"),
+        ([np.zeros((32, 128)), np.zeros((32, 64))], "one size"),
+    ],
+    ids=["nan", "infinite", "range", "type", "column", "shape", "mixed"],
+)
+def test_what_is_no_picture_is_refused_in_one_sentence(name, images, says):
+    with pytest.raises(AnalyticError, match=says):
+        small(name).describe(images)
+
+
+@pytest.mark.parametrize("name", ["fs", "hog", "gist", "wisurf", "briefgist"])
+def test_a_picture_smaller_than_the_cells_is_refused_in_one_sentence(name):
+    with pytest.raises(AnalyticError, match=r"\b1\b"):  # its height
+        descriptor(name).describe(np.zeros((1, 512)))
+
+
+@every
+@pytest.mark.gpu
+def test_a_graphics_card_gives_the_same_values(name):
+    if not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device")
+    assert_alike(small(name, device="cuda").describe(COLOUR), small(name).describe(COLOUR), 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: descriptor("hogg"), "unknown descriptor 'hogg': did you mean 'hog'"),
+        (lambda: descriptor("sift"), "valid: fs, hog, gist, wisurf, briefgist, radon_fourier, radon_poc"),
+        (lambda: descriptor("hog", windows=3), "'hog' has no parameter 'windows': did you mean 'window'"),
+        (lambda: descriptor("fs", k1=3), "'fs' has no parameter 'k1': valid: "),
+    ],
+)
+def test_unknown_names_are_one_sentence(call, says):
+    with pytest.raises(AnalyticError, match=says):
+        call()

@@ -1,0 +1,153 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from analytic import AnalyticError, Description, descriptor
+
+RNG = np.random.default_rng(6)
+IMAGES = RNG.integers(0, 256, (4, 16, 48), dtype=np.uint8)
+SMALL = {"rows": 4, "columns": 5, "orientation_rows": 8, "orientation_columns": 20, "turns": 48}
+
+
+def test_the_parts_are_the_first_coefficients_of_averaged_rows():
+    found = descriptor("fs", **SMALL).describe(IMAGES)
+    assert found.position.shape == (4, 20)
+    assert found.orientation.shape == (4, 20, 8)
+    for image, position, orientation in zip(IMAGES / 255, found.position, found.orientation, strict=True):
+        rows = np.stack([image[4 * r : 4 * r + 4].mean(axis=0) for r in range(4)])
+        np.testing.assert_allclose(position.reshape(4, 5), np.abs(np.fft.fft(rows)[:, :5]) / 48, atol=1e-6)
+        rows = np.stack([image[2 * r : 2 * r + 2].mean(axis=0) for r in range(8)])
+        np.testing.assert_allclose(orientation, np.fft.fft(rows)[:, :20].T / 48, atol=1e-6)
+
+
+def test_rows_of_the_parts_need_not_fit_each_other():
+    apart = descriptor("fs", **{**SMALL, "orientation_rows": 2}).describe(IMAGES)
+    fitting = descriptor("fs", **SMALL).describe(IMAGES)
+    np.testing.assert_allclose(apart.position, fitting.position, atol=1e-6)
+
+
+def test_a_wave_has_its_amplitude_and_its_phase():
+    x = 2 * np.pi * np.arange(48) / 48
+    image = np.tile(0.5 + 0.4 * np.cos(3 * x - 1), (16, 1))
+    found = descriptor("fs", **SMALL).describe(image)
+    np.testing.assert_allclose(found.position.reshape(4, 5), [[0.5, 0, 0, 0.2, 0]] * 4, atol=1e-6)
+    np.testing.assert_allclose(np.angle(found.orientation[0, 3]), -1, atol=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(turn=st.integers(0, 47))
+def test_a_turn_multiplies_the_coefficients(turn):
+    fs = descriptor("fs", **SMALL)
+    here, there = fs.describe(IMAGES), fs.describe(np.roll(IMAGES, turn, axis=-1))
+    factor = np.exp(-2j * np.pi * turn * np.arange(20) / 48)
+    np.testing.assert_allclose(there.orientation, here.orientation * factor[:, None], atol=1e-6)
+    np.testing.assert_allclose(there.position, here.position, rtol=1e-5)
+    heading = fs.relative_heading(there, here)
+    assert np.allclose(np.exp(1j * heading), np.exp(2j * np.pi * turn / 48))
+
+
+@pytest.mark.parametrize("whitened", [True, False])
+@pytest.mark.parametrize("turns", [12, 48, 144])
+def test_the_correlation_is_that_of_the_rows(turns, whitened):
+    fs = descriptor("fs", **{**SMALL, "orientation_columns": 6, "turns": turns, "whitened": whitened})
+    queries, references = fs.describe(IMAGES[:2]), fs.describe(IMAGES[1:2])
+    found = fs.align(queries, references)
+    angles = 2 * np.pi * np.arange(turns) / turns
+    for i in range(2):
+        for j in range(len(references)):
+            q, r = queries.orientation[i], references.orientation[j]
+            apart, sought = [], []
+            for angle in angles:  # distance between rows of 48 values after turning the query back
+                back = np.exp(1j * angle * np.arange(6))[:, None]
+                rows = np.fft.irfft(q * back - r, n=48, axis=0, norm="forward")
+                apart.append(np.sqrt(np.square(rows).sum() / 48))
+                white = q / np.abs(q) * back, r / np.abs(r)
+                sought.append(np.linalg.norm(np.subtract(*white)[1:]) if whitened else apart[-1])
+            best = int(np.argmin(sought))
+            assert found.distance[i, j] == pytest.approx(apart[best], rel=1e-3, abs=1e-4)
+            assert np.allclose(np.exp(1j * found.heading[i, j]), np.exp(1j * angles[best]))
+
+
+def test_the_phase_product_follows_its_equations():
+    fs = descriptor("fs", **{**SMALL, "heading": "phase_product"})
+    queries, references = fs.describe(np.roll(IMAGES[:2], 9, axis=-1)), fs.describe(IMAGES)
+    found = fs.align(queries, references)
+    for i in range(2):
+        for j in range(len(references)):
+            phases = np.angle(references.orientation[j])
+            sums, apart = [], []
+            for turn in range(48):
+                back = np.exp(2j * np.pi * turn * np.arange(20) / 48)[:, None]
+                turned = np.angle(queries.orientation[i] * back)
+                sums.append((turned * phases).sum())
+                apart.append(np.linalg.norm(turned - phases))
+            best = int(np.argmax(sums))
+            assert np.allclose(np.exp(1j * found.heading[i, j]), np.exp(2j * np.pi * best / 48))
+            if i != j:  # equal images differ in where rounding puts a phase of pi
+                assert found.distance[i, j] == pytest.approx(apart[best], rel=1e-3)
+    assert np.allclose(fs.relative_heading(queries, references.take([0, 1])), 2 * np.pi * 9 / 48)
+
+
+@pytest.mark.parametrize("heading", ["correlation", "phase_product"])
+def test_many_queries_are_aligned_as_one(monkeypatch, heading):
+    fs = descriptor("fs", **SMALL, heading=heading)
+    queries, references = fs.describe(np.roll(IMAGES, 8, axis=-1)), fs.describe(IMAGES)
+    whole = fs.align(queries, references)
+    monkeypatch.setattr("analytic.descriptors.fourier._CHUNK", 1)
+    parts = fs.align(queries, references)
+    assert np.array_equal(whole.heading, parts.heading)
+    np.testing.assert_allclose(whole.distance, parts.distance, rtol=1e-3, atol=1e-3)
+
+
+def test_values_do_not_depend_on_the_size_of_the_image():
+    fs = descriptor("fs", **{**SMALL, "columns": 4, "orientation_columns": 6, "turns": 96})
+    x = 2 * np.pi * np.arange(96) / 96
+    wide = np.tile(0.5 + 0.2 * np.cos(2 * x) + 0.1 * np.sin(3 * x), (32, 1))
+    one, other = fs.describe(wide), fs.describe(wide[::2, ::2])
+    np.testing.assert_allclose(one.position, other.position, atol=1e-6)
+    np.testing.assert_allclose(fs.align(one, other).distance, 0, atol=2e-3)
+
+
+def test_an_ordinary_camera_has_no_seam():
+    flat = descriptor("fs", **SMALL, circular=False)
+    slope = np.tile(np.linspace(0.2, 0.8, 48), (16, 1))
+    twice = np.concatenate([slope, slope[:, ::-1]], axis=1)
+    expected = np.abs(np.fft.fft(twice[0])[:5]) / 96
+    np.testing.assert_allclose(flat.describe(slope).position.reshape(4, 5), [expected] * 4, atol=1e-6)
+    with pytest.raises(AnalyticError, match="no relative heading"):
+        flat.relative_heading(flat.describe(slope), flat.describe(slope))
+    assert descriptor("fs", **{**SMALL, "turns": 50}, circular=False).describe(slope).position.shape == (1, 20)
+
+
+def test_sizes_are_those_of_the_thesis():
+    fs = descriptor("fs")
+    assert fs.sizes(128, 512)[0] == (8, 8)
+    assert fs.resolution(512) == pytest.approx(2 * np.pi / 512)
+    assert fs.resolution(1024) == pytest.approx(2 * np.pi / 512)
+    assert fs.resolution(256) == pytest.approx(2 * np.pi / 256)
+    assert fs.describe(np.zeros((128, 512), dtype=np.uint8)).position.shape == (1, 64)
+
+
+def test_a_description_without_orientation_tells_no_heading():
+    fs = descriptor("fs", **SMALL)
+    position = Description(fs.describe(IMAGES).position)
+    with pytest.raises(AnalyticError, match="no orientation part"):
+        fs.align(position, position)
+
+
+@pytest.mark.parametrize(
+    ("params", "says"),
+    [
+        ({"columns": 0}, "columns of at least 1, got 0"),
+        ({"turns": 38}, "turns=38 tells at most 19 frequencies apart, got orientation_columns=20"),
+        ({"heading": "phase"}, "unknown heading 'phase'.*correlation, phase_product"),
+        ({"rows": 5}, "rows=5 .* height of 16 pixels: use rows=4 or 8"),
+        ({"orientation_rows": 32}, "orientation_rows=32 .* height of 16 pixels: use orientation_rows=16"),
+        ({"columns": 25}, "columns=25 .* 48 columns has: use at most columns=24"),
+        ({"turns": 64}, "turns=64 .* width of 48 pixels: use turns=48"),
+    ],
+)
+def test_mistakes_are_one_sentence(params, says):
+    with pytest.raises(AnalyticError, match=says):
+        descriptor("fs", **{**SMALL, **params}).describe(IMAGES)

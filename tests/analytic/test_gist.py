@@ -1,0 +1,188 @@
+"""Gist: sizes, what it answers to, turns, disturbances, mistakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from analytic import AnalyticError, descriptor
+from analytic.descriptors import gist
+from analytic.disturb import noise, occlude
+
+PHOTOS = Path("../shared/data/corridor/query")
+SMALL = {"blocks": 4, "orientations": 6, "window": 6, "step": 3, "orientation_filters": 4}
+RNG = np.random.default_rng(0)
+BATCH = cv2.GaussianBlur(RNG.random((24, 60, 3)), (0, 0), 1).transpose(2, 0, 1).astype(np.float32)[:, None].repeat(3, 1)
+
+
+def magnitude(picture, theta, frequency):
+    """Return the magnitude of a filter's response, written out: the frequency plane and its inverse sum."""
+    height, width = picture.shape
+    tall = np.concatenate([picture, picture[::-1]])
+    u, v = np.fft.fftfreq(2 * height)[:, None], np.fft.fftfreq(width)[None]
+    squared = (v - frequency * np.cos(theta)) ** 2 + (u - frequency * np.sin(theta)) ** 2
+    transfer = 2 * np.clip((2 ** (-9 * squared / frequency**2) - 2**-9) / (1 - 2**-9), 0, None)
+    return np.abs(np.fft.ifft2(np.fft.fft2(tall) * transfer))[:height]
+
+
+def test_sizes_are_those_of_the_thesis():
+    made = descriptor("gist", blocks=16, orientations=16)
+    found = made.describe(np.zeros((128, 512), dtype=np.uint8))
+    assert made.sizes(128, 512) == ((512,), (256, 16))
+    assert found.position.shape == (1, 512)
+    assert found.orientation.shape == (1, 256, 16)
+    assert found.position.dtype == found.orientation.dtype == np.float32
+    assert descriptor("gist").sizes(128, 512)[0] == (2 * 32 * 256,)
+    assert descriptor("gist", orientation_levels=2).sizes(128, 512)[1] == (256, 32)
+    assert made.resolution(512) == pytest.approx(2 * np.pi * 2 / 512)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_bands_and_windows_hold_the_means_of_the_responses(levels):
+    picture = BATCH[0, 0]
+    found = descriptor("gist", **SMALL, orientation_levels=levels, normalized=False).describe(picture)
+    position = [
+        magnitude(picture, np.pi * k / 6, frequency)[6 * b : 6 * b + 6].mean()
+        for frequency in (1 / 4, 1 / 8)
+        for b in range(4)
+        for k in range(6)
+    ]
+    np.testing.assert_allclose(found.position[0], position, rtol=1e-4, atol=1e-6)
+    for n in (0, 7, 19):
+        columns = np.arange(3 * n, 3 * n + 6) % 60
+        means = [
+            magnitude(picture, np.pi * k / 4, frequency)[:, columns].mean()
+            for frequency in (1 / 4, 1 / 8)[:levels]
+            for k in range(4)
+        ]
+        np.testing.assert_allclose(found.orientation[0, n], means, rtol=1e-4, atol=1e-6)
+
+
+def test_a_wave_at_the_centre_of_a_filter_has_its_amplitude():
+    column = np.arange(64)
+    upright = np.tile(0.5 + 0.3 * np.cos(2 * np.pi * column / 4), (16, 1))
+    position = descriptor("gist", blocks=2, orientations=8).describe(upright).position.reshape(2, 2, 8)
+    np.testing.assert_allclose(position[0, :, 0], 0.3, rtol=1e-5)
+    assert position[0].argmax(axis=-1).tolist() == [0, 0]
+    slow = np.tile(0.5 + 0.3 * np.cos(2 * np.pi * column / 8), (16, 1))
+    position = descriptor("gist", blocks=2, orientations=8).describe(slow).position.reshape(2, 2, 8)
+    np.testing.assert_allclose(position[1, :, 0], 0.3, rtol=1e-5)
+    level = np.tile((0.5 + 0.3 * np.cos(2 * np.pi * (np.arange(16) + 0.5) / 4))[:, None], (1, 64))
+    position = descriptor("gist", blocks=2, orientations=8).describe(level).position.reshape(2, 2, 8)
+    assert position[0].argmax(axis=-1).tolist() == [4, 4]
+
+
+@pytest.mark.parametrize("normalized", [True, False])
+@pytest.mark.parametrize("levels", [1, 2])
+def test_turns_leave_the_position_and_give_the_heading(levels, normalized):
+    made = descriptor("gist", **SMALL, orientation_levels=levels, normalized=normalized)
+    reference = made.describe(BATCH[:1])
+    step = np.array([0, 1, 9, 10, 19])
+    turned = made.describe(np.concatenate([np.roll(BATCH[:1], 3 * s, axis=-1) for s in step]))
+    np.testing.assert_allclose(turned.position, reference.position.repeat(5, axis=0), rtol=1e-4)
+    angle = 2 * np.pi * step / 20
+    expected = np.where(angle > np.pi, angle - 2 * np.pi, angle)
+    np.testing.assert_allclose(made.relative_heading(turned, reference), expected)
+
+
+def test_a_turn_by_a_single_column_leaves_the_position():
+    made = descriptor("gist", **SMALL)
+    found = made.describe(np.roll(BATCH, 1, axis=-1)).position
+    np.testing.assert_allclose(found, made.describe(BATCH).position, rtol=1e-4)
+
+
+def test_a_batch_is_its_images():
+    made = descriptor("gist", **SMALL, orientation_levels=2)
+    whole = made.describe(BATCH)
+    for row, image in enumerate(BATCH):
+        single = made.describe(image)
+        np.testing.assert_allclose(single.position[0], whole.position[row], rtol=1e-5)
+        np.testing.assert_allclose(single.orientation[0], whole.orientation[row], atol=1e-5)
+
+
+@pytest.mark.parametrize("held", [1, 1 << 14, 1 << 24])
+def test_what_is_held_at_once_changes_nothing(held, monkeypatch):
+    made = descriptor("gist", **SMALL, orientation_levels=2)
+    whole = made.describe(BATCH)
+    monkeypatch.setattr(gist, "_HELD", held)
+    parts = made.describe(BATCH)
+    np.testing.assert_allclose(parts.position, whole.position, rtol=1e-5)
+    np.testing.assert_allclose(parts.orientation, whole.orientation, atol=1e-5)
+
+
+def test_normalized_windows_are_the_plain_ones_centred_and_of_unit_length():
+    plain = descriptor("gist", **SMALL, normalized=False).describe(BATCH).orientation.astype(np.float64)
+    centred = plain - plain.mean(axis=2, keepdims=True)
+    expected = centred / np.sqrt((centred**2).sum(axis=2, keepdims=True) + 1e-6)
+    found = descriptor("gist", **SMALL).describe(BATCH).orientation
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("grey", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("circular", [True, False])
+def test_a_constant_image_answers_to_nothing(grey, circular):
+    found = descriptor("gist", **SMALL, circular=circular).describe(np.full((24, 60), grey))
+    np.testing.assert_allclose(found.position, 0, atol=1e-6)
+    np.testing.assert_allclose(found.orientation, 0, atol=1e-2)
+
+
+def test_contrast_scales_and_an_offset_does_nothing():
+    made = descriptor("gist", **SMALL, normalized=False)
+    whole, half = made.describe(BATCH), made.describe(0.5 * BATCH + 0.3)
+    np.testing.assert_allclose(half.position, whole.position / 2, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(half.orientation, whole.orientation / 2, rtol=1e-4, atol=1e-6)
+    assert np.diag(made.pairwise(half, whole)).max() < 1e-6
+
+
+def test_without_wrap_around_the_ends_are_reflected():
+    """A picture beside its mirror image wraps around smoothly, and either half of it is the reflected picture."""
+    picture = BATCH[0, 0]
+    both = descriptor("gist", **SMALL, normalized=False).describe(np.concatenate([picture, picture[:, ::-1]], axis=1))
+    made = descriptor("gist", **SMALL, normalized=False, circular=False)
+    found = made.describe(picture)
+    assert found.orientation.shape == (1, 20, 4)
+    np.testing.assert_allclose(found.orientation[0, :19], both.orientation[0, :19], rtol=1e-4)
+    last = magnitude(np.concatenate([picture, picture[:, ::-1]], axis=1), 0, 1 / 4)[:, 57:60].mean()
+    assert found.orientation[0, 19, 0] == pytest.approx(last, rel=1e-4)
+    with pytest.raises(AnalyticError, match="circular=False"):
+        made.relative_heading(found, found)
+
+
+def test_heading_in_spite_of_noise_and_bars():
+    if not PHOTOS.is_dir():
+        pytest.skip(f"no photographs: {PHOTOS} is missing")
+    photos = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(PHOTOS.glob("*.jpg"))[::5]]
+    panoramas = np.stack([cv2.resize(photo, (512, 128), interpolation=cv2.INTER_AREA) for photo in photos])
+    made = descriptor("gist", blocks=1, orientations=1)
+    rng = np.random.default_rng(0)
+    step = rng.integers(0, 256, (2, len(panoramas)))
+    reference, off = made.describe(panoramas), []
+    for steps in step:
+        turned = np.stack([np.roll(p, 2 * s, axis=1) for p, s in zip(panoramas, steps, strict=True)])
+        query = made.describe(occlude(noise(turned, 0.005, rng), 0.1, rng))
+        found = made.relative_heading(query, reference) / made.resolution(512)
+        off.append(np.abs((found - steps + 128) % 256 - 128))
+    assert (np.concatenate(off) < 1.01).mean() >= 0.95
+
+
+@pytest.mark.parametrize(
+    ("params", "says"),
+    [
+        ({"blocks": 0}, "blocks of at least 1, got 0"),
+        ({"orientations": 0}, "orientations of at least 1"),
+        ({"window": 0}, "window of at least 1"),
+        ({"step": -1}, "step of at least 1, got -1"),
+        ({"orientation_filters": 0}, "orientation_filters of at least 1"),
+        ({"orientation_levels": 3}, "1 or 2 levels in its orientation part, got 3"),
+        ({"orientation_filters": 1}, "normalized=False"),
+        ({"blocks": 5}, "blocks=5 do not divide the image's height of 24 pixels: use blocks=4 or 6"),
+        ({"step": 7, "blocks": 4}, "step=7 does not divide the image's width of 60 pixels: use step=6 or 10"),
+        ({"window": 61, "blocks": 4}, "wider than the image of 60 columns: use at most window=60"),
+    ],
+)
+def test_mistakes_are_one_sentence(params, says):
+    with pytest.raises(AnalyticError, match=says):
+        descriptor("gist", **params).describe(BATCH)

@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from analytic import AnalyticError, descriptor
+
+RNG = np.random.default_rng(5)
+IMAGES = RNG.integers(0, 256, (4, 16, 48), dtype=np.uint8)
+SMALL = {"rows": 4, "bins": 8, "window": 6, "step": 2, "orientation_bins": 12}
+
+
+def ramp(angle):
+    """A picture in the middle of which every gradient has that direction."""
+    i, j = np.mgrid[:16, :32]
+    return (0.5 + 0.01 * (np.cos(angle) * (j - 16) + np.sin(angle) * (i - 8))).astype(np.float32)
+
+
+@pytest.mark.parametrize("bins", [3, 4, 7, 8, 16, 32])
+def test_directions_fall_into_bins_centred_on_their_multiples(bins):
+    hog = descriptor("hog", rows=1, bins=bins, window=4, step=4, orientation_bins=bins, circular=False)
+    for wanted in range(bins):
+        for off in (-0.4, 0.4):
+            part = hog.describe(ramp(2 * np.pi * (wanted + off) / bins)).orientation[0]
+            inner = part[2]  # columns 8 to 11; only the first and the last row see a border
+            assert inner.argmax() == wanted
+            assert inner[wanted] >= 0.01 * 4 * 14 * 0.99
+
+
+def test_upright_and_level_edges_lie_in_the_middle_of_a_bin_despite_noise():
+    hog = descriptor("hog", rows=1, bins=8, window=4, step=4, orientation_bins=8, circular=False)
+    noisy = ramp(0) + np.random.default_rng(0).normal(0, 1e-3, (16, 32)).astype(np.float32)
+    share = hog.describe(noisy).orientation[0, 2]
+    assert share[0] > 0.95 * share.sum()
+
+
+def test_position_sums_magnitudes_band_by_band_from_above():
+    image = np.zeros((16, 32), dtype=np.float32)
+    image[5, 10] = 1  # gradients of 1/2 to the left and right of it, above and below it
+    position = descriptor("hog", **SMALL).describe(image).position.reshape(4, 8)
+    expected = np.zeros((4, 8))
+    expected[1, [0, 4, 6]] = 0.5  # left of the point it grows rightwards, right of it leftwards; below it upwards
+    expected[1, 2] = 0.5  # above it, in row 4, downwards
+    np.testing.assert_allclose(position, expected, atol=1e-6)
+
+
+def test_windows_are_sums_of_columns_that_wrap_around():
+    hog = descriptor("hog", **{**SMALL, "window": 1, "step": 1})
+    columns = hog.describe(IMAGES).orientation
+    assert columns.shape == (4, 48, 12)
+    windows = descriptor("hog", **SMALL).describe(IMAGES).orientation
+    for k in range(24):
+        expected = sum(columns[:, (2 * k + i) % 48] for i in range(6))
+        np.testing.assert_allclose(windows[:, k], expected, rtol=1e-5)
+    # Both parts count every pixel's magnitude once.
+    position = descriptor("hog", **SMALL).describe(IMAGES).position
+    np.testing.assert_allclose(position.sum(axis=1), columns.sum(axis=(1, 2)), rtol=1e-5)
+
+
+def test_an_ordinary_camera_has_borders():
+    flat, ring = (descriptor("hog", **SMALL, circular=wraps) for wraps in (False, True))
+    step = np.zeros((16, 48), dtype=np.float32)
+    step[:, 24:] = 1
+    assert flat.describe(step).position.sum() == pytest.approx(16)  # the step in the middle alone
+    assert ring.describe(step).position.sum() == pytest.approx(32)  # and the one at the seam
+    each = descriptor("hog", **{**SMALL, "window": 1}, circular=False).describe(IMAGES).orientation
+    last = flat.describe(IMAGES).orientation[:, -1]
+    assert last.sum() < ring.describe(IMAGES).orientation[:, -1].sum()
+    assert (last >= each[:, -1]).all()  # columns 46 and 47, not those of the first windows
+    with pytest.raises(AnalyticError, match="no relative heading"):
+        flat.align(flat.describe(IMAGES), flat.describe(IMAGES))
+
+
+def test_equal_numbers_of_bins_are_no_special_case():
+    one = descriptor("hog", **{**SMALL, "bins": 12}).describe(IMAGES)
+    other = descriptor("hog", **SMALL).describe(IMAGES)
+    assert np.array_equal(one.orientation, other.orientation)
+
+
+@pytest.mark.parametrize("whitened", [True, False])
+@settings(max_examples=15, deadline=None)
+@given(steps=st.integers(0, 23), gain=st.floats(0.5, 1))
+def test_a_turn_is_found_and_the_aligned_distance_is_that_after_it(whitened, steps, gain):
+    hog = descriptor("hog", **SMALL, whitened=whitened)
+    images = IMAGES.astype(np.float32) / 255
+    here, there = hog.describe(images), hog.describe(np.roll(gain * images, 2 * steps, axis=-1))
+    found = hog.align(there, here)
+    expected = np.angle(np.exp(1j * 2 * np.pi * steps / 24))
+    assert np.allclose(np.exp(1j * np.diag(found.heading)), np.exp(1j * expected))
+    slow = np.linalg.norm(np.roll(there.orientation[0], -steps, axis=0) - here.orientation[0])
+    assert found.distance[0, 0] == pytest.approx(slow, rel=1e-3, abs=0.05)
+
+
+def test_many_queries_are_aligned_as_one(monkeypatch):
+    hog = descriptor("hog", **SMALL)
+    queries, references = hog.describe(np.roll(IMAGES, 8, axis=-1)), hog.describe(IMAGES)
+    whole = hog.align(queries, references)
+    monkeypatch.setattr("analytic.descriptors.hog._CHUNK", 1)
+    parts = hog.align(queries, references)
+    assert np.array_equal(whole.heading, parts.heading)
+    np.testing.assert_allclose(whole.distance, parts.distance, rtol=1e-4, atol=0.05)
+
+
+def test_sizes_are_those_of_the_thesis():
+    mapping = descriptor("hog", rows=16, bins=16)
+    assert mapping.sizes(128, 512) == ((256,), (256, 16))  # [I] 6.1: 256 and 4096 values
+    found = mapping.describe(np.zeros((128, 512), dtype=np.uint8))
+    assert found.position.shape == (1, 256)
+    assert found.orientation.shape == (1, 256, 16)
+    assert not found.position.any()
+    assert mapping.resolution(512) == pytest.approx(2 * np.pi * 2 / 512)
+
+
+@pytest.mark.parametrize(
+    ("params", "says"),
+    [
+        ({"rows": 0}, "rows of at least 1, got 0"),
+        ({"orientation_bins": -1}, "orientation_bins of at least 1, got -1"),
+        ({"rows": 5}, "rows=5 .* height of 16 pixels: use rows=4 or 8"),
+        ({"rows": 17}, "height of 16 pixels: use rows=16"),
+        ({"step": 5}, "step=5 .* width of 48 pixels: use step=4 or 6"),
+        ({"window": 49}, "window=49 .* 48 columns: use at most window=48"),
+    ],
+)
+def test_mistakes_are_one_sentence(params, says):
+    with pytest.raises(AnalyticError, match=says):
+        descriptor("hog", **{**SMALL, **params}).describe(IMAGES)

@@ -1,0 +1,237 @@
+import math
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.metrics import silhouette_samples, silhouette_score
+
+from analytic import AnalyticError, clustering, distance, measures
+from tests.oracles import clustering as oracle
+from tests.oracles.cold_lists import read_list
+
+LISTS = Path(__file__).parents[2] / "../shared/data/cold_places"
+
+
+def grouped(frames=60, count=5, length=2, seed=0):
+    rng = np.random.default_rng(seed)
+    labels = rng.integers(0, count, frames)
+    labels[:count] = np.arange(count)
+    return 2.0 * rng.normal(size=(count, length))[labels] + rng.normal(size=(frames, length)), labels
+
+
+@pytest.mark.parametrize("length", [1, 2, 16, 17, 300])
+@pytest.mark.parametrize("count", [2, 5, 40])
+def test_the_nearest_silhouette_is_that_of_scikit_learn(length, count):
+    x, labels = grouped(count=count, length=length, seed=length)  # 40 of 60: many clusters of one frame
+    found = measures.silhouettes(x, labels)
+    np.testing.assert_allclose(found.frames, silhouette_samples(x, labels), atol=1e-9)
+    assert measures.silhouette(x, labels) == pytest.approx(silhouette_score(x, labels), abs=1e-10)
+    assert found.labels.tolist() == list(range(count))
+    np.testing.assert_allclose(
+        found.clusters, [silhouette_samples(x, labels)[labels == c].mean() for c in range(count)], atol=1e-9
+    )
+    assert found.sizes.tolist() == np.bincount(labels).tolist()
+
+
+@pytest.mark.parametrize("mode", ["nearest", "pooled"])
+@pytest.mark.parametrize("length", [2, 20])
+def test_silhouettes_follow_their_definition(mode, length):
+    x, labels = grouped(frames=40, length=length, seed=3)
+    labels = labels * 3 - 3 * (labels == 4)  # gaps between the labels
+    labels[[5, 17]] = -1
+    labels[9] = 100  # a cluster of one
+    expected = oracle.silhouettes(x.tolist(), labels.tolist(), mode)
+    np.testing.assert_allclose(measures.silhouettes(x, labels, mode).frames, expected, atol=1e-9)
+    average = oracle.average_silhouette(x.tolist(), labels.tolist(), mode)
+    assert measures.silhouette(x, labels, mode) == pytest.approx(average, abs=1e-10)
+
+
+def test_the_two_silhouettes_by_hand():
+    x = np.array([[0.0], [1], [3], [10], [10], [12]])
+    labels = [0, 0, 1, 2, 2, 2]
+    # Frame 0: a = 1; nearest b = 3 (cluster 1); pooled b = (3 + 10 + 10 + 12) / 4 = 8.75
+    assert measures.silhouettes(x, labels).frames[0] == pytest.approx(2 / 3)
+    assert measures.silhouettes(x, labels, "pooled").frames[0] == pytest.approx(7.75 / 8.75)
+    first = ((7.75 / 8.75) + (6.75 / 7.75)) / 2
+    # Cluster 2: b is the mean distance to 0, 1 and 3; a is (0 + 2) / 2 and, for the last, 2.
+    last = (2 * (26 / 3 - 1) / (26 / 3) + (32 / 3 - 2) / (32 / 3)) / 3
+    assert measures.silhouette(x, labels, "pooled") == pytest.approx((first + 0 + last) / 3)
+
+
+@pytest.mark.parametrize("name", ["manhattan", "cosine", "correlation", "minkowski"])
+def test_silhouettes_of_descriptors_take_any_distance(name):
+    x, labels = grouped(length=6)
+    expected = silhouette_score(x, labels, metric={"minkowski": "euclidean"}.get(name, name))
+    assert measures.silhouette(x, labels, distance=name) == pytest.approx(expected, abs=1e-10)
+    apart = distance(name)(x, x)
+    pooled = measures.silhouettes(x, labels, "pooled", name).frames
+    for i in range(len(x)):
+        own = labels == labels[i]
+        a, b = apart[i, own].sum() / (own.sum() - 1), apart[i, ~own].mean()
+        assert pooled[i] == pytest.approx((b - a) / max(a, b), abs=1e-10)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(2, 12), st.integers(2, 4), st.integers(0, 10_000), st.sampled_from(measures.compactness.MODES))
+def test_silhouettes_are_bounded_and_ignore_scale_origin_and_order(frames, count, seed, mode):
+    rng = np.random.default_rng(seed)
+    x = rng.integers(-2, 3, (frames, 2)).astype(float)
+    labels = rng.integers(0, count, frames)
+    labels[:2] = (0, 1)
+    found = measures.silhouettes(x, labels, mode).frames
+    assert (np.abs(found) <= 1).all()
+    order = rng.permutation(frames)
+    again = measures.silhouettes(1e3 * x[order] + 7, labels[order], mode).frames
+    np.testing.assert_allclose(again, found[order], atol=1e-9)
+
+
+def test_frames_in_one_place_have_silhouette_zero():
+    assert measures.silhouette(np.ones((4, 2)), [0, 0, 1, 1]) == 0
+    assert measures.silhouette(np.ones((4, 2)), [0, 0, 1, 1], "pooled") == 0
+
+
+def test_many_frames_need_no_full_matrix():
+    rng = np.random.default_rng(0)
+    x, labels = rng.normal(size=(6000, 2)), rng.integers(0, 50, 6000)
+    measures.silhouette(x[:100], labels[:100])
+    tracemalloc.start()
+    measures.silhouette(x, labels)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 6000 * 6000 * 8 / 2
+
+
+def test_moment_of_inertia_is_the_sum_over_clusters_of_mean_squares():
+    x, labels = grouped()
+    expected = oracle.moment_of_inertia(x.tolist(), labels.tolist())
+    assert measures.moment_of_inertia(x, labels) == pytest.approx(expected, rel=1e-12)
+    # Two frames 2 m apart are at 1 m from their mean; three in one place are at 0.
+    points, nodes = [[0, 0], [2, 0], [5, 5], [5, 5], [5, 5], [9, 9]], [0, 0, 1, 1, 1, -1]
+    assert measures.moment_of_inertia(points, nodes) == 1
+    assert measures.moments_of_inertia(points, nodes).tolist() == [1, 0]
+
+
+rooms_of = st.lists(st.tuples(st.integers(-1, 4), st.sampled_from(["", "a", "b", "c"])), min_size=1, max_size=40)
+
+
+@given(rooms_of)
+def test_purity_counts_frames_in_nodes_of_their_room(frames):
+    labels, rooms = [label for label, _ in frames], [room for _, room in frames]
+    found = measures.purity(labels, rooms)
+    assert found.unlabelled == rooms.count("")
+    assert found.unassigned == sum(label < 0 and room != "" for label, room in frames)
+    assert found.counted + found.unlabelled + found.unassigned == len(frames)
+    if not found.counted:
+        assert math.isnan(found.overall)
+        assert found.rooms == {}
+        return
+    overall, per_room = oracle.purity(labels, rooms)
+    assert found.overall == pytest.approx(overall)
+    assert found.rooms == pytest.approx(per_room)
+    assert sum(found.frames_per_room.values()) == found.counted
+
+
+def test_purity_by_hand():
+    labels = [0, 0, 0, 1, 1, 1, 2, -1]
+    rooms = ["KT-A", "KT-A", "CR-A", "CR-A", "CR-A", "KT-A", "", "CR-A"]
+    found = measures.purity(labels, rooms)
+    assert found.overall == pytest.approx(4 / 6)
+    assert found.rooms == pytest.approx({"CR-A": 2 / 3, "KT-A": 2 / 3})
+    assert found.labels.tolist() == [0, 1]
+    assert found.nodes.tolist() == pytest.approx([2 / 3, 2 / 3])
+    assert found.room_of_node == ["KT-A", "CR-A"]
+    assert (found.counted, found.unlabelled, found.unassigned) == (6, 1, 1)
+    assert measures.purity([0, 1], ["b", "a"]).overall == 1
+    assert measures.purity([0, 0], np.array(["b", "a"], dtype=object)).room_of_node == ["a"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(2, 25), st.integers(0, 10_000), st.integers(1, 6), st.sampled_from([0.0, 1.0, 2.0]))
+def test_closures_are_counted_as_defined(frames, seed, gap, radius):
+    rng = np.random.default_rng(seed)
+    positions = rng.integers(0, 4, (frames, 2)).astype(float)
+    pairs = rng.integers(0, frames, (rng.integers(0, 30), 2))
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    found = measures.closure_scores(pairs, positions, radius, gap)
+    expected = oracle.closure_counts(pairs.tolist(), positions.tolist(), radius, gap)
+    assert {name: getattr(found, name) for name in expected} == expected
+    if found.closures:
+        assert found.precision == found.right / found.closures
+    if found.revisits:
+        assert found.recall == found.closed / found.revisits
+        assert 0 <= found.f1 <= 1
+
+
+def test_closures_by_hand():
+    # Out along a corridor and back: frames 4 to 6 revisit what 0 to 2 saw; 3 is the turning point.
+    positions = [(0, 0), (1, 0), (2, 0), (3, 0), (2, 0), (1, 0), (0, 0)]
+    assert measures.closure_scores([(0, 6), (5, 1), (2, 4)], positions, 0.5, gap=2).f1 == 1
+    half = measures.closure_scores([(0, 6), (6, 0), (0, 5), (3, 4)], positions, 0.5, gap=2)
+    assert (half.right, half.closures, half.trivial) == (1, 2, 1)
+    assert (half.closed, half.revisits) == (1, 3)
+    assert half.precision == 0.5
+    assert half.f1 == pytest.approx(2 * 0.5 / 3 / (0.5 + 1 / 3))
+    none = measures.closure_scores([], positions, 0.5, gap=2)
+    assert math.isnan(none.precision)
+    assert (none.recall, none.f1) == (0, 0)
+    straight = measures.closure_scores([(0, 3)], positions[:4], 0.5, gap=2)
+    assert straight.precision == 0
+    assert math.isnan(straight.recall)
+    assert math.isnan(straight.f1)
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not LISTS.is_dir(), reason="the real pose lists do not lie beside the project")
+def test_sampling_a_real_path_keeps_to_rooms_and_places():
+    frames = read_list(LISTS / "freiburg_seq2_cloudy1.places.lst")
+    points = np.array([(x, y) for _, _, _, x, y, _ in frames])
+    rooms = [room for _, room, *_ in frames]
+    purities, inertias = [], []
+    for count in (10, 40, 160):
+        labels = clustering.sample(len(frames), count)
+        purities.append(measures.purity(labels, rooms).overall)
+        inertias.append(measures.moment_of_inertia(points, labels))
+    assert purities == sorted(purities)
+    assert purities[-1] > 0.95
+    assert inertias == sorted(inertias, reverse=True)
+    perfect = measures.purity(np.unique(rooms, return_inverse=True)[1], rooms)
+    assert perfect.overall == 1
+    assert set(perfect.rooms.values()) == {1.0}
+
+
+P = np.arange(10.0).reshape(5, 2)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: measures.silhouette(P, [0] * 5), "needs two at least, got 1"),
+        (lambda: measures.silhouette(P, [-1] * 5), "needs two at least, got 0"),
+        (lambda: measures.silhouette(P, [0, 1]), "got 2 labels for 5 frames"),
+        (lambda: measures.silhouette(P, [0.0, 1, 0, 1, 1]), "labels must be whole numbers"),
+        (lambda: measures.silhouette(P, [[0, 1, 0, 1, 1]]), r"shape \(1, 5\)"),
+        (lambda: measures.silhouette(P[0], [0, 1]), r"shape \(n, D\)"),
+        (lambda: measures.silhouette(np.where(P > 8, np.inf, P), [0, 0, 1, 1, 1]), "1 of 5 .* not finite"),
+        (lambda: measures.silhouette(P, [0, 0, 1, 1, 1], "mean"), "'nearest' or 'pooled', got 'mean'"),
+        (lambda: measures.silhouette(P, [0, 0, 1, 1, 1], distance="cosinus"), "did you mean 'cosine'"),
+        (lambda: measures.moment_of_inertia(P, [0] * 4), "got 4 labels for 5 frames"),
+        (lambda: measures.moment_of_inertia(P, [-1] * 5), "no frame is in a cluster"),
+        (lambda: measures.moment_of_inertia(np.full((2, 2), np.nan), [0, 1]), "2 of 2 positions are not finite"),
+        (lambda: measures.purity([0, 1], ["a"]), "got 2 labels for 1 frames"),
+        (lambda: measures.purity([0], [1]), "rooms must be texts"),
+        (lambda: measures.purity([0, 1], np.array(["a", None], dtype=object)), "rooms must be texts"),
+        (lambda: measures.closure_scores([(0, 5)], P, 1.0), "frames from 0 to 4, got 0 to 5"),
+        (lambda: measures.closure_scores([(2, 2)], P, 1.0), "same frame twice"),
+        (lambda: measures.closure_scores([0, 1], P, 1.0), r"shape \(m, 2\), got int64 of shape \(2,\)"),
+        (lambda: measures.closure_scores([(0.5, 1)], P, 1.0), "got float64"),
+        (lambda: measures.closure_scores([], P, -1.0), "not negative, got -1.0"),
+        (lambda: measures.closure_scores([], P, 1.0, gap=0), "the gap must be at least 1, got 0"),
+        (lambda: measures.closure_scores([], P * np.nan, 1.0), "5 of 5 positions are not finite"),
+    ],
+)
+def test_mistakes_are_one_sentence(call, says):
+    with pytest.raises(AnalyticError, match=says):
+        call()
