@@ -1,0 +1,114 @@
+"""Choosing the right building when several maps are at hand ([C] 5.3.3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.clustering import checks, pairs
+from analytic.distances import distance as distance_named
+from analytic.errors import AnalyticError
+
+
+@dataclass(frozen=True)
+class BuildingChoice:
+    """The building that each query was taken for.
+
+    Attributes:
+        building: number of the map with the nearest representative (n,).
+        representative: row of that representative in its map (n,).
+        apart: distance to the nearest representative of each building (n, B).
+    """
+
+    building: NDArray[np.int64]
+    representative: NDArray[np.int64]
+    apart: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BuildingSuccess:
+    """Shares of queries whose building was chosen rightly.
+
+    Attributes:
+        overall: of all queries, pooled; NaN without any.
+        per_building: of the queries from each building that has any.
+        queries: of each of these buildings, the denominators.
+    """
+
+    overall: float
+    per_building: dict[int, float]
+    queries: dict[int, int]
+
+
+def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str = "cosine") -> BuildingChoice:
+    """Return the building of each query: the one whose map holds the nearest representative ([C] 5.3.3).
+
+    Of equally near ones the first counts. [C] compares by the cosine distance.
+
+    Args:
+        queries: descriptors (n, D).
+        maps: the representatives of each building (k, D), such as those of `analytic.clustering.representatives`; k
+            may differ between buildings.
+        distance: a name in `analytic.DISTANCES`.
+
+    Raises:
+        AnalyticError: no maps, wrong shapes, descriptors of another length than the queries', values that are not
+            finite, or an unknown distance.
+    """
+    between = distance_named(distance)
+    asked = checks.vectors(queries, "queries")
+    if isinstance(maps, np.ndarray) and maps.ndim == 2:
+        raise AnalyticError("maps must be a list with the representatives of each building, got a single array")
+    known = [checks.vectors(one, f"representatives of building {i}") for i, one in enumerate(maps)]
+    if not known:
+        raise AnalyticError("there is no map to choose from: give the representatives of at least one building")
+    for i, one in enumerate(known):
+        if one.shape[1] != asked.shape[1]:
+            raise AnalyticError(
+                f"building {i} has descriptors of {one.shape[1]} numbers and the queries of {asked.shape[1]}: describe "
+                "both with one descriptor"
+            )
+    apart = np.empty((len(asked), len(known)))
+    rows = np.empty(apart.shape, dtype=np.int64)
+    for block in pairs.row_slices(len(asked), max(map(len, known))):
+        for i, one in enumerate(known):
+            distances = between(asked[block], one)
+            rows[block, i] = distances.argmin(axis=1)
+            apart[block, i] = distances.min(axis=1)
+    building = apart.argmin(axis=1)
+    return BuildingChoice(building, rows[np.arange(len(asked)), building], apart)
+
+
+def building_success(chosen: ArrayLike, true: ArrayLike) -> BuildingSuccess:
+    """Return the share of queries whose building was chosen rightly ([C] figure 19), overall and by true building.
+
+    Args:
+        chosen: numbers of buildings (n,), such as `BuildingChoice.building`.
+        true: numbers of the queries' buildings (n,).
+
+    Raises:
+        AnalyticError: other shapes, different lengths, or numbers that are not whole or are negative.
+    """
+    found, truth = _numbers(chosen, "chosen"), _numbers(true, "true")
+    if len(found) != len(truth):
+        raise AnalyticError(f"as many chosen as true buildings are needed, got {len(found)} and {len(truth)}")
+    right = found == truth
+    buildings = np.unique(truth).tolist()
+    return BuildingSuccess(
+        overall=float(right.mean()) if len(right) else math.nan,
+        per_building={b: float(right[truth == b].mean()) for b in buildings},
+        queries={b: int((truth == b).sum()) for b in buildings},
+    )
+
+
+def _numbers(values: ArrayLike, what: str) -> NDArray[np.int64]:
+    array = np.asarray(values)
+    if array.ndim != 1 or (array.size and (array.dtype.kind not in "iu" or array.min() < 0)):
+        raise AnalyticError(
+            f"{what} buildings must be whole numbers from 0 on of shape (n,), got {array.dtype} of shape {array.shape}"
+        )
+    return array.astype(np.int64)

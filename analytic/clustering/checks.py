@@ -1,0 +1,97 @@
+"""What clusterings and their measures accept, and how clusters are numbered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.errors import AnalyticError
+
+
+def vectors(values: ArrayLike, what: str = "descriptors") -> NDArray[np.float64]:
+    """Return vectors as float64 (n, D), n and D at least 1.
+
+    Raises:
+        AnalyticError: another shape, no rows, or values that are not finite.
+    """
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise AnalyticError(f"{what} must be an array of numbers of shape (n, D): {error}") from error
+    if array.ndim != 2 or not array.size:
+        raise AnalyticError(f"{what} must have shape (n, D) with n and D at least 1, got {array.shape}")
+    wrong = int((~np.isfinite(array)).any(axis=1).sum())
+    if wrong:
+        raise AnalyticError(f"{wrong} of {len(array)} {what} are not finite: leave those frames out")
+    return array
+
+
+def whole(value: Any, what: str, least: int, most: int | None = None) -> int:
+    """Return a whole number within bounds.
+
+    Raises:
+        AnalyticError: another kind of value, or one out of range.
+    """
+    span = f"at least {least}" if most is None else f"from {least} to {most}"
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise AnalyticError(f"{what} must be a whole number {span}, got {value!r}")
+    if value < least or (most is not None and value > most):
+        raise AnalyticError(f"{what} must be {span}, got {value}")
+    return int(value)
+
+
+def clusters(n_clusters: Any, frames: int) -> int:
+    """Return the number of clusters asked for.
+
+    Raises:
+        AnalyticError: not a whole number, below 1, or more than there are frames.
+    """
+    count = whole(n_clusters, "the number of clusters", 1)
+    if count > frames:
+        raise AnalyticError(f"{count} clusters need at least as many frames, got {frames}: ask for fewer clusters")
+    return count
+
+
+def cluster_labels(labels: ArrayLike, frames: int | None = None) -> NDArray[np.int64]:
+    """Return one whole number a frame (n,); negative ones mark frames that are in no cluster.
+
+    Raises:
+        AnalyticError: another shape or length, or labels that are not whole numbers.
+    """
+    array = np.asarray(labels)
+    if array.ndim != 1 or array.dtype.kind not in "iu":
+        raise AnalyticError(f"labels must be whole numbers of shape (n,), got {array.dtype} of shape {array.shape}")
+    if frames is not None and len(array) != frames:
+        raise AnalyticError(f"every frame needs one label: got {len(array)} labels for {frames} frames")
+    return array.astype(np.int64)
+
+
+def renumbered(labels: NDArray[Any]) -> NDArray[np.int64]:
+    """Return labels numbered 0 to k-1 in the order of their first appearance (n,)."""
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[inverse.reshape(-1)]
+
+
+def distinct(
+    rows: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the different rows in an order of their own, the place of each input row among them, and their counts.
+
+    A method that works on these gives equal frames one label, and does not depend on the order of the input.
+    """
+    different, inverse, counts = np.unique(rows + 0.0, axis=0, return_inverse=True, return_counts=True)
+    return different, inverse.reshape(-1), counts
+
+
+def to_unit_range(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the rows about their mean in units of their largest value, and that unit.
+
+    Distances are left but for the unit; squares neither overflow nor vanish, and a common offset costs no digits.
+    """
+    unit = float(np.abs(rows).max()) or 1.0
+    scaled = rows / unit
+    return scaled - scaled.mean(axis=0), unit

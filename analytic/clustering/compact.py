@@ -1,0 +1,95 @@
+"""From frames to a compact map: representatives, their positions, and plain sampling ([C] 3, 5.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.clustering import checks
+from analytic.errors import AnalyticError
+
+
+def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
+    """Return the clusters of plain sampling: runs of consecutive frames, as nearly equally long as can be (n,).
+
+    Frame i belongs to cluster floor(i * n_clusters / n): the baseline in which every k-th frame stands for those
+    around it ([C] 5.4).
+
+    Args:
+        n: number of frames, at least 1.
+        n_clusters: from 1 to n.
+
+    Raises:
+        AnalyticError: numbers out of range.
+    """
+    frames = checks.whole(n, "the number of frames", 1)
+    count = checks.clusters(n_clusters, frames)
+    return np.arange(frames, dtype=np.int64) * count // frames
+
+
+def sample_rows(n: int, n_clusters: int) -> NDArray[np.int64]:
+    """Return the frames that plain sampling keeps: the middle one of each run of `sample` (n_clusters,).
+
+    Of two in the middle it is the first. Arguments and errors as `sample`.
+    """
+    first = np.flatnonzero(np.diff(sample(n, n_clusters), prepend=-1))
+    last = np.append(first[1:], n) - 1
+    return (first + last) // 2
+
+
+def representatives(X: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
+    """Return the mean descriptor of each cluster (k, D) ([C] 3).
+
+    Row i belongs to the i-th smallest label, which is label i where labels go from 0 to k-1.
+
+    Args:
+        X: descriptors (n, D).
+        labels: whole numbers (n,); frames with a negative one are in no cluster.
+
+    Raises:
+        AnalyticError: wrong shapes, descriptors that are not finite, labels of another length, or no cluster at all.
+    """
+    x = checks.vectors(X)
+    return _means(x, checks.cluster_labels(labels, len(x)))
+
+
+def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
+    """Return the mean position of each cluster (k, 2) ([C] 3).
+
+    A frame without a known position (NaN) does not count; a cluster of such frames only has position NaN. Rows and
+    labels as in `representatives`.
+
+    Args:
+        points: positions of the frames (n, 2), or of any other number of coordinates.
+        labels: whole numbers (n,).
+
+    Raises:
+        AnalyticError: wrong shapes, infinite positions, labels of another length, or no cluster at all.
+    """
+    array = np.asarray(points, dtype=np.float64)
+    unknown = np.isnan(array).any(axis=-1) if array.ndim == 2 else np.zeros(0, dtype=bool)
+    known = checks.vectors(np.where(np.isnan(array), 0.0, array), "positions")
+    names = checks.cluster_labels(labels, len(known))
+    rows, number = _numbered(names)
+    means = np.full((number.max() + 1, known.shape[1]), np.nan)
+    counted = np.isin(rows, np.flatnonzero(~unknown))
+    filled = np.unique(number[counted])
+    if len(filled):
+        means[filled] = _means(known[rows[counted]], number[counted])
+    return means
+
+
+def _means(x: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.float64]:
+    from scipy import sparse
+
+    rows, number = _numbered(labels)
+    member = sparse.csr_array((np.ones(len(rows)), (number, rows)), shape=(number.max() + 1, len(x)))
+    return (member @ x) / np.bincount(number)[:, None]
+
+
+def _numbered(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the frames that are in a cluster, and the rank of their label among the labels."""
+    rows = np.flatnonzero(labels >= 0)
+    if not len(rows):
+        raise AnalyticError("no frame is in a cluster: labels from 0 on are needed")
+    return rows, np.unique(labels[rows], return_inverse=True)[1].reshape(-1)

@@ -1,0 +1,154 @@
+"""Clustering with a self-organizing map ([C] 3.2), trained in batches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.clustering import checks
+from analytic.errors import AnalyticError
+
+_EPOCHS = 60
+_LAST_RADIUS = 0.3  # in units of the grid: a neighbour then counts 0.4 % of the winner
+_SETTLING = 40
+
+
+def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int64]:
+    """Return the clusters of frames by a self-organizing map of W x H units on a rectangular grid (n,).
+
+    A cluster is a unit that won frames, so that there can be fewer than W x H. Places on the grid are numbered column
+    by column, (0, 0), (0, 1) ... (W-1, H-1). Units start evenly spread over the
+    plane of the two principal components, within sqrt(3) standard deviations, the longer side of the grid along the
+    first. In each of 60 epochs every frame chooses its nearest unit (Euclidean; the first of equal ones), and every
+    unit becomes the mean of the frames, weighted by exp(-g^2 / (2 r^2)), where g is the distance on the grid to the
+    frame's unit; r falls geometrically from half the longer side (0.3 at least) to 0.3. At most 40 epochs with the
+    last radius follow, until no frame changes; before each of them, every unit that won no frame, one after the other,
+    is set to the frame farthest from its unit among those of the unit with the largest sum of squared distances that
+    holds two different frames at least, and the frames choose again. The order of the frames does not matter but for
+    the numbering: labels go from 0 to k-1 in the order of first appearance.
+
+    Args:
+        X: descriptors (n, D).
+        grid: (W, H), both at least 1, W x H at most n.
+        seed: of the search for the principal components.
+
+    Raises:
+        AnalyticError: descriptors of wrong shape or not finite, a grid that is not as described, a negative seed.
+    """
+    x = checks.vectors(X)
+    width, height = _checked_grid(grid)
+    if width * height > len(x):
+        raise AnalyticError(
+            f"a grid of {width} x {height} units needs at least {width * height} frames, got {len(x)}: "
+            "make the grid smaller"
+        )
+    seed = checks.whole(seed, "the seed", 0)
+    different, inverse, counts = checks.distinct(x)
+    scaled, _ = checks.to_unit_range(different)
+    return checks.renumbered(winners(scaled, counts.astype(np.float64), (width, height), seed)[inverse])
+
+
+def winners(
+    x: NDArray[np.float64], weights: NDArray[np.float64], grid: tuple[int, int], seed: int
+) -> NDArray[np.int64]:
+    """Return the number of the unit that wins each row after training (n,), 0 to W x H - 1.
+
+    Args:
+        x: rows (n, D).
+        weights: how often each row counts, positive (n,).
+        grid: (W, H).
+        seed: as in `som`.
+    """
+    places = np.stack(np.meshgrid(np.arange(grid[0]), np.arange(grid[1]), indexing="ij"), axis=-1).reshape(-1, 2)
+    apart = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+    units = _first_units(x, weights, places, seed)
+    first = max(max(grid) / 2, _LAST_RADIUS)
+    won = _nearest_unit(x, units)
+    for radius in np.geomspace(first, _LAST_RADIUS, _EPOCHS):
+        units = _moved(x, weights, won, units, apart, float(radius))
+        won = _nearest_unit(x, units)
+    for _ in range(_SETTLING):
+        units, won = _revived(x, weights, won, units)
+        units = _moved(x, weights, won, units, apart, _LAST_RADIUS)
+        before, won = won, _nearest_unit(x, units)
+        if np.array_equal(before, won):
+            break
+    return won
+
+
+def _first_units(
+    x: NDArray[np.float64], weights: NDArray[np.float64], places: NDArray[np.int64], seed: int
+) -> NDArray[np.float64]:
+    mean = weights @ x / weights.sum()
+    axes = _principal(x - mean, weights, seed)
+    size = places.max(axis=0)
+    spread = np.sqrt(3) * (2 * places / np.maximum(size, 1) - (size > 0))
+    longer_first = np.argsort(-size, kind="stable")[: len(axes)]
+    return mean + spread[:, longer_first] @ axes
+
+
+def _principal(centred: NDArray[np.float64], weights: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """Return the two first principal components, or fewer, each as long as its standard deviation (c, D).
+
+    Found by subspace iteration: the start of a map needs a few digits only. The largest value is positive.
+    """
+    rows, columns = centred.shape
+    block = np.random.default_rng(seed).normal(size=(columns, min(8, rows, columns)))
+    for _ in range(20):
+        block, _ = np.linalg.qr(centred.T @ (weights[:, None] * (centred @ block)))
+    seen = np.sqrt(weights / weights.sum())[:, None] * (centred @ block)
+    _, deviations, turns = np.linalg.svd(seen, full_matrices=False)
+    axes = (turns @ block.T)[: min(2, len(turns))]
+    axes = axes * np.sign(axes[np.arange(len(axes)), np.abs(axes).argmax(axis=1)])[:, None]
+    return axes * deviations[: len(axes), None]
+
+
+def _nearest_unit(x: NDArray[np.float64], units: NDArray[np.float64]) -> NDArray[np.int64]:
+    return (np.einsum("ud,ud->u", units, units) - 2 * (x @ units.T)).argmin(axis=1)
+
+
+def _moved(
+    x: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    won: NDArray[np.int64],
+    units: NDArray[np.float64],
+    apart: NDArray[np.int64],
+    radius: float,
+) -> NDArray[np.float64]:
+    """Return the units after one epoch; a unit too far from every winner to feel it stays where it is."""
+    from scipy import sparse
+
+    n = len(x)
+    member = sparse.csr_array((weights, (won, np.arange(n))), shape=(len(units), n))
+    influence = np.exp(-apart / (2 * radius**2))
+    total = influence @ np.bincount(won, weights=weights, minlength=len(units))
+    moved = influence @ (member @ x)
+    felt = total > np.finfo(np.float64).tiny
+    return np.where(felt[:, None], moved / np.where(felt, total, 1)[:, None], units)
+
+
+def _revived(
+    x: NDArray[np.float64], weights: NDArray[np.float64], won: NDArray[np.int64], units: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the units and the winners after every unit without frames has been set to where one is missing."""
+    units = units.copy()
+    for unit in np.flatnonzero(np.bincount(won, minlength=len(units)) == 0):
+        squared = ((x - units[won]) ** 2).sum(axis=1)
+        error = np.bincount(won, weights=weights * squared, minlength=len(units))
+        error[np.bincount(won, minlength=len(units)) < 2] = 0
+        worst = int(error.argmax())
+        if not error[worst] > 0:
+            break
+        units[unit] = x[np.where(won == worst, squared, -1).argmax()]
+        won = _nearest_unit(x, units)
+    return units, won
+
+
+def _checked_grid(grid: Any) -> tuple[int, int]:
+    try:
+        width, height = grid
+    except (TypeError, ValueError) as error:
+        raise AnalyticError(f"the grid of a self-organizing map is two numbers (W, H), got {grid!r}") from error
+    return checks.whole(width, "the width of the grid", 1), checks.whole(height, "the height of the grid", 1)

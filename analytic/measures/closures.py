@@ -1,0 +1,124 @@
+"""Precision and recall of loop closures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.clustering import checks, pairs
+from analytic.errors import AnalyticError
+
+
+@dataclass(frozen=True)
+class ClosureScores:
+    """How many loop closures are right, and how many revisits were closed.
+
+    Attributes:
+        precision: right closures / counted closures; NaN without any.
+        recall: revisits that some right closure joins to an earlier frame / revisits; NaN without any.
+        f1: harmonic mean of both; 0 where revisits exist and none was closed, NaN where there is none.
+        right: closures within the radius.
+        closures: closures counted: different pairs of frames, at least `gap` apart.
+        closed: revisits that were closed.
+        revisits: frames with an earlier frame, at least `gap` before, within the radius.
+        trivial: different pairs of frames less than `gap` apart, left out of everything.
+        radius: inclusive, in the positions' unit.
+        gap: in frames.
+    """
+
+    precision: float
+    recall: float
+    f1: float
+    right: int
+    closures: int
+    closed: int
+    revisits: int
+    trivial: int
+    radius: float
+    gap: int
+
+
+def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap: int = 30) -> ClosureScores:
+    """Return precision, recall and F1 of loop closures.
+
+    A closure joins two frames, in either order, and counts once however often it is named. It is right when their
+    positions are within the radius. Frames less than `gap` apart in time lie close to each other anyway: a closure
+    between them is trivial and does not count. A frame is a revisit if an earlier frame, at least `gap` frames before,
+    lies within the radius; it is closed if it is the later frame of a right closure, which makes recall at most 1.
+
+    Args:
+        closures: rows of `positions`, in pairs (m, 2); m may be 0.
+        positions: of the frames in the order of capture (n, 2).
+        radius: not negative.
+        gap: at least 1.
+
+    Raises:
+        AnalyticError: other shapes, positions that are not finite, frames that do not exist, a closure of a frame with
+            itself, a radius or gap out of range.
+    """
+    xy = checks.vectors(positions, "positions")
+    gap = checks.whole(gap, "the gap", 1)
+    if not 0 <= radius < math.inf:
+        raise AnalyticError(f"the radius must be a number that is not negative, got {radius}")
+    ends = _checked(closures, len(xy))
+    nontrivial = ends[ends[:, 1] - ends[:, 0] >= gap]
+    # Both sides compare through one function, so that a frame exactly at the radius is judged alike.
+    near = _within(xy[nontrivial[:, 0]] - xy[nontrivial[:, 1]], radius)
+    revisits = _revisits(xy, radius, gap)
+    right, revisited, closed = int(near.sum()), int(revisits.sum()), len(np.unique(nontrivial[near, 1]))
+    precision = right / len(nontrivial) if len(nontrivial) else math.nan
+    recall = closed / revisited if revisited else math.nan
+    return ClosureScores(
+        precision=precision,
+        recall=recall,
+        f1=_harmonic(precision, recall),
+        right=right,
+        closures=len(nontrivial),
+        closed=closed,
+        revisits=revisited,
+        trivial=len(ends) - len(nontrivial),
+        radius=float(radius),
+        gap=gap,
+    )
+
+
+def _revisits(xy: NDArray[np.float64], radius: float, gap: int) -> NDArray[np.bool_]:
+    found = np.zeros(len(xy), dtype=bool)
+    for rows in pairs.row_slices(len(xy), len(xy) * xy.shape[1]):
+        if rows.stop <= gap:
+            continue
+        earlier = xy[: rows.stop - gap]
+        near = _within(earlier[None] - xy[rows, None], radius)
+        old_enough = np.arange(len(earlier)) <= np.arange(rows.start, rows.stop)[:, None] - gap
+        found[rows] = (near & old_enough).any(axis=1)
+    return found
+
+
+def _within(difference: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
+    return np.sqrt((difference**2).sum(axis=-1)) <= radius
+
+
+def _harmonic(precision: float, recall: float) -> float:
+    if math.isnan(recall):
+        return math.nan
+    if recall == 0:
+        return 0.0
+    return 2 * precision * recall / (precision + recall)
+
+
+def _checked(closures: ArrayLike, frames: int) -> NDArray[np.int64]:
+    """Return different closures, the earlier frame first (m, 2)."""
+    ends = np.asarray(closures)
+    if not ends.size:
+        return np.zeros((0, 2), dtype=np.int64)
+    if ends.ndim != 2 or ends.shape[1] != 2 or ends.dtype.kind not in "iu":
+        raise AnalyticError(f"closures must be whole numbers of shape (m, 2), got {ends.dtype} of shape {ends.shape}")
+    if ends.min() < 0 or ends.max() >= frames:
+        raise AnalyticError(f"closures must name frames from 0 to {frames - 1}, got {ends.min()} to {ends.max()}")
+    ends = np.sort(ends.astype(np.int64), axis=1)
+    if (ends[:, 0] == ends[:, 1]).any():
+        raise AnalyticError("a closure joins two different frames, but one names the same frame twice")
+    return np.unique(ends, axis=0)

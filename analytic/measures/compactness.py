@@ -1,0 +1,147 @@
+"""How compact clusters are, in positions or in descriptors ([C] 5.2, [I] 6.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.clustering import checks, pairs
+from analytic.distances import DISTANCES
+from analytic.distances import distance as distance_named
+from analytic.errors import AnalyticError
+
+MODES = ("nearest", "pooled")
+
+
+@dataclass(frozen=True)
+class Silhouettes:
+    """Silhouettes of one grouping, each in [-1, 1].
+
+    Attributes:
+        frames: of each frame; NaN for a frame in no cluster (n,).
+        labels: of the clusters, ascending (k,).
+        clusters: mean over the frames of each cluster (k,).
+        sizes: frames of each cluster (k,).
+        mode: "nearest" or "pooled".
+    """
+
+    frames: NDArray[np.float64]
+    labels: NDArray[np.int64]
+    clusters: NDArray[np.float64]
+    sizes: NDArray[np.int64]
+    mode: str
+
+    @property
+    def mean(self) -> float:
+        """The average that belongs to the mode: over frames for "nearest", over clusters for "pooled"."""
+        if self.mode == "pooled":
+            return float(self.clusters.mean())
+        return float(np.nanmean(self.frames))
+
+
+def silhouette(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance: str = "euclidean") -> float:
+    """Return the average silhouette of positions or of descriptors, in [-1, 1]; higher is more compact.
+
+    See `silhouettes` for both modes, the arguments and the errors. With "nearest" every frame weighs the same ([C] eq.
+    8, 10); with "pooled" every cluster does ([I] eq. 12).
+    """
+    return silhouettes(X, labels, mode, distance).mean
+
+
+def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance: str = "euclidean") -> Silhouettes:
+    """Return the silhouettes (b - a) / max(a, b) of frames and clusters.
+
+    a is the mean distance of a frame to the *other* frames of its cluster. b is, with "nearest", the smallest of its
+    mean distances to the frames of each other cluster ([C] eq. 9, 11); with "pooled", its mean distance to all frames
+    of other clusters taken together, every frame weighing the same ([I] eq. 13, [T] eq. 4.11). The frame of a cluster
+    of one has silhouette 0, and so has a frame with a = b = 0. Memory is bounded: distances are computed in blocks.
+
+    Args:
+        X: positions (n, 2), or descriptors (n, D).
+        labels: whole numbers (n,); frames with a negative one are in no cluster and are left out.
+        mode: "nearest" or "pooled".
+        distance: a name in `analytic.DISTANCES`; the seeds do not name theirs, Euclidean is the custom.
+
+    Raises:
+        AnalyticError: wrong shapes, values that are not finite, labels of another length, fewer than two clusters, an
+            unknown mode or distance.
+    """
+    if mode not in MODES:
+        raise AnalyticError(f"a silhouette has mode {' or '.join(map(repr, MODES))}, got {mode!r}")
+    distance_named(distance)
+    x = checks.vectors(X, "positions or descriptors")
+    names = checks.cluster_labels(labels, len(x))
+    rows = np.flatnonzero(names >= 0)
+    rows = rows[np.argsort(names[rows], kind="stable")]
+    present, start, number, sizes = np.unique(names[rows], return_index=True, return_inverse=True, return_counts=True)
+    if len(present) < 2:
+        raise AnalyticError(f"a silhouette compares clusters, so that it needs two at least, got {len(present)}")
+    found = np.zeros(len(rows))
+    for block, apart in _blocks(x[rows], distance):
+        sums = np.add.reduceat(apart, start, axis=1)
+        found[block] = _of_frames(sums, number[block], sizes, mode)
+    frames = np.full(len(x), np.nan)
+    frames[rows] = found
+    return Silhouettes(frames, present, np.add.reduceat(found, start) / sizes, sizes, mode)
+
+
+def moment_of_inertia(points: ArrayLike, labels: ArrayLike) -> float:
+    """Return the moment of inertia of a compact map, in square metres ([C] eq. 7); lower is more compact.
+
+    It is the *sum* over clusters of the mean squared distance of the frames to their cluster's mean position.
+    Arguments and errors as `moments_of_inertia`.
+    """
+    return float(moments_of_inertia(points, labels).sum())
+
+
+def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
+    """Return the mean squared distance to the mean position, of each cluster in the order of labels (k,).
+
+    Args:
+        points: positions (n, 2), or of any other number of coordinates.
+        labels: whole numbers (n,); frames with a negative one are in no cluster and are left out.
+
+    Raises:
+        AnalyticError: wrong shapes, positions that are not finite, labels of another length, or no cluster at all.
+    """
+    positions = checks.vectors(points, "positions")
+    names = checks.cluster_labels(labels, len(positions))
+    if not (names >= 0).any():
+        raise AnalyticError("no frame is in a cluster: labels from 0 on are needed")
+    groups = [positions[names == name] for name in np.unique(names[names >= 0])]
+    return np.array([((group - group.mean(axis=0)) ** 2).sum(axis=1).mean() for group in groups])
+
+
+def _of_frames(
+    sums: NDArray[np.float64], number: NDArray[np.int64], sizes: NDArray[np.int64], mode: str
+) -> NDArray[np.float64]:
+    """Return silhouettes (r,) from the summed distances to each cluster (r, k) and the frames' own clusters (r,)."""
+    each = np.arange(len(sums))
+    own = sums[each, number]
+    within = own / np.maximum(sizes[number] - 1, 1)
+    if mode == "nearest":
+        means = sums / sizes
+        means[each, number] = np.inf
+        between = means.min(axis=1)
+    else:
+        sums[each, number] = 0
+        between = sums.sum(axis=1) / (sizes.sum() - sizes[number])
+    larger = np.maximum(within, between)
+    found = np.divide(between - within, larger, out=np.zeros_like(larger), where=larger > 0)
+    return np.where(sizes[number] == 1, 0.0, found)
+
+
+def _blocks(x: NDArray[np.float64], distance: str) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+    if DISTANCES[distance] is DISTANCES["euclidean"]:
+        scaled, _ = checks.to_unit_range(x)
+        for rows, block in pairs.squared_blocks(scaled):
+            yield rows, np.sqrt(block, out=block)
+        return
+    between = distance_named(distance)
+    for rows in pairs.row_slices(len(x), len(x)):
+        block = between(x[rows], x)
+        block[np.arange(len(block)), np.arange(rows.start, rows.stop)] = 0
+        yield rows, block

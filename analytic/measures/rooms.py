@@ -1,0 +1,83 @@
+"""Whether the nodes of a map keep to rooms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.clustering import checks
+from analytic.errors import AnalyticError
+
+
+@dataclass(frozen=True)
+class Purity:
+    """Shares of frames that lie in a node of their own room.
+
+    A node belongs to the room that most of its labelled frames come from; of equally frequent rooms, to the first by
+    name.
+
+    Attributes:
+        overall: of all counted frames; NaN if there are none.
+        rooms: of each room's counted frames: the share that lies in nodes which belong to that room.
+        frames_per_room: counted frames of each room, the denominators of `rooms`.
+        nodes: of the counted frames of each node: the share that comes from its room; in the order of `labels`.
+        labels: of the nodes that hold counted frames, ascending (k,).
+        room_of_node: the room that each of them belongs to.
+        counted: frames with a room label and a node.
+        unlabelled: frames without a room label, left out.
+        unassigned: frames with a room label but without a node, left out.
+    """
+
+    overall: float
+    rooms: dict[str, float]
+    frames_per_room: dict[str, int]
+    nodes: NDArray[np.float64]
+    labels: NDArray[np.int64]
+    room_of_node: list[str]
+    counted: int
+    unlabelled: int
+    unassigned: int
+
+
+def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
+    """Return the share of frames in the majority room of their node, overall, by room and by node.
+
+    Args:
+        labels: the node of each frame, a whole number (n,); a negative one means no node.
+        rooms: the room of each frame (n,); "" means unknown.
+
+    Raises:
+        AnalyticError: other shapes, different lengths, or rooms that are not text.
+    """
+    names = np.asarray(rooms)
+    if names.ndim != 1 or (names.dtype.kind not in "UO" and names.size):
+        raise AnalyticError(f"rooms must be texts of shape (n,), got {names.dtype} of shape {names.shape}")
+    if not all(isinstance(name, str) for name in names.tolist()):
+        raise AnalyticError("rooms must be texts; write an unknown room as an empty one")
+    texts = names.astype(np.str_)
+    node = checks.cluster_labels(np.asarray(labels, dtype=np.int64) if not np.size(labels) else labels, len(texts))
+    labelled = texts != ""
+    counted = labelled & (node >= 0)
+    present, node_rank = np.unique(node[counted], return_inverse=True)
+    room_names, room_rank = np.unique(texts[counted], return_inverse=True)
+    table = np.zeros((len(present), len(room_names)), dtype=np.int64)
+    np.add.at(table, (node_rank.reshape(-1), room_rank.reshape(-1)), 1)
+    major = table.argmax(axis=1) if table.size else np.zeros(0, dtype=np.int64)
+    right = np.zeros_like(table)
+    right[np.arange(len(major)), major] = table[np.arange(len(major)), major]
+    per_room = table.sum(axis=0)
+    total = int(table.sum())
+    return Purity(
+        overall=float(right.sum() / total) if total else math.nan,
+        rooms={str(room): float(right[:, i].sum() / per_room[i]) for i, room in enumerate(room_names)},
+        frames_per_room={str(room): int(per_room[i]) for i, room in enumerate(room_names)},
+        nodes=right.sum(axis=1) / table.sum(axis=1),
+        labels=present,
+        room_of_node=[str(room_names[i]) for i in major],
+        counted=total,
+        unlabelled=int((~labelled).sum()),
+        unassigned=int((labelled & (node < 0)).sum()),
+    )
