@@ -5,23 +5,30 @@ Arrays of numpy go in and come out. Importing the package does not load torch.
 
 from __future__ import annotations
 
+from analytic import clustering, measures
 from analytic.descriptors.base import Alignment, Description, Descriptor, Match
 from analytic.descriptors.image import ImageDescriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.descriptors.thumbnail import Thumbnail
 from analytic.distances import DISTANCES, distance
 from analytic.errors import AnalyticError
+from analytic.mapper import Decision, IncrementalMapper, Reason
 
 __all__ = [
     "DESCRIPTORS",
     "DISTANCES",
     "Alignment",
     "AnalyticError",
+    "Decision",
     "Description",
     "Descriptor",
     "ImageDescriptor",
+    "IncrementalMapper",
     "Match",
+    "Reason",
     "Thumbnail",
+    "clustering",
     "descriptor",
     "distance",
+    "measures",
 ]

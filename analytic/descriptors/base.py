@@ -61,6 +61,14 @@ class Description:
         return kept[name]
 
     @cached_property
+    def squares(self) -> NDArray[np.float64]:
+        """Squared lengths of the orientation parts (B,)."""
+        if self.orientation is None:
+            raise AnalyticError("this description has no orientation part")
+        flat = self.orientation.reshape(len(self), -1)
+        return np.einsum("bf,bf->b", flat, flat, dtype=np.float64)
+
+    @cached_property
     def spectrum(self) -> NDArray[np.complex64]:
         """Fourier transform of the orientation part, kept so that a map is transformed once for all queries."""
         if self.orientation is None:
@@ -152,7 +160,7 @@ class Descriptor(ABC):
             found = circular.correlate(queries.spectrum[:, part[0]], references.spectrum[:, part[1]], steps)
             best[part] = found.argmax(axis=2)
             peak[part] = np.take_along_axis(found, best[part][..., None], axis=2)[..., 0]
-        squared = _squares(queries)[:, None] + _squares(references)[None, :] - 2 * peak
+        squared = queries.squares[:, None] + references.squares[None, :] - 2 * peak
         return Alignment(circular.heading(best, steps), np.sqrt(np.maximum(squared, 0)))
 
     def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
@@ -248,12 +256,6 @@ def _other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:
     keys = [key for key in {**expected, **found} if expected.get(key) != found.get(key)]
     said = ", ".join(f"{key}={found.get(key)} instead of {expected.get(key)}" for key in keys)
     return f"the descriptions were made with other parameters ({said}): describe all images with one descriptor"
-
-
-def _squares(description: Description) -> NDArray[np.float64]:
-    assert description.orientation is not None
-    flat = description.orientation.reshape(len(description), -1)
-    return np.einsum("bf,bf->b", flat, flat, dtype=np.float64)
 
 
 def as_batch(images: ArrayLike) -> NDArray[np.float32]:

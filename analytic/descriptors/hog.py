@@ -98,7 +98,7 @@ class Hog(ImageDescriptor):
                 sought = circular.correlate(_phases(queries)[:, part], _phases(references), steps)
             best[part] = sought.argmax(axis=2)
             peak[part] = np.take_along_axis(plain, best[part, :, None], axis=2)[..., 0]
-        squared = _squares(queries)[:, None] + _squares(references)[None] - 2 * peak
+        squared = queries.squares[:, None] + references.squares[None] - 2 * peak
         return Alignment(circular.heading(best, steps), np.sqrt(np.maximum(squared, 0)))
 
     def _check_parameters(self) -> None:
@@ -158,11 +158,6 @@ def _phases(description: Description) -> NDArray[np.complex64]:
         zeros = np.zeros_like(description.spectrum)
         kept["phases"] = np.divide(description.spectrum, magnitude, out=zeros, where=magnitude > least)
     return kept["phases"]
-
-
-def _squares(description: Description) -> NDArray[np.float64]:
-    assert description.orientation is not None
-    return np.einsum("bkf,bkf->b", description.orientation, description.orientation, dtype=np.float64)
 
 
 def differences(grey: Tensor, circular: bool) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,154 @@
+"""The log of a run: one line of JSON for each frame, from which the run can be replayed and explained."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.errors import AnalyticError
+from analytic.mapper.decision import Change, Decision, Reason
+from analytic.mapper.state import NONE
+
+FORMAT = "analytic.mapper.log"
+VERSION = 1
+
+
+class EventLog:
+    """Lines in memory and, if asked for, in a file.
+
+    Args:
+        lines: of the run so far.
+        target: a path, which is written anew with the whole run, or an open text file; None for memory alone.
+
+    Raises:
+        AnalyticError: a path that cannot be written.
+    """
+
+    def __init__(self, lines: Iterable[str], target: str | Path | TextIO | None = None) -> None:
+        self.lines = list(lines)
+        self._path = Path(target) if isinstance(target, (str, Path)) else None
+        self._file = None if isinstance(target, (str, Path)) else target
+        self._write("".join(f"{line}\n" for line in self.lines), "w")
+
+    def write(self, line: str) -> None:
+        """Write one line to the file; `keep` then keeps it in memory."""
+        self._write(f"{line}\n", "a")
+
+    def keep(self, line: str) -> None:
+        """Keep one line in memory."""
+        self.lines.append(line)
+
+    def _write(self, text: str, mode: str) -> None:
+        try:
+            if self._path is not None:
+                with self._path.open(mode, encoding="utf-8") as file:
+                    file.write(text)
+            elif self._file is not None:
+                self._file.write(text)
+        except (OSError, ValueError) as error:
+            raise AnalyticError(
+                f"the log of the mapper cannot be written to {self._path or self._file} ({error}): give a path in a "
+                "folder that can be written to"
+            ) from error
+
+
+def header(rules: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
+    """Return the first line of a log."""
+    return json.dumps({"format": FORMAT, "version": VERSION, "parameters": rules, "descriptor": identity}, default=str)
+
+
+def line_of(decision: Decision, poses: list[Any]) -> str:
+    """Return the line of a decision, numbers with six digits.
+
+    Args:
+        decision: on one frame, or on several that were added at once, of which it names the last.
+        poses: of those frames.
+    """
+    frames = list(range(decision.frame - len(poses) + 1, decision.frame + 1))
+    event = {
+        "frames": frames,
+        "poses": poses,
+        "node": decision.node,
+        "reason": decision.reason.name,
+        "scores": _short(decision.scores),
+        "changes": [_change(change) for change in decision.changes],
+    }
+    return json.dumps(event, separators=(",", ":"))
+
+
+def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
+    """Return the node of each frame (n,), -1 for none, from the lines of a log.
+
+    Args:
+        events: lines of JSON, or what they hold; a header may come first, and empty lines are passed over.
+
+    Raises:
+        AnalyticError: a line that is no event, frames out of order, or a log of a newer version.
+    """
+    labels: list[int] = []
+    for number, line in enumerate(events, start=1):
+        if isinstance(line, str) and not line.strip():
+            continue
+        try:
+            event = json.loads(line) if isinstance(line, str) else line
+            if "format" in event:
+                _check_version(event)
+                continue
+            frames = [int(frame) for frame in event["frames"]]
+            if frames != list(range(len(labels), len(labels) + len(frames))):
+                raise AnalyticError(
+                    f"event {number} is of the frames {frames}, but {len(labels)} came before it: replay whole logs, "
+                    "in order"
+                )
+            labels += [NONE if event["node"] is None else int(event["node"])] * len(frames)
+            for change in event["changes"]:
+                _apply(labels, change)
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            if isinstance(error, AnalyticError):
+                raise
+            raise AnalyticError(
+                f"event {number} of the log is not a line that a mapper wrote ({error!r}): the file is cut short or "
+                "not a log"
+            ) from error
+    return np.array(labels, dtype=np.int64)
+
+
+def _apply(labels: list[int], change: Mapping[str, Any]) -> None:
+    reason = Reason[change["reason"]]
+    if reason is Reason.NODES_MERGED:
+        gone = change["scores"]["gone"]
+        labels[:] = [change["node"] if label == gone else label for label in labels]
+    elif reason in (Reason.NEW_NODE, Reason.REASSIGNED, Reason.MAINTAINED):
+        for frame in change["frames"]:
+            labels[frame] = change["node"]
+
+
+def _check_version(event: Mapping[str, Any]) -> None:
+    if event["format"] != FORMAT:
+        raise AnalyticError(f"this is no log of a mapper but of {event['format']!r}: give the file that `log` named")
+    if event["version"] > VERSION:
+        raise AnalyticError(
+            f"the log has format version {event['version']}, and this program reads up to {VERSION}: use a newer one"
+        )
+
+
+def _change(change: Change) -> dict[str, Any]:
+    return {
+        "reason": change.reason.name,
+        "node": change.node,
+        "frames": list(change.frames),
+        "scores": _short(change.scores),
+    }
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _short(item) for key, item in value.items()}
+    return [_short(item) for item in value] if isinstance(value, list) else value

@@ -1,0 +1,145 @@
+"""The topology of a map: which places one gets to from which, and where loops closed."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections import Counter
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.errors import AnalyticError
+
+_NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
+_KEYS = {
+    "frames": ("node", "int"),
+    "modes": ("node", "int"),
+    "x": ("node", "double"),
+    "y": ("node", "double"),
+    "passages": ("edge", "int"),
+    "loops": ("graph", "string"),
+}
+
+
+@dataclass(frozen=True)
+class NodeGraph:
+    """Nodes, edges and loop closures of a map.
+
+    Attributes:
+        nodes: for each id, the number of its frames and modes and, if its frames have coordinates, their mean x and y.
+        edges: for each pair of ids, the smaller first, how often the robot went between them.
+        loops: (frame, matched frame) wherever a place was found again after another one.
+    """
+
+    nodes: dict[int, dict[str, float]]
+    edges: dict[tuple[int, int], int]
+    loops: list[tuple[int, int]]
+
+    def to_json(self, path: str | Path) -> None:
+        """Write a JSON object with lists `nodes`, `edges` and `loops`.
+
+        Raises:
+            AnalyticError: a path that cannot be written.
+        """
+        edges = [{"source": a, "target": b, "passages": n} for (a, b), n in sorted(self.edges.items())]
+        nodes = [{"id": key, **values} for key, values in sorted(self.nodes.items())]
+        write(path, json.dumps({"nodes": nodes, "edges": edges, "loops": self.loops}, indent=1).encode())
+
+    def to_graphml(self, path: str | Path) -> None:
+        """Write an undirected GraphML graph with the same contents; loops are a JSON list in one attribute.
+
+        Raises:
+            AnalyticError: a path that cannot be written.
+        """
+        root = ElementTree.Element("graphml", xmlns=_NAMESPACE)
+        for key, (domain, kind) in _KEYS.items():
+            ElementTree.SubElement(root, "key", {"id": key, "for": domain, "attr.name": key, "attr.type": kind})
+        graph = ElementTree.SubElement(root, "graph", id="map", edgedefault="undirected")
+        _data(graph, {"loops": json.dumps(self.loops)})
+        for node, values in sorted(self.nodes.items()):
+            _data(ElementTree.SubElement(graph, "node", id=f"n{node}"), values)
+        for (a, b), passages in sorted(self.edges.items()):
+            edge = ElementTree.SubElement(graph, "edge", source=f"n{a}", target=f"n{b}")
+            _data(edge, {"passages": passages})
+        write(path, ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def edges(labels: NDArray[np.int64]) -> dict[tuple[int, int], int]:
+    """Return how often one frame with a node follows another of a different node, by pair of ids.
+
+    Args:
+        labels: (n,) node of each frame in capture order, -1 for none; frames without one are passed over.
+    """
+    assigned = labels[labels >= 0]
+    pairs = zip(assigned[:-1].tolist(), assigned[1:].tolist(), strict=True)
+    return dict(Counter((min(a, b), max(a, b)) for a, b in pairs if a != b))
+
+
+def loops(labels: NDArray[np.int64], matches: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Return the loop closures (frame, matched frame): both of one node, with a frame of another one between them.
+
+    Args:
+        labels: (n,) as in `edges`.
+        matches: (n,) most similar earlier frame of each, -1 for none.
+    """
+    assigned = labels >= 0
+    last = np.maximum.accumulate(np.where(assigned, np.arange(len(labels)), -1)) if len(labels) else labels
+    before = np.concatenate([[-1], last[:-1]]) if len(labels) else labels
+    turns = np.cumsum(assigned & (before >= 0) & (labels != labels[before]))
+    found = np.flatnonzero(assigned & (matches >= 0))
+    found = found[(labels[matches[found]] == labels[found]) & (turns[matches[found]] < turns[found])]
+    return [(int(frame), int(matches[frame])) for frame in found]
+
+
+def coordinates(pose: Any) -> tuple[float, float] | None:
+    """Return x and y of a pose: of an object's "x" and "y", or the first two numbers of a list; None without."""
+    if isinstance(pose, dict):
+        pair = [pose.get("x"), pose.get("y")]
+    else:
+        pair = pose[:2] if isinstance(pose, list) else []
+    numbers = [float(v) for v in pair if isinstance(v, (int, float)) and not isinstance(v, bool) and isfinite(v)]
+    return (numbers[0], numbers[1]) if len(numbers) == 2 else None
+
+
+def write(path: str | Path, data: bytes) -> None:
+    """Write a file under a temporary name and rename it.
+
+    Raises:
+        AnalyticError: a path that cannot be written.
+    """
+    path = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _unwritable(path: Path, error: OSError) -> AnalyticError:
+    return AnalyticError(
+        f"{path} cannot be written ({error.strerror or error}): give a file name in a folder that exists and can be "
+        "written to"
+    )
+
+
+def _data(element: ElementTree.Element, values: dict[str, Any]) -> None:
+    for key, value in values.items():
+        ElementTree.SubElement(element, "data", key=key).text = str(value)

@@ -1,0 +1,288 @@
+"""The incremental mapper: one frame in, one decision out ([I] 4; [T] 4.3, 4.6)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.descriptors.base import Description, Descriptor, check_alike
+from analytic.errors import AnalyticError
+from analytic.mapper import graph, storage
+from analytic.mapper.closure import image_level
+from analytic.mapper.decision import Decision, Location
+from analytic.mapper.events import EventLog, header, line_of
+from analytic.mapper.node import Node
+from analytic.mapper.parameters import parameters
+from analytic.mapper.placing import closures_of
+from analytic.mapper.state import State
+from analytic.mapper.steps import maintain, step
+
+LARGEST_POSITION = 4096  # numbers: beyond, the covariance of a single node takes more than 128 MiB
+
+
+class IncrementalMapper:
+    """A topological map that grows while the robot drives.
+
+    Args:
+        descriptor: which made the descriptions. If its descriptions have no orientation part, or it was made with
+            `circular=False`, images are compared by position alone.
+        version: 1 is [I] 4 and [T] 4.3; 2 the improved version of [T] 4.6.
+        log: a path or an open text file that gets one line of JSON per frame; the lines are kept in memory anyway.
+        others: every threshold, see `analytic.mapper.parameters.Parameters`: omega=1.85, y=1.5, gamma=5, ...
+
+    Attributes:
+        descriptor: as given.
+        parameters: all of them.
+        extendable: whether frames may be added; not those of a map that was loaded to be asked.
+
+    Raises:
+        AnalyticError: an unknown parameter, a value out of its range, or a log that cannot be written.
+    """
+
+    def __init__(
+        self,
+        descriptor: Descriptor,
+        version: int = 1,
+        *,
+        log: str | Path | TextIO | None = None,
+        **others: Any,
+    ) -> None:
+        self.descriptor = descriptor
+        self.parameters = parameters({"version": version, **others})
+        self.extendable = True
+        self._state = State(self.parameters)
+        self._poses: list[Any] = []
+        self._template: Description | None = None
+        self._log = EventLog([header(asdict(self.parameters), descriptor.identity)], log)
+
+    def __len__(self) -> int:
+        return len(self._state.labels)
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """Return the nodes, the oldest first."""
+        return tuple(self._state.ordered())
+
+    @property
+    def poses(self) -> tuple[Any, ...]:
+        """Return what was given with each frame."""
+        return tuple(self._poses)
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """Return the log: a header, then a line of JSON for each call of `add` or `maintain`."""
+        return tuple(self._log.lines)
+
+    def labels(self) -> NDArray[np.int64]:
+        """Return the node of each frame (n,), -1 for none."""
+        return self._state.labels.copy()
+
+    def graph(self) -> graph.NodeGraph:
+        """Return nodes, edges and loop closures, to be written as GraphML or JSON."""
+        places = [graph.coordinates(pose) for pose in self._poses]
+        nodes: dict[int, dict[str, float]] = {}
+        for node in self.nodes:
+            nodes[node.id] = {"frames": len(node), "modes": len(node.modes)}
+            known = [place for frame in node.frames if (place := places[frame]) is not None]
+            if known:
+                x, y = np.mean(known, axis=0)
+                nodes[node.id] |= {"x": float(x), "y": float(y)}
+        labels = self._state.labels
+        return graph.NodeGraph(nodes, graph.edges(labels), graph.loops(labels, self._state.matches))
+
+    def add(self, description: Description, frame: Any = None) -> Decision:
+        """Add one frame and return what became of it. If anything fails, the map is as it was.
+
+        Args:
+            description: of one image.
+            frame: an identifier or a pose to keep with it: a plain value, or a list or object of plain values. The
+                first two numbers of a list, or the values "x" and "y", are coordinates in m.
+
+        Raises:
+            AnalyticError: a map that is read-only; a description of several images, of another descriptor, of another
+                size or with values that are not finite; a frame that is not plain; a log that cannot be written.
+        """
+        self._check_extendable()
+        description = self._checked(description, 1)
+        pose = _plain(frame)
+        draft = self._state.copy()
+        decision = step(draft, self.descriptor, description, self._orientation(description))
+        self._commit(draft, description, decision, [pose])
+        return decision
+
+    def maintain(self, node: int, descriptions: Description, frames: Sequence[Any] | None = None) -> Decision:
+        """Teach a node another appearance: a mode of its own, beside those that it has, from a revisit of its place.
+
+        Args:
+            node: id.
+            descriptions: of at least `smallest_node` images, in capture order.
+            frames: identifiers or poses, as many; see `add`.
+
+        Raises:
+            AnalyticError: an unknown node, too few images, and what `add` raises.
+        """
+        self._check_extendable()
+        descriptions = self._checked(descriptions, None)
+        if node not in self._state.nodes:
+            raise AnalyticError(f"the map has no node {node!r}: it has {sorted(self._state.nodes)}")
+        count = len(descriptions)
+        if count < self.parameters.smallest_node:
+            raise AnalyticError(
+                f"another appearance of a node needs at least smallest_node={self.parameters.smallest_node} images, "
+                f"got {count}"
+            )
+        poses = [_plain(frame) for frame in (frames if frames is not None else [None] * count)]
+        if len(poses) != count:
+            raise AnalyticError(f"{count} images need as many frames, got {len(poses)}")
+        draft = self._state.copy()
+        decision = maintain(draft, node, [descriptions.take(slice(row, row + 1)) for row in range(count)])
+        self._commit(draft, descriptions, decision, poses)
+        return decision
+
+    def locate(self, description: Description) -> Location:
+        """Return where one image is in the map: its node and the most similar frame in it. Nothing changes.
+
+        Nodes that pass the node-level condition compete; if none passes, the one that comes nearest to it is taken.
+
+        Raises:
+            AnalyticError: a map without nodes, and what `add` raises for descriptions.
+        """
+        description = self._checked(description, 1)
+        state, rules = self._state, self.parameters
+        if not state.nodes:
+            raise AnalyticError(f"the map has no node yet after {len(self)} frames: add more before asking it")
+        closures = closures_of(state, description)
+        closing = [key for key, closure in closures.items() if closure.closes(rules.x(len(closures)))]
+        nearest = min(closures, key=lambda key: (closures[key].ratio, key))
+        orientation = self._orientation(description)
+        candidates = [state.nodes[key] for key in closing or [nearest]]
+        similarity = image_level(self.descriptor, description, candidates, rules.distance, orientation)
+        means = similarity.means()
+        node = min(means, key=lambda key: (-means[key], key))
+        if rules.version == 1:
+            node = int(similarity.nodes[similarity.best()])
+        row = similarity.best(node)
+        frame = int(similarity.frames[row])
+        scores = {
+            "x": rules.x(len(closures)),
+            "nodes": {str(c.node): [c.distance, c.mean, c.std] for c in closures.values()},
+            "candidates": closing,
+            "mean_similarity": {str(key): value for key, value in means.items()},
+            "similarity": float(similarity.values[row]),
+        }
+        heading = self._heading(description, node, frame) if orientation else None
+        return Location(node, frame, self._poses[frame], heading, bool(closing), scores)
+
+    def save(self, path: str | Path) -> None:
+        """Write the map to one file: arrays without pickles, under a temporary name that is then renamed.
+
+        Raises:
+            AnalyticError: a path that cannot be written.
+        """
+        storage.save(path, self._state, self._poses, self.descriptor.identity, self._log.lines)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | Path,
+        descriptor: Descriptor | None = None,
+        *,
+        extend: bool = False,
+        log: str | Path | TextIO | None = None,
+    ) -> IncrementalMapper:
+        """Read a map. It can only be asked, unless it is opened for extension; then it goes on as if never stopped.
+
+        Args:
+            path: as given to `save`.
+            descriptor: that of the map; may be left out if its name is in `analytic.DESCRIPTORS`.
+            extend: whether frames may be added.
+            log: as of the class; it gets the whole run.
+
+        Raises:
+            AnalyticError: a path that cannot be read, a file that is cut short, no map or of a newer version, a
+                descriptor with other parameters than the map's, or none for a map of an unknown one.
+        """
+        stored = storage.load(path)
+        descriptor = descriptor or storage.descriptor_of(stored.identity, path)
+        if json.loads(json.dumps(descriptor.identity, default=str)) != stored.identity:
+            raise AnalyticError(
+                f"the map {path} was made with the descriptor {stored.identity}, not with {descriptor.identity}: "
+                "give the one that it was made with"
+            )
+        mapper = cls(descriptor, **asdict(stored.state.rules))
+        mapper.extendable = extend
+        mapper._state = stored.state
+        mapper._poses = stored.poses
+        mapper._template = stored.state.recent[-1][1] if stored.state.recent else None
+        mapper._log = EventLog(stored.lines, log)
+        return mapper
+
+    def _commit(self, draft: State, description: Description, decision: Decision, poses: list[Any]) -> None:
+        line = line_of(decision, poses)
+        self._log.write(line)
+        self._log.keep(line)
+        self._template = description.take(slice(0, 1))
+        self._poses += poses
+        self._state = draft
+
+    def _check_extendable(self) -> None:
+        if not self.extendable:
+            raise AnalyticError(
+                "this map was loaded to be asked, not to be changed: load it with extend=True to add frames"
+            )
+
+    def _orientation(self, description: Description) -> bool:
+        turns = getattr(self.descriptor, "circular", True)
+        return self.parameters.orientation and turns and description.orientation is not None
+
+    def _heading(self, description: Description, node: int, frame: int) -> float:
+        gallery = next(m.gallery for m in self._state.nodes[node].modes if frame in m.gallery.frames)
+        reference = gallery.row(int(np.flatnonzero(gallery.frames == frame)[0]))
+        return float(self.descriptor.align(description, reference).heading[0, 0])
+
+    def _checked(self, description: Description, count: int | None) -> Description:
+        """Return a copy of a description that the map can take."""
+        if not isinstance(description, Description):
+            raise AnalyticError(
+                f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"
+            )
+        if description.position.ndim != 2 or 0 in description.position.shape:
+            raise AnalyticError(
+                f"a position descriptor must have shape (images, numbers), got {description.position.shape}"
+            )
+        if description.position.shape[1] > LARGEST_POSITION:
+            raise AnalyticError(
+                f"a node keeps a covariance of its position descriptors, which may have {LARGEST_POSITION} numbers at "
+                f"most, got {description.position.shape[1]}: choose a smaller one, such as hog with rows=16, bins=16"
+            )
+        if count is not None and len(description) != count:
+            raise AnalyticError(f"the mapper takes one image at a time, got a description of {len(description)}")
+        parts = [description.position] + ([] if description.orientation is None else [description.orientation])
+        for name, part in zip(("position", "orientation"), parts, strict=False):
+            if len(part) != len(description):
+                raise AnalyticError(f"{len(description)} positions need as many orientation parts, got {len(part)}")
+            if not np.isfinite(part).all():
+                raise AnalyticError(f"the {name} part of a description holds values that are not finite: leave it out")
+        self.descriptor.check(description, description)
+        if self._template is not None:
+            check_alike(self._template, description)
+        copies = [np.array(part) for part in parts]
+        return Description(copies[0], copies[1] if len(copies) > 1 else None, description.identity)
+
+
+def _plain(frame: Any) -> Any:
+    """Return an identifier or a pose as JSON will give it back."""
+    if isinstance(frame, (np.generic, np.ndarray)):
+        frame = frame.tolist()
+    try:
+        return json.loads(json.dumps(frame))
+    except (TypeError, ValueError) as error:
+        raise AnalyticError(
+            f"a frame's identifier or pose must be plain values, lists or objects of them, got {frame!r}"
+        ) from error

@@ -1,0 +1,224 @@
+"""A node of the map, and its modes: the appearances under which its place is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.descriptors.base import Description
+from analytic.mapper.gallery import Gallery, spread, thin
+from analytic.mapper.model import Model
+from analytic.mapper.moments import Moments
+from analytic.mapper.parameters import Parameters
+from analytic.mapper.rim import Rim
+from analytic.mapper.rows import Rows
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Of the distances of a mode's held-out frames to its model ([I] 4.1).
+
+    Attributes:
+        mean: of the squared Mahalanobis distances.
+        std: of them, with n - 1; 0 for fewer than two, so that nothing closes.
+    """
+
+    mean: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One appearance of a node. A value: what changes it returns another mode.
+
+    Attributes:
+        rules: the parameters of the map.
+        frames: (n,) numbers of its frames, in the order in which they joined.
+        held: (n,) whether a frame forms the Gaussian; the others model the mode.
+        rows: (n, D) position descriptors of its frames.
+        squares: (n,) their squared lengths.
+        centre: (D,) mean of all its frames, the representative.
+        model: mean and covariance of the frames that model it.
+        gallery: the frames that images are compared with.
+        rim: the frames that may be the furthest from the centre, if they were looked for.
+    """
+
+    rules: Parameters
+    frames: NDArray[np.int64]
+    held: NDArray[np.bool_]
+    rows: Rows
+    squares: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    model: Model
+    gallery: Gallery
+    rim: Rim | None = None
+
+    @staticmethod
+    def of(rules: Parameters, frames: Sequence[int], descriptions: Sequence[Description]) -> Mode:
+        """Return the mode of frames and their descriptions, one frame each, added in that order."""
+        size = descriptions[0].position.shape[1]
+        mode = Mode(
+            rules,
+            np.empty(0, dtype=np.int64),
+            np.empty(0, dtype=bool),
+            Rows.of(np.empty((0, size))),
+            np.empty(0),
+            np.zeros(size),
+            Model(Moments.none(size), rules.shrinkage),
+            Gallery.of([], []),
+        )
+        for frame, description in zip(frames, descriptions, strict=True):
+            mode = mode.add(frame, description)
+        return mode
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def add(self, frame: int, description: Description) -> Mode:
+        """Return the mode with one frame more."""
+        x = description.position[0].astype(np.float64)
+        held = self.rules.holds_out(int(self.held.sum()), len(self))
+        limit = self.rules.exemplars
+        rim = self._furthest[0] if "_furthest" in self.__dict__ else self.rim
+        return replace(
+            self,
+            frames=np.append(self.frames, frame),
+            held=np.append(self.held, held),
+            rows=self.rows.add(x),
+            squares=np.append(self.squares, x @ x),
+            centre=self.centre + (x - self.centre) / (len(self) + 1),
+            model=self.model if held else self.model.add(x),
+            gallery=self.gallery.add(frame, description)
+            if limit is None
+            else spread(self.gallery, frame, description, limit),
+            rim=None if rim is None else rim.add(len(self)),
+        )
+
+    def remove(self, frames: Sequence[int]) -> Mode:
+        """Return the mode without some of its frames."""
+        gone = np.isin(self.frames, frames)
+        left = ~gone
+        rows, held, model = self.rows.array[left], self.held[left], self.model
+        for x in self.rows.array[gone & ~self.held]:
+            model = model.remove(x)
+        if min(held.sum(), (~held).sum()) < 2:
+            held, model = self._split(rows)
+        count, centre = len(self), self.centre
+        for x in self.rows.array[gone]:
+            count -= 1
+            centre = centre + (centre - x) / max(count, 1)
+        return replace(
+            self,
+            frames=self.frames[left],
+            held=held,
+            rows=Rows.of(rows),
+            squares=self.squares[left],
+            centre=centre,
+            model=model,
+            gallery=self.gallery.without(frames),
+            rim=None,
+        )
+
+    def merge(self, other: Mode) -> Mode:
+        """Return the mode of the frames of both."""
+        count = len(self) + len(other)
+        gallery = self.gallery
+        for frame, description in zip(other.gallery.frames.tolist(), other.gallery.descriptions(), strict=True):
+            gallery = gallery.add(frame, description)
+        return replace(
+            self,
+            frames=np.concatenate([self.frames, other.frames]),
+            held=np.concatenate([self.held, other.held]),
+            rows=Rows.of(np.concatenate([self.rows.array, other.rows.array])),
+            squares=np.concatenate([self.squares, other.squares]),
+            centre=self.centre + (other.centre - self.centre) * (len(other) / count),
+            model=self.model.merge(other.model),
+            gallery=thin(gallery, self.rules.exemplars),
+            rim=None,
+        )
+
+    @property
+    def sample(self) -> NDArray[np.int64]:
+        """Return the rows of the held-out frames in use: all, or every second, fourth, ... to respect `exemplars`."""
+        rows = np.flatnonzero(self.held)
+        step = 1
+        while self.rules.exemplars is not None and -(-len(rows) // step) > self.rules.exemplars:
+            step *= 2
+        return rows[::step]
+
+    @cached_property
+    def gaussian(self) -> Gaussian:
+        """Return mean and standard deviation of the distances of the held-out frames."""
+        distances = self.model.distances(self.rows.array[self.sample])
+        if len(distances) < 2:
+            return Gaussian(float(distances.sum()), 0.0)
+        return Gaussian(float(distances.mean()), float(distances.std(ddof=1)))
+
+    @property
+    def reach(self) -> float:
+        """Return the right side of eq. 9: how far the representative would move without its most distant frame."""
+        if len(self) < 2:
+            return 0.0
+        return self._furthest[1] / (len(self) - 1)
+
+    @cached_property
+    def _furthest(self) -> tuple[Rim, float]:
+        """Return a rim and the largest distance of a frame to the centre."""
+        rows = self.rows.array
+        if self.rim is not None:
+            known = self.rim.furthest(rows, self.centre)
+            if self.rim.holds(known, self.centre):
+                return self.rim, known
+        rim = Rim.of(rows, self.squares, self.centre)
+        return rim, rim.furthest(rows, self.centre)
+
+    def shift(self, x: NDArray[np.float64]) -> float:
+        """Return the left side of eq. 9: how far the representative would move with one frame (D,) more."""
+        return float(np.linalg.norm(x - self.centre)) / (len(self) + 1)
+
+    def _split(self, rows: NDArray[np.float64]) -> tuple[NDArray[np.bool_], Model]:
+        """Return which of some frames (n, D) to hold out, and the model of the others."""
+        held: list[bool] = []
+        model = Model(Moments.none(rows.shape[1]), self.rules.shrinkage)
+        for x in rows:
+            held.append(self.rules.holds_out(sum(held), len(held)))
+            model = model if held[-1] else model.add(x)
+        return np.array(held, dtype=bool), model
+
+
+@dataclass(frozen=True)
+class Node:
+    """A place of the map.
+
+    Attributes:
+        id: never used twice.
+        modes: at least one.
+    """
+
+    id: int
+    modes: tuple[Mode, ...]
+
+    def __len__(self) -> int:
+        return sum(len(mode) for mode in self.modes)
+
+    @property
+    def frames(self) -> list[int]:
+        """Return the numbers of its frames, in capture order."""
+        return sorted(np.concatenate([mode.frames for mode in self.modes]).tolist())
+
+    def with_mode(self, index: int, mode: Mode) -> Node:
+        """Return the node with another mode in place of one."""
+        return replace(self, modes=(*self.modes[:index], mode, *self.modes[index + 1 :]))
+
+    def holding(self, frame: int) -> int:
+        """Return the index of the mode that has a frame."""
+        return next(index for index, mode in enumerate(self.modes) if frame in mode.frames)
+
+    def remove(self, frames: Sequence[int]) -> Node:
+        """Return the node without some of its frames; a mode that loses all of them goes."""
+        modes = [mode.remove(frames) if np.isin(mode.frames, frames).any() else mode for mode in self.modes]
+        return replace(self, modes=tuple(mode for mode in modes if len(mode)))

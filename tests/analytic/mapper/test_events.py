@@ -1,0 +1,86 @@
+import io
+import json
+
+import numpy as np
+import pytest
+
+from analytic import AnalyticError
+from analytic.mapper import IncrementalMapper, Reason, replay
+from tests.analytic.mapper.world import World, corridor_drive, rows
+
+WORLD = World(size=8, reach=5.0, seed=1)
+POSES = corridor_drive(260, seed=1)
+FRAMES = rows(WORLD.at(POSES, noise=0.2, seed=1))
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_log_gives_the_labels_at_every_frame(version):
+    mapper = IncrementalMapper(WORLD, version)
+    happened = set()
+    for index, (frame, pose) in enumerate(zip(FRAMES, POSES, strict=True)):
+        decision = mapper.add(frame, pose)
+        happened |= {change.reason for change in decision.changes}
+        if decision.changes or index % 40 == 0:
+            assert np.array_equal(replay(mapper.events), mapper.labels())
+    assert happened >= ({Reason.NODE_PARKED} if version == 1 else {Reason.NODES_MERGED, Reason.REASSIGNED})
+
+
+def test_a_line_says_what_the_decision_said():
+    mapper = IncrementalMapper(WORLD)
+    for frame, pose in zip(FRAMES[:30], POSES, strict=False):
+        decision = mapper.add(frame, pose)
+    head, line = json.loads(mapper.events[0]), json.loads(mapper.events[-1])
+    assert head["parameters"]["omega"] == 1.85
+    assert head["descriptor"] == WORLD.identity
+    assert line["frames"] == [29]
+    assert line["poses"] == [POSES[29].tolist()]
+    assert Reason[line["reason"]] is decision.reason
+    assert line["node"] == decision.node
+    assert line["scores"]["x"] == pytest.approx(decision.scores["x"])
+    assert line["scores"]["nodes"]["0"] == pytest.approx(decision.scores["nodes"]["0"], rel=1e-5)
+
+
+def test_a_file_gets_the_same_lines(tmp_path):
+    text = io.StringIO()
+    for log in (tmp_path / "log.jsonl", text):
+        mapper = IncrementalMapper(WORLD, log=log)
+        for frame in FRAMES[:40]:
+            mapper.add(frame)
+    lines = (tmp_path / "log.jsonl").read_text().splitlines()
+    assert tuple(lines) == mapper.events == tuple(text.getvalue().splitlines())
+    assert np.array_equal(replay(lines), mapper.labels())
+    mapper.save(tmp_path / "map")
+    IncrementalMapper.load(tmp_path / "map", WORLD, log=tmp_path / "again.jsonl")
+    assert (tmp_path / "again.jsonl").read_text().splitlines() == lines
+
+
+def test_maintenance_is_in_the_log():
+    mapper = IncrementalMapper(WORLD)
+    for frame in FRAMES[:25]:
+        mapper.add(frame)
+    mapper.maintain(0, WORLD.at(POSES[:12], lighting=1.0), frames=[f"night {n}" for n in range(12)])
+    assert np.array_equal(replay(mapper.events), mapper.labels())
+    line = json.loads(mapper.events[-1])
+    assert line["reason"] == "MAINTAINED"
+    assert line["poses"][3] == "night 3"
+
+
+@pytest.mark.parametrize(
+    ("events", "says"),
+    [
+        (['{"format": "other"}'], "no log of a mapper but of 'other'"),
+        (['{"format": "analytic.mapper.log", "version": 2}'], "format version 2, and this program reads up to 1"),
+        (['{"frames": [0], "node": nul'], "event 1 of the log is not a line that a mapper wrote"),
+        (['{"frames": [0], "node": null, "changes": []}', "[]"], "event 2 of the log is not a line"),
+        (['{"frames": [3], "node": null, "changes": []}'], r"event 1 is of the frames \[3\], but 0 came before"),
+        ([{"frames": [0], "node": 1, "changes": [{"reason": "BORED"}]}], "event 1 of the log is not a line"),
+    ],
+)
+def test_what_is_no_log_is_refused(events, says):
+    with pytest.raises(AnalyticError, match=says):
+        replay(events)
+
+
+def test_an_empty_log_is_an_empty_map():
+    assert replay([]).tolist() == []
+    assert replay(["", '{"frames": [0], "node": null, "changes": []}']).tolist() == [-1]

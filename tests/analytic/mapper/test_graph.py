@@ -1,0 +1,88 @@
+import json
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from analytic import AnalyticError
+from analytic.mapper import IncrementalMapper
+from analytic.mapper.graph import coordinates, edges, loops
+from tests.analytic.mapper.world import World, corridor_drive, rows
+
+LABELS = np.array([-1, 0, 0, 1, -1, 1, 2, -1, 0, 0, 2, 1])
+MATCHES = np.array([-1, -1, 1, -1, 3, 3, -1, -1, 2, 8, 6, 0])
+
+
+def test_edges_are_counted_between_frames_with_a_node():
+    assert edges(LABELS) == {(0, 1): 1, (1, 2): 2, (0, 2): 2}
+    assert edges(np.empty(0, dtype=int)) == {}
+
+
+def test_a_loop_is_a_match_with_another_node_between():
+    assert loops(LABELS, MATCHES) == [(8, 2), (10, 6)]
+    assert loops(np.empty(0, dtype=int), np.empty(0, dtype=int)) == []
+
+
+@pytest.mark.parametrize(
+    ("pose", "place"),
+    [
+        ([1, 2.5, 3], (1.0, 2.5)),
+        ({"x": 1, "y": 2}, (1.0, 2.0)),
+        ("image.jpeg", None),
+        (None, None),
+        ([1], None),
+        ([float("nan"), 1.0], None),
+        ({"x": 1}, None),
+        ([True, False], None),
+    ],
+)
+def test_coordinates_of_a_pose(pose, place):
+    assert coordinates(pose) == place
+
+
+def mapped(poses):
+    world = World(size=8, reach=5.0, seed=1)
+    mapper = IncrementalMapper(world, 2)
+    drive = corridor_drive(260, seed=1)
+    for frame, pose in zip(rows(world.at(drive, noise=0.2, seed=1)), drive, strict=True):
+        mapper.add(frame, pose if poses else None)
+    return mapper, drive
+
+
+def test_a_map_as_a_graph(tmp_path):
+    mapper, drive = mapped(True)
+    graph = mapper.graph()
+    labels = mapper.labels()
+    assert set(graph.nodes) == set(labels[labels >= 0].tolist())
+    for node, values in graph.nodes.items():
+        assert values["frames"] == (labels == node).sum()
+        assert [values["x"], values["y"]] == pytest.approx(drive[labels == node, :2].mean(axis=0))
+    assert graph.loops
+    assert all(labels[a] == labels[b] and b < a for a, b in graph.loops)
+    graph.to_json(tmp_path / "map.json")
+    read = json.loads((tmp_path / "map.json").read_text())
+    assert {(e["source"], e["target"]): e["passages"] for e in read["edges"]} == graph.edges
+    assert [node["id"] for node in read["nodes"]] == sorted(graph.nodes)
+    assert read["loops"] == [list(loop) for loop in graph.loops]
+
+
+def test_graphml_holds_the_same(tmp_path):
+    mapper, _ = mapped(False)
+    graph = mapper.graph()
+    graph.to_graphml(tmp_path / "map.graphml")
+    space = {"g": "http://graphml.graphdrawing.org/xmlns"}
+    root = ElementTree.parse(tmp_path / "map.graphml").getroot()
+    keys = {key.get("id") for key in root.findall("g:key", space)}
+    (drawn,) = root.findall("g:graph", space)
+    nodes = {node.get("id"): {d.get("key"): d.text for d in node} for node in drawn.findall("g:node", space)}
+    assert nodes == {f"n{k}": {name: str(v) for name, v in values.items()} for k, values in graph.nodes.items()}
+    found = {(e.get("source"), e.get("target")): e.find("g:data", space).text for e in drawn.findall("g:edge", space)}
+    assert found == {(f"n{a}", f"n{b}"): str(n) for (a, b), n in graph.edges.items()}
+    assert json.loads(drawn.find("g:data", space).text) == [list(loop) for loop in graph.loops]
+    assert {data.get("key") for data in root.iter(f"{{{space['g']}}}data")} <= keys
+
+
+def test_a_graph_that_cannot_be_written(tmp_path):
+    mapper, _ = mapped(False)
+    with pytest.raises(AnalyticError, match="cannot be written"):
+        mapper.graph().to_graphml(tmp_path / "missing" / "map.graphml")

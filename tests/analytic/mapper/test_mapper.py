@@ -1,0 +1,297 @@
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from sklearn.covariance import ledoit_wolf
+
+from analytic.descriptors.base import Description
+from analytic.mapper import IncrementalMapper, Reason, replay, steps
+from analytic.mapper import mapper as mapper_module
+from analytic.mapper.node import Mode
+from analytic.mapper.state import State
+from tests.analytic.mapper.world import World, cold_drive, corridor_drive, rows
+from tests.oracles.mapper import SlowMapper
+
+WORLD = World(size=8, reach=5.0, seed=1)
+
+
+def feed(mapper, frames, poses=None):
+    poses = [None] * len(frames) if poses is None else poses
+    return [mapper.add(frame, pose) for frame, pose in zip(frames, poses, strict=True)]
+
+
+def drive(frames=260, seed=1):
+    return rows(WORLD.at(corridor_drive(frames, seed=seed), noise=0.2, seed=seed))
+
+
+def between_two_of_six():
+    """Stay at four near places and two far ones, then go between the far ones at every frame."""
+    near = [[0, 0, 0], [3, 0, 0], [0, 3, 0], [3, 3, 0]]
+    stays = [[place] * 35 for place in [*near, [60, 60, 0], [66, 60, 0]]]
+    return np.concatenate([*stays, [[60, 60, 0], [66, 60, 0]] * 20]).astype(float)
+
+
+def compare(mapper, slow, frames):
+    """Add frames to both; the labels of all frames must agree after each. Return what happened."""
+    seen: Counter[str] = Counter()
+    for frame in frames:
+        decision = mapper.add(frame)
+        slow.add(frame.position[0], None if frame.orientation is None else frame.orientation[0])
+        assert mapper.labels().tolist() == slow.labels
+        assert decision.node == (None if slow.labels[-1] == -1 else slow.labels[-1])
+        seen[decision.reason.name] += 1
+        for change in decision.changes:
+            seen[f"{change.reason.name} {change.scores.get('trigger', '')}".strip()] += 1
+    return seen
+
+
+SYNTHETIC = [
+    (1, {}, {"NODE_PARKED", "JOINED_PARKED"}),
+    (1, {"two_sided": False, "y": 0.5}, {"NODE_PARKED"}),
+    (2, {"y": 1.5}, {"NODES_MERGED", "REASSIGNED"}),
+]
+
+
+@pytest.mark.parametrize(("version", "parameters", "happens"), SYNTHETIC)
+def test_every_decision_is_that_of_the_oracle(version, parameters, happens):
+    mapper, slow = IncrementalMapper(WORLD, version, **parameters), SlowMapper(version, **parameters)
+    seen = compare(mapper, slow, drive())
+    assert happens | {"ASSIGNED", "NO_CANDIDATE_NODE"} <= set(seen)
+
+
+REAL = [
+    ("freiburg_seq2_cloudy1", 8, 0.1, 3.0, 1, {}, {"NEW_NODE consecutive", "JOINED_PARKED", "MOVES_CENTROID"}),
+    ("freiburg_seq2_cloudy1", 12, 0.3, 3.0, 1, {"gamma": 15.0}, {"NOT_PROMINENT", "NODES_MERGED", "NODE_PARKED"}),
+    ("freiburg_seq2_cloudy1", 12, 0.3, 3.0, 2, {"y": 0.5}, {"NEW_NODE forced", "REASSIGNED"}),
+    ("freiburg_seq2_cloudy1", 12, 0.3, 1.5, 2, {"y": 3.0}, {"REASSIGNED", "NODES_MERGED"}),
+    ("saarbruecken_seq1_cloudy1", 8, 0.3, 1.5, 2, {}, {"NEW_NODE forced", "REASSIGNED", "NODES_MERGED"}),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "size", "noise", "reach", "version", "parameters", "happens"), REAL)
+def test_every_decision_on_real_drives_is_that_of_the_oracle(name, size, noise, reach, version, parameters, happens):
+    poses = cold_drive(name)
+    if poses is None:
+        pytest.skip("needs ../shared/data/cold_places")
+    world = World(size=size, steps=0, reach=reach, seed=3)
+    every = 4 if name.startswith("freiburg") else 2
+    frames = rows(world.at(poses[::every][:400], noise=noise, seed=1))
+    seen = compare(IncrementalMapper(world, version, **parameters), SlowMapper(version, **parameters), frames)
+    assert happens <= set(seen)
+
+
+@pytest.mark.data
+def test_a_parked_candidate_becomes_a_node_and_the_oldest_is_forgotten():
+    poses = cold_drive("freiburg_seq2_cloudy1")
+    if poses is None:
+        pytest.skip("needs ../shared/data/cold_places")
+    world = World(size=4, steps=8, reach=4.0, seed=3)
+    mapper = IncrementalMapper(world, parked_nodes=1)
+    frames = rows(world.at(poses[::2][:400], noise=0.1, seed=1))
+    changes = [(decision, change) for decision in feed(mapper, frames) for change in decision.changes]
+    promoted = [(d, c) for d, c in changes if c.scores.get("trigger") == "parked"]
+    assert promoted
+    for decision, change in promoted:
+        assert decision.frame in change.frames
+        assert len(change.frames) > mapper.parameters.new_node
+        assert change.scores["distance"] >= change.scores["least_distance"]
+    parked = [c.node for _, c in changes if c.reason is Reason.NODE_PARKED]
+    forgotten = [c.node for _, c in changes if c.reason is Reason.PARKED_FORGOTTEN]
+    assert forgotten
+    assert forgotten == sorted(set(parked) - {c.node for _, c in promoted})[: len(forgotten)]
+
+
+def test_a_robot_that_keeps_changing_node_gets_a_node_between():
+    world = World(size=12, steps=0, reach=8.0, seed=2)
+    frames = rows(world.at(between_two_of_six(), noise=0.05, seed=3))
+    mapper, slow = IncrementalMapper(world, 2, merge="never"), SlowMapper(2, merge="never")
+    seen = compare(mapper, slow, frames)
+    assert seen["NEW_NODE changes"] >= 1
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_statistics_are_those_of_the_members_and_similar_nodes_merge(version):
+    world = World(size=16, steps=0, reach=4.0, seed=5)
+    poses = corridor_drive(1100, seed=5, rooms=6)
+    description = world.at(poses, noise=0.25, seed=5)
+    mapper = IncrementalMapper(world, version, y=2.5)
+    decisions = feed(mapper, rows(description))
+    changes = Counter(change.reason for decision in decisions for change in decision.changes)
+    assert changes[Reason.NODES_MERGED]
+    assert max(map(len, mapper.nodes)) > 300
+    labels = mapper.labels()
+    for node in mapper.nodes:
+        (mode,) = node.modes
+        assert node.frames == np.flatnonzero(labels == node.id).tolist()
+        points = description.position[mode.frames].astype(np.float64)
+        model = points[~mode.held]
+        np.testing.assert_allclose(mode.centre, points.mean(axis=0), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(mode.model.moments.mean, model.mean(axis=0), rtol=1e-6, atol=1e-9)
+        covariance, intensity = ledoit_wolf(model)
+        assert mode.model.intensity == pytest.approx(intensity, rel=1e-6)
+        np.testing.assert_allclose(mode.model.covariance, covariance, rtol=1e-6, atol=1e-6 * covariance.max())
+        away = points[mode.held] - model.mean(axis=0)
+        distances = np.einsum("nd,de,ne->n", away, np.linalg.inv(covariance), away)
+        assert mode.gaussian.mean == pytest.approx(distances.mean(), rel=1e-6)
+        assert mode.gaussian.std == pytest.approx(distances.std(ddof=1), rel=1e-6)
+        assert mode.reach == pytest.approx(
+            np.linalg.norm(points - points.mean(axis=0), axis=1).max() / (len(points) - 1), rel=1e-6
+        )
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_order_of_nodes_in_memory_changes_nothing(version):
+    frames = drive()
+    plain, shuffled = IncrementalMapper(WORLD, version), IncrementalMapper(WORLD, version)
+    generator = np.random.default_rng(0)
+    for frame in frames:
+        keys = generator.permutation(list(shuffled._state.nodes)).tolist()
+        shuffled._state.nodes = {key: shuffled._state.nodes[key] for key in keys}
+        assert plain.add(frame) == shuffled.add(frame)
+    assert plain.events == shuffled.events
+
+
+def test_an_equal_score_goes_to_the_older_node():
+    world = World(size=6, steps=0, seed=4)
+    frames = rows(world.at(corridor_drive(30, seed=2), noise=0.3))
+    mapper = IncrementalMapper(world, 2, merge="never")
+    feed(mapper, frames[:20])
+    (node,) = mapper.nodes
+    state = mapper._state
+    state.nodes = {9: type(node)(9, node.modes), 4: type(node)(4, node.modes)}
+    state.labels[:] = 4
+    closing = [mapper.locate(frame).node for frame in frames[:20]]
+    assert set(closing) == {4}
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("exemplars", [None, 12])
+def test_scores_explain_each_decision(version, exemplars):
+    mapper = IncrementalMapper(WORLD, version, exemplars=exemplars)
+    for decision in feed(mapper, drive()):
+        scores = decision.scores
+        if decision.reason is Reason.FIRST_FRAMES or "candidates" not in scores:
+            continue
+        closing = [
+            int(node)
+            for node, (distance, mean, std) in scores["nodes"].items()
+            if abs(distance - mean) <= scores["x"] * std
+        ]
+        assert closing == scores["candidates"]
+        if decision.reason is Reason.ASSIGNED:
+            assert scores["centroid_shift"] <= scores["most_centroid_shift"]
+            assert scores["node"] in closing
+            assert decision.node == scores["node"]
+        if decision.reason is Reason.NOT_PROMINENT:
+            assert scores["prominence"] < scores["least_prominence"]
+        if decision.reason is Reason.MOVES_CENTROID:
+            assert scores["centroid_shift"] > scores["most_centroid_shift"]
+        if decision.reason is Reason.NO_CANDIDATE_NODE:
+            assert not closing
+            assert decision.node is None
+
+
+def test_bounded_exemplars_keep_the_statistics_of_all_frames():
+    mapper = IncrementalMapper(WORLD, exemplars=12)
+    feed(mapper, drive())
+    assert max(len(node) for node in mapper.nodes) > 30
+    for node in mapper.nodes:
+        (mode,) = node.modes
+        assert len(mode.gallery) <= 12
+        assert len(mode.sample) <= 12
+        assert mode.model.moments.count == int((~mode.held).sum())
+    assert np.array_equal(replay(mapper.events), mapper.labels())
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_failure_anywhere_leaves_the_map_as_it_was(version, monkeypatch):
+    """Let one of several inner steps fail at every frame, the last of all at the latest, and go on all the same."""
+    frames = drive()
+    calm, shaken = IncrementalMapper(WORLD, version), IncrementalMapper(WORLD, version)
+    places = [(WORLD, "align"), (Mode, "add"), (Mode, "merge"), (steps, "merge_alike"), (mapper_module, "line_of")]
+    failed = set()
+    for index, frame in enumerate(frames):
+        calm.add(frame)
+        before = (shaken.labels().tolist(), shaken.events, shaken.nodes)
+        with monkeypatch.context() as patch:
+            for target, name in {places[index % len(places)], places[-1]}:
+                patch.setattr(target, name, failing(getattr(target, name), name), raising=False)
+            # Another frame than the right one, so that what it leaves behind would show.
+            with pytest.raises(MemoryError) as failure:
+                shaken.add(frames[-1 - index])
+        failed.add(str(failure.value))
+        assert (shaken.labels().tolist(), shaken.events) == before[:2]
+        assert all(a is b for a, b in zip(shaken.nodes, before[2], strict=True))
+        shaken.add(frame)
+    assert {"align", "add", "merge_alike", "line_of"} <= failed
+    assert shaken.events == calm.events
+
+
+def failing(whole, name):
+    def broken(*args, **kwargs):
+        whole(*args, **kwargs)
+        raise MemoryError(name)
+
+    return broken
+
+
+def test_a_log_that_cannot_be_written_stops_the_frame():
+    class Full:
+        lines = 0
+
+        def write(self, text):
+            self.lines += 1
+            if self.lines > 6:
+                raise OSError("disk full")
+
+    mapper = IncrementalMapper(WORLD, log=Full())
+    feed(mapper, drive(5))
+    with pytest.raises(ValueError, match="disk full"):
+        mapper.add(drive(1)[0])
+    assert len(mapper) == 5
+
+
+def test_a_robot_that_stands_still_stays_in_its_node():
+    frame = WORLD.at([[1, 1, 0]], noise=0)
+    for version in (1, 2):
+        mapper = IncrementalMapper(WORLD, version)
+        feed(mapper, [frame] * 60)
+        assert len(mapper.nodes) == 1
+        assert all(np.isfinite(mapper.nodes[0].modes[0].centre))
+
+
+def test_version_2_leaves_fewer_frames_without_a_node():
+    poses = cold_drive("freiburg_seq2_cloudy1")
+    if poses is None:
+        pytest.skip("needs ../shared/data/cold_places")
+    world = World(size=24, steps=0, reach=3.0, seed=3)
+    frames = rows(world.at(poses[::3][:600], noise=0.15, seed=1))
+    share = []
+    for version in (1, 2):
+        mapper = IncrementalMapper(world, version)
+        feed(mapper, frames)
+        share.append((mapper.labels() < 0).mean())
+        assert len(mapper.nodes) > 4
+    assert share[1] < share[0]
+
+
+def test_labels_and_nodes_are_copies_of_what_the_map_holds():
+    mapper = IncrementalMapper(WORLD)
+    position, turned = drive(1)[0].position.copy(), drive(1)[0].orientation.copy()
+    mapper.add(Description(position, turned))
+    position[:] = np.inf
+    mapper.labels()[:] = 7
+    assert mapper.labels().tolist() == [-1]
+    feed(mapper, drive(20)[1:])
+    assert np.isfinite(mapper.nodes[0].modes[0].centre).all()
+
+
+def test_what_is_decided_does_not_depend_on_the_run_before():
+    labels = [IncrementalMapper(WORLD, 2) for _ in range(2)]
+    for mapper in labels:
+        feed(mapper, drive(120))
+    assert all(a.events == b.events for a, b in pairwise(labels))
+    assert isinstance(labels[0]._state, State)

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+
+from analytic import AnalyticError
+from analytic.descriptors.base import Description
+from analytic.mapper import IncrementalMapper
+from tests.analytic.mapper.world import World, corridor_drive, rows
+
+WORLD = World()
+FRAMES = rows(WORLD.at(corridor_drive(30)))
+
+
+def changed(position=None, orientation=None, identity=None):
+    frame = FRAMES[1]
+    return Description(
+        frame.position if position is None else position,
+        frame.orientation if orientation is None else orientation,
+        frame.identity if identity is None else identity,
+    )
+
+
+@pytest.mark.parametrize(
+    ("frame", "says"),
+    [
+        (lambda: WORLD.at(corridor_drive(3)), "one image at a time, got a description of 3"),
+        (lambda: changed(position=np.full((1, 16), np.nan, dtype=np.float32)), "position part .* not finite"),
+        (lambda: changed(orientation=np.full((1, 12, 3), np.inf, dtype=np.float32)), "orientation part .* not finite"),
+        (lambda: changed(position=np.ones((1, 15), dtype=np.float32)), "different sizes .* position 15"),
+        (lambda: Description(FRAMES[1].position, None), "different sizes .* no orientation part"),
+        (lambda: changed(identity={"name": "other"}), "other parameters .*name=other"),
+        (lambda: changed(position=np.ones(16, dtype=np.float32)), r"shape \(images, numbers\), got \(16,\)"),
+        (lambda: changed(orientation=np.ones((2, 12, 3), dtype=np.float32)), "as many orientation parts, got 2"),
+        (lambda: Description(np.ones((1, 5000), dtype=np.float32)), "4096 numbers at most, got 5000"),
+        (lambda: np.ones(16), "describe\\(\\) returns, got ndarray"),
+    ],
+)
+def test_a_bad_description_is_one_sentence_and_changes_nothing(frame, says):
+    mapper = IncrementalMapper(WORLD)
+    mapper.add(FRAMES[0])
+    with pytest.raises(AnalyticError, match=says):
+        mapper.add(frame())
+    assert len(mapper) == 1
+    assert len(mapper.events) == 2
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        ({"version": 3}, "versions 1 and 2, got version 3"),
+        ({"version": "2"}, "got version '2'"),
+        ({"gamma": 0}, "gamma must be a positive number, got 0"),
+        ({"y": -1.5}, "y must be a positive number, got -1.5"),
+        ({"omega": float("nan")}, "omega must be a positive number, got nan"),
+        ({"x_slope": -0.1}, "x_slope must be a number that is not negative"),
+        ({"omgea": 2}, "no parameter 'omgea': did you mean 'omega'"),
+        ({"merge": "often"}, "merge must be 'changed'"),
+        ({"two_sided": 1}, "two_sided must be true or false"),
+        ({"distance": "cosin"}, "unknown distance 'cosin': did you mean 'cosine'"),
+        ({"shrinkage": 0.0}, r"share in \(0, 1\], got 0.0"),
+        ({"shrinkage": "oas"}, "shrinkage must be 'ledoit_wolf'"),
+        ({"held_out": 1.0}, "held_out must be a share between 0 and 1"),
+        ({"held_out": 0.1}, "holds out 1: two at least"),
+        ({"exemplars": 1}, "exemplars must be a whole number of at least 2, got 1"),
+        ({"window": -1}, "window must be a whole number of at least 0"),
+        ({"new_node": 5}, "new_node=5 would form nodes of fewer than smallest_node=10"),
+        ({"first_node": 20.0}, "first_node must be a whole number"),
+        ({"checked_unassigned": 25}, "checked_unassigned counts frames of the last checked_window: 25 of 20"),
+    ],
+)
+def test_a_parameter_out_of_range_is_one_sentence(parameters, says):
+    with pytest.raises(AnalyticError, match=says):
+        IncrementalMapper(WORLD, **parameters)
+
+
+def test_other_mistakes(tmp_path):
+    mapper = IncrementalMapper(WORLD)
+    with pytest.raises(AnalyticError, match="no node yet after 0 frames"):
+        mapper.locate(FRAMES[0])
+    with pytest.raises(AnalyticError, match="plain values, lists or objects"):
+        mapper.add(FRAMES[0], frame=object())
+    with pytest.raises(AnalyticError, match="cannot be written"):
+        IncrementalMapper(WORLD, log=tmp_path / "missing" / "log.jsonl")
+    for frame in FRAMES[:20]:
+        mapper.add(frame)
+    with pytest.raises(AnalyticError, match=r"no node 3: it has \[0\]"):
+        mapper.maintain(3, WORLD.at(corridor_drive(12)))
+    with pytest.raises(AnalyticError, match="at least smallest_node=10 images, got 4"):
+        mapper.maintain(0, WORLD.at(corridor_drive(4)))
+    with pytest.raises(AnalyticError, match="12 images need as many frames, got 2"):
+        mapper.maintain(0, WORLD.at(corridor_drive(12)), frames=[1, 2])
+    assert len(mapper) == 20

@@ -1,0 +1,174 @@
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+import analytic
+from analytic import AnalyticError
+from analytic.mapper import IncrementalMapper, replay, storage
+from tests.analytic.mapper.world import World, corridor_drive, rows
+
+WORLD = World(size=8, reach=5.0, seed=1)
+POSES = corridor_drive(200, seed=1)
+FRAMES = rows(WORLD.at(POSES, noise=0.2, seed=1))
+
+
+def mapped(frames, **parameters):
+    mapper = IncrementalMapper(WORLD, **parameters)
+    for frame, pose in zip(FRAMES[:frames], POSES, strict=False):
+        mapper.add(frame, pose)
+    return mapper
+
+
+@pytest.mark.parametrize(
+    "parameters", [{"version": 1}, {"version": 2}, {"version": 1, "exemplars": 12}, {"version": 2, "exemplars": 12}]
+)
+@pytest.mark.parametrize("orientation", [True, False])
+def test_going_on_after_loading_is_never_having_stopped(tmp_path, parameters, orientation):
+    whole = IncrementalMapper(WORLD, orientation=orientation, **parameters)
+    parts = IncrementalMapper(WORLD, orientation=orientation, **parameters)
+    for index, (frame, pose) in enumerate(zip(FRAMES, POSES, strict=True)):
+        if index % 23 == 0:
+            parts.save(tmp_path / "map")
+            parts = IncrementalMapper.load(tmp_path / "map", WORLD, extend=True)
+        assert whole.add(frame, pose) == parts.add(frame, pose)
+    for name, mapper in (("whole", whole), ("parts", parts)):
+        mapper.save(tmp_path / name)
+    assert (tmp_path / "whole").read_bytes() == (tmp_path / "parts").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["map", "parts", "whole"]
+    assert np.array_equal(replay(parts.events), whole.labels())
+
+
+def test_a_map_with_parked_candidates_and_modes_goes_on_too(tmp_path):
+    whole = mapped(60)
+    whole.maintain(0, WORLD.at(POSES[:12], lighting=2.0))
+    for frame in FRAMES[60:140]:
+        whole.add(frame)
+    assert whole._state.parked
+    whole.save(tmp_path / "map.npz")
+    loaded = IncrementalMapper.load(tmp_path / "map.npz", WORLD, extend=True)
+    assert [len(node.modes) for node in loaded.nodes] == [len(node.modes) for node in whole.nodes]
+    assert any(len(node.modes) > 1 for node in loaded.nodes)
+    for frame in FRAMES[140:]:
+        assert whole.add(frame) == loaded.add(frame)
+    assert whole.poses == loaded.poses
+
+
+def test_a_loaded_map_is_for_asking(tmp_path):
+    mapper = mapped(120)
+    mapper.save(tmp_path / "map")
+    loaded = IncrementalMapper.load(tmp_path / "map", WORLD)
+    before = loaded.events
+    with pytest.raises(AnalyticError, match="load it with extend=True"):
+        loaded.add(FRAMES[0])
+    with pytest.raises(AnalyticError, match="load it with extend=True"):
+        loaded.maintain(0, WORLD.at(POSES[:12]))
+    for frame in FRAMES[:120:7]:
+        assert loaded.locate(frame) == mapper.locate(frame)
+    assert loaded.events == before
+    assert np.array_equal(loaded.labels(), mapper.labels())
+
+
+def test_an_empty_map_can_be_stored(tmp_path):
+    IncrementalMapper(WORLD, y=2.0).save(tmp_path / "map")
+    loaded = IncrementalMapper.load(tmp_path / "map", WORLD, extend=True)
+    assert loaded.parameters.y == 2
+    for frame in FRAMES[:30]:
+        loaded.add(frame)
+    assert len(loaded.nodes) == 1
+
+
+def test_the_descriptor_is_made_again_or_must_be_the_map_s(tmp_path):
+    mapped(3).save(tmp_path / "map")
+    with pytest.raises(AnalyticError, match="'world', which is not one of fs, hog"):
+        IncrementalMapper.load(tmp_path / "map")
+    with pytest.raises(AnalyticError, match=r"'size': 8.*not with .*'size': 9"):
+        IncrementalMapper.load(tmp_path / "map", World(size=9))
+    hog = analytic.descriptor("hog")
+    mapper = IncrementalMapper(hog, 2)
+    mapper.add(hog.describe(np.random.default_rng(0).random((128, 512), dtype=np.float32)))
+    mapper.save(tmp_path / "hog")
+    assert IncrementalMapper.load(tmp_path / "hog").descriptor.identity == hog.identity
+
+
+def test_a_file_that_is_cut_short_or_changed_is_refused(tmp_path):
+    mapped(40).save(tmp_path / "map")
+    whole = (tmp_path / "map").read_bytes()
+    cuts = [0, 1, 10, 500, len(whole) // 3, len(whole) // 2, len(whole) - 30, len(whole) - 1]
+    for cut in cuts:
+        (tmp_path / "cut").write_bytes(whole[:cut])
+        with pytest.raises(AnalyticError, match="no map, or it is damaged or cut short"):
+            IncrementalMapper.load(tmp_path / "cut", WORLD)
+    (tmp_path / "cut").write_bytes(whole[:5000] + bytes([whole[5000] ^ 1]) + whole[5001:])
+    with pytest.raises(AnalyticError, match="damaged"):
+        IncrementalMapper.load(tmp_path / "cut", WORLD)
+
+
+def rewritten(path, goal, **changes):
+    """Copy a map with other values in its header; None takes an entry of the file away."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    head = json.loads(arrays["header"].tobytes())
+    for key, value in changes.items():
+        if value is None:
+            del arrays[key]
+        else:
+            head[key] = value
+    arrays["header"] = np.frombuffer(json.dumps(head).encode(), dtype=np.uint8)
+    with goal.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"version": storage.VERSION + 1}, "format version 2, and this program reads up to 1: use a newer one"),
+        ({"format": "other"}, "no map"),
+        ({"parameters": {"gamma": -1}}, "gamma must be a positive number"),
+        ({"poses": []}, "40 labels, 40 matches and 0 poses"),
+        ({"labels": None}, "no map, or it is damaged .*labels"),
+    ],
+)
+def test_a_newer_or_inconsistent_file_is_refused(tmp_path, changes, says):
+    mapped(40).save(tmp_path / "map")
+    rewritten(tmp_path / "map", tmp_path / "other", **changes)
+    with pytest.raises(AnalyticError, match=says):
+        IncrementalMapper.load(tmp_path / "other", WORLD)
+
+
+def test_files_that_are_no_maps_and_paths_that_lead_nowhere(tmp_path):
+    with pytest.raises(AnalyticError, match="cannot be read"):
+        IncrementalMapper.load(tmp_path / "missing", WORLD)
+    with pytest.raises(AnalyticError, match="cannot be read"):
+        IncrementalMapper.load(tmp_path, WORLD)
+    with pytest.raises(AnalyticError, match="cannot be written"):
+        mapped(3).save(tmp_path / "missing" / "map")
+    np.save(tmp_path / "array.npy", np.ones(3))
+    with pytest.raises(AnalyticError, match="no map"):
+        IncrementalMapper.load(tmp_path / "array.npy", WORLD)
+    np.savez(tmp_path / "pickle.npz", header=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(AnalyticError, match="no map"):
+        IncrementalMapper.load(tmp_path / "pickle.npz", WORLD)
+
+
+def test_nothing_in_a_file_is_a_pickle(tmp_path):
+    mapped(40).save(tmp_path / "map")
+    with zipfile.ZipFile(tmp_path / "map") as file:
+        for name in file.namelist():
+            assert np.load(io.BytesIO(file.read(name)), allow_pickle=False).dtype != object
+
+
+def test_a_failed_write_leaves_the_file_that_was_there(tmp_path, monkeypatch):
+    mapped(3).save(tmp_path / "map")
+    before = (tmp_path / "map").read_bytes()
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("analytic.mapper.graph.os.fsync", full)
+    with pytest.raises(AnalyticError, match="No space left"):
+        mapped(20).save(tmp_path / "map")
+    assert (tmp_path / "map").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["map"]

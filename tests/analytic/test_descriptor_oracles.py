@@ -1,0 +1,314 @@
+"""The seven descriptors against what their docstrings say, computed anew by loops in `tests/oracles/descriptors`."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import distance as scipy_distance
+
+from analytic import DISTANCES, AnalyticError, descriptor
+from analytic.descriptors.radon_transform import radon_transform
+from analytic.distances import minkowski
+from analytic.filters import homomorphic
+from tests.oracles.descriptors import briefgist, fourier, gist, hog, radon, turns, wisurf
+from tests.oracles.descriptors.images import grey, homomorphic_colour
+from tests.oracles.descriptors.images import homomorphic as slow_homomorphic
+
+PHOTOS = Path(__file__).parents[2] / "../shared/data/corridor/ref"
+RNG = np.random.default_rng(11)
+
+# Small pictures of every kind that `describe` takes; three planes would be one colour image.
+MADE = {
+    "grey bytes": RNG.integers(0, 256, (2, 16, 64), dtype=np.uint8),
+    "colour": RNG.uniform(size=(2, 3, 16, 64)),
+    "odd": RNG.uniform(size=(2, 12, 45)).astype(np.float32),
+    "flat and a bar": np.stack([np.full((16, 64), 0.25), np.tile(np.arange(64) // 8 == 3, (16, 1)) * 0.5]),
+}
+
+DESCRIBE = {
+    "fs": fourier.describe,
+    "hog": hog.describe,
+    "gist": gist.describe,
+    "wisurf": wisurf.describe,
+    "briefgist": briefgist.describe,
+    "radon_fourier": radon.fourier,
+    "radon_poc": radon.poc,
+}
+
+
+def named(keys, *rows):
+    return [dict(zip(keys.split(), row, strict=True)) for row in rows]
+
+
+FS = "rows columns orientation_rows orientation_columns turns"
+HOG = "rows bins window step orientation_bins"
+GIST = "blocks orientations window step orientation_filters orientation_levels normalized"
+RADON = "step size lines orientation_lines"
+
+# For heights that 16 divides and widths that 64 divides.
+SWEEP = {
+    "fs": named(FS, (1, 1, 1, 32, 64), (4, 8, 8, 5, 64), (16, 32, 4, 16, 128), (8, 3, 16, 8, 16)),
+    "hog": named(HOG, (1, 8, 64, 8, 32), (4, 32, 6, 2, 16), (16, 7, 1, 1, 9), (8, 16, 5, 4, 11)),
+    "gist": named(
+        GIST,
+        (1, 4, 8, 2, 4, 1, True),
+        (4, 5, 3, 1, 3, 2, True),
+        (8, 8, 16, 8, 16, 2, False),
+        (16, 2, 1, 4, 5, 1, False),
+    ),
+    "wisurf": named("rows windows", (1, 2), (1, 64), (2, 16), (4, 32)),
+    "briefgist": named("rows columns", (1, 64), (2, 16), (8, 2), (16, 8)),
+    "radon_fourier": named(RADON, (15.0, 16, 4, 8), (4.0, 32, 16, 2), (3.0, 24, 1, 12), (120.0, 8, 4, 4)),
+    "radon_poc": named("step size", (15.0, 16), (4.0, 32), (2.5, 12), (120.0, 8)),
+}
+# For 12 x 45 pixels.
+ODD = {
+    "fs": named(FS, (3, 7, 4, 22, 45), (12, 20, 6, 4, 15)),
+    "hog": named(HOG, (3, 5, 7, 3, 9), (4, 16, 2, 5, 3)),
+    "gist": named(GIST, (3, 7, 4, 5, 3, 1, True), (4, 3, 9, 3, 4, 2, False)),
+    "wisurf": named("rows windows", (1, 15), (3, 9)),
+    "briefgist": named("rows columns", (6, 15), (1, 45)),
+    "radon_fourier": named(RADON, (8.0, 20, 5, 2), (7.2, 14, 7, 7)),
+    "radon_poc": named("step size", (8.0, 14), (7.2, 20)),
+}
+SHAPES = {  # [T] table 3.2 for images of a width
+    "fs": lambda p, w: ((p["rows"], p["columns"]), (p["orientation_rows"], p["orientation_columns"])),
+    "hog": lambda p, w: ((p["rows"] * p["bins"],), (w // p["step"], p["orientation_bins"])),
+    "gist": lambda p, w: (
+        (2 * p["blocks"] * p["orientations"],),
+        (w // p["step"], p["orientation_levels"] * p["orientation_filters"]),
+    ),
+    "wisurf": lambda p, w: ((p["rows"] * p["windows"] * 64,), (p["windows"], p["rows"] * 64)),
+    "briefgist": lambda p, w: ((p["rows"] * p["columns"],), (p["columns"], p["rows"])),
+    "radon_fourier": lambda p, w: (
+        (round(360 / p["step"]), p["lines"]),
+        (round(360 / p["step"]), p["orientation_lines"]),
+    ),
+    "radon_poc": lambda p, w: ((round(360 / p["step"]), p["size"] // 2),) * 2,
+}
+
+
+def photographs(numbers=(40, 90), size=(128, 32)):
+    """Return real photographs (B, 3, H, W)."""
+    paths = [PHOTOS / f"{number:07d}.jpg" for number in numbers]
+    if not all(path.exists() for path in paths):
+        pytest.skip("needs the photographs of ../shared/data/corridor")
+    bgr = [cv2.resize(cv2.imread(str(path)), size, interpolation=cv2.INTER_AREA) for path in paths]
+    return np.stack([image[..., ::-1].transpose(2, 0, 1) for image in bgr])
+
+
+def same(found, expected, apart=0.0):
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * max(np.abs(expected).max(), 1e-3) + apart)
+
+
+def compare(name, params, pictures, circular, **options):
+    """Assert that a batch is described as its images are by the oracle."""
+    made = descriptor(name, **params, **options, circular=circular)
+    described = made.describe(pictures)
+    shapes = made.sizes(*pictures.shape[-2:])
+    assert shapes == SHAPES[name](params, pictures.shape[-1])
+    assert described.position.shape == (len(pictures), np.prod(shapes[0]))
+    for position, orientation, picture in zip(described.position, described.orientation, pictures, strict=True):
+        image = grey(picture)
+        if options.get("homomorphic"):
+            image = slow_homomorphic(image, circular=circular)
+        by_loops = DESCRIBE[name](image, **params, circular=circular)
+        is_hog = name == "hog"
+        same(position, by_loops[0], hog.undecided(image, params["bins"], circular) if is_hog else 0)
+        apart = hog.undecided(image, params["orientation_bins"], circular) if is_hog else 0
+        same(orientation, by_loops[1], apart)
+        assert orientation.shape == (shapes[1] if name != "fs" else shapes[1][::-1])
+
+
+@pytest.mark.parametrize("circular", [True, False], ids=["circular", "flat"])
+@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize("name", DESCRIBE)
+def test_made_pictures_are_described_as_written(name, kind, circular):
+    for params in (ODD if kind == "odd" else SWEEP)[name]:
+        compare(name, params, MADE[kind], circular)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("circular", [True, False], ids=["circular", "flat"])
+@pytest.mark.parametrize("name", DESCRIBE)
+def test_photographs_are_described_as_written(name, circular):
+    for params in SWEEP[name][1:3]:
+        compare(name, params, photographs(), circular)
+
+
+@pytest.mark.parametrize("circular", [True, False], ids=["circular", "flat"])
+@pytest.mark.parametrize("name", DESCRIBE)
+def test_light_can_be_taken_off_first(name, circular):
+    compare(name, SWEEP[name][1], MADE["colour"][:1], circular, homomorphic=True)
+
+
+@pytest.mark.parametrize("side", [24, 31])
+def test_omnidirectional_images_are_described_as_written(side):
+    discs = RNG.integers(0, 256, (2, side, side), dtype=np.uint8)
+    transformed = radon_transform(discs, step=7.5, size=22, source="omnidirectional")
+    fs = descriptor("radon_fourier", step=7.5, size=22, lines=11, orientation_lines=1, source="omnidirectional")
+    poc = descriptor("radon_poc", step=7.5, size=22, source="omnidirectional")
+    for i, disc in enumerate(discs):
+        same(transformed[i], radon.transform(grey(disc), 7.5, 22, "omnidirectional"))
+        for made, by_loops in (
+            (fs, radon.fourier(grey(disc), 7.5, 22, 11, 1, "omnidirectional")),
+            (poc, radon.poc(grey(disc), 7.5, 22, "omnidirectional")),
+        ):
+            same(made.describe(disc).position[0], by_loops[0])
+            same(made.describe(disc).orientation[0], by_loops[1])
+
+
+def test_the_line_sums_are_those_of_the_points_of_lines():
+    same(radon_transform(MADE["odd"][0], step=12, size=30)[0], radon.transform(grey(MADE["odd"][0]), 12, 30))
+
+
+# --- comparing
+
+ALIGN = [  # name, parameters, and what is largest at the best turn, of two orientation parts
+    ("fs", {"whitened": True}, lambda q, r: fourier.correlation_scores(q, r, 64, True)),
+    ("fs", {"whitened": False}, lambda q, r: fourier.correlation_scores(q, r, 64, False)),
+    ("fs", {"heading": "phase_product"}, lambda q, r: fourier.phase_product_scores(q, r, 64)),
+    ("hog", {"whitened": True}, lambda q, r: turns.scores(turns.whitened(q, 1e-5), turns.whitened(r, 1e-5))),
+    ("hog", {"whitened": False}, turns.scores),
+    ("gist", {}, turns.scores),
+    ("gist", {"normalized": False}, turns.scores),
+    ("wisurf", {}, turns.scores),
+    ("briefgist", {}, turns.scores),
+    ("radon_fourier", {}, turns.scores),
+    ("radon_poc", {}, turns.scores),
+]
+PARAMS = {
+    "fs": SWEEP["fs"][1],
+    "hog": SWEEP["hog"][1],
+    "gist": SWEEP["gist"][1],
+    "wisurf": SWEEP["wisurf"][2],
+    "briefgist": SWEEP["briefgist"][3],
+    "radon_fourier": SWEEP["radon_fourier"][0],
+    "radon_poc": SWEEP["radon_poc"][1],
+}
+
+
+def pairs(kind):
+    """Return four references, and queries: three of them turned, noisy, one with a bar, and a picture of noise."""
+    rng = np.random.default_rng(2)
+    references = rng.uniform(size=(4, 16, 64)) if kind == "noise" else photographs((5, 40, 70, 95)).mean(axis=1) / 255
+    width = references.shape[-1]
+    moved = (width // 8, -width // 4, 0)
+    queries = [np.roll(image, s, axis=-1) for image, s in zip(references, moved, strict=False)]
+    queries = [np.clip(image + rng.normal(0, 0.03, image.shape), 0, 1) for image in queries]
+    queries[0][:, 3:9] = 0
+    return np.stack([*queries, rng.uniform(size=references[0].shape)]), references
+
+
+def aligned_distance(name, options, query, reference, step):
+    if options.get("heading") == "phase_product":
+        return fourier.phase_product_distance(query, reference, 64, step)
+    if name == "fs":
+        return fourier.correlation_distance(query, reference, 64, step)
+    return turns.euclidean(query, reference, step)
+
+
+@pytest.mark.parametrize("kind", ["noise", pytest.param("photographs", marks=pytest.mark.data)])
+@pytest.mark.parametrize(("name", "options", "score"), ALIGN, ids=[f"{row[0]} {row[1]}" for row in ALIGN])
+def test_every_turn_is_tried(name, options, score, kind):
+    queries, references = pairs(kind)
+    params = {**PARAMS[name], **options}
+    made = descriptor(name, **params)
+    found = made.align(made.describe(queries), made.describe(references))
+    turned = np.stack([made.relative_heading(made.describe(queries), made.describe(one)) for one in references], axis=1)
+    np.testing.assert_array_equal(turned, found.heading)
+    slow_queries = [DESCRIBE[name](grey(q), **params)[1] for q in queries]
+    slow_references = [DESCRIBE[name](grey(r), **params)[1] for r in references]
+    for i, query in enumerate(slow_queries):
+        for j, reference in enumerate(slow_references):
+            scores = score(query, reference)
+            step = turns.best(scores)
+            assert found.heading[i, j] == pytest.approx(turns.angle(step, len(scores)), abs=1e-9)
+            expected = aligned_distance(name, options, query, reference, step)
+            assert found.distance[i, j] == pytest.approx(expected, rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["noise", pytest.param("photographs", marks=pytest.mark.data)])
+@pytest.mark.parametrize("name", DESCRIBE)
+def test_distances_are_those_of_vectors_turned_alike(name, kind):
+    queries, references = pairs(kind)
+    made = descriptor(name, **PARAMS[name])
+    q, r = made.describe(queries), made.describe(references)
+    slow_queries = [DESCRIBE[name](grey(image), **PARAMS[name]) for image in queries]
+    slow_references = [DESCRIBE[name](grey(image), **PARAMS[name]) for image in references]
+    for distance in DISTANCES:
+        found = made.pairwise(q, r, distance)
+        expected = np.zeros(found.shape)
+        for i, (position, orientation) in enumerate(slow_queries):
+            for j, (of_map, map_orientation) in enumerate(slow_references):
+                if made.aligned:
+                    step = turns.best(turns.scores(orientation, map_orientation))
+                    position, of_map = orientation.ravel(), np.roll(map_orientation, step, axis=0).ravel()
+                expected[i, j] = turns.between(position, of_map, distance)
+        np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-5, err_msg=distance)
+        if distance == made.default_distance:
+            np.testing.assert_array_equal(made.pairwise(q, r), found)
+            np.testing.assert_array_equal(made.localize(q, r).index, expected.argmin(axis=1))
+
+
+@pytest.mark.parametrize("name", ["wisurf", "briefgist", "radon_poc"])
+def test_without_a_circle_vectors_are_compared_as_they_stand(name):
+    queries, references = pairs("noise")
+    made = descriptor(name, **PARAMS[name], circular=False)
+    q, r = made.describe(queries), made.describe(references)
+    expected = [
+        [
+            turns.between(*(DESCRIBE[name](grey(one), **PARAMS[name], circular=False)[0] for one in pair), "manhattan")
+            for pair in [(query, reference) for reference in references]
+        ]
+        for query in queries
+    ]
+    np.testing.assert_allclose(made.pairwise(q, r, "manhattan"), expected, rtol=1e-4)
+    with pytest.raises(AnalyticError, match="circular=False"):
+        made.relative_heading(q, r)
+
+
+def test_phase_only_correlation_is_that_of_the_transforms():
+    queries, references = pairs("noise")
+    made = descriptor("radon_poc", step=7.5, size=20)
+    found = made.pairwise(made.describe(queries), made.describe(references))
+    for i, query in enumerate(queries):
+        for j, reference in enumerate(references):
+            expected = 1 - max(radon.poc_scores(query, reference, step=7.5, size=20))
+            assert found[i, j] == pytest.approx(expected, abs=1e-5)
+
+
+def test_of_equal_turns_of_bits_the_smallest_to_the_left_is_taken():
+    images = RNG.integers(0, 2, (24, 2, 16), dtype=np.uint8) * 255
+    made = descriptor("briefgist", rows=2, columns=8)
+    found = made.align(made.describe(images), made.describe(images)).heading
+    hamming = made.pairwise(made.describe(images), made.describe(images))
+    np.testing.assert_array_equal(made.pairwise(made.describe(images), made.describe(images), "hamming"), hamming)
+    bits = [briefgist.describe(grey(image), 2, 8)[1] for image in images]
+    ties = 0
+    for i, query in enumerate(bits):
+        for j, reference in enumerate(bits):
+            different = [int((query != np.roll(reference, s, axis=0)).sum()) for s in range(8)]
+            ties += different.count(min(different)) > 1
+            assert hamming[i, j] == min(different)
+            assert found[i, j] == pytest.approx(turns.angle(different.index(min(different)), 8), abs=1e-9)
+    assert ties > 100
+
+
+@pytest.mark.parametrize("p", [1, 1.5, 2, 3])
+def test_weighted_distances_are_those_of_scipy(p):
+    a, b, weights = RNG.normal(size=(4, 7)), RNG.normal(size=(3, 7)), RNG.uniform(size=7)
+    expected = [[scipy_distance.minkowski(x, y, p=p, w=weights) for y in b] for x in a]
+    np.testing.assert_allclose(minkowski(a, b, p=p, weights=weights), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("circular", [True, False], ids=["circular", "flat"])
+@pytest.mark.parametrize("params", [{}, {"cutoff": 2.5, "low": 0.2, "high": 1.6}])
+def test_the_homomorphic_filter_follows_its_formula(params, circular):
+    image = MADE["odd"][0]
+    found = homomorphic(image, circular=circular, **params)
+    np.testing.assert_allclose(found, slow_homomorphic(grey(image), circular=circular, **params), atol=1e-5)
+    colour = MADE["colour"][0]
+    found = homomorphic(colour, circular=circular, **params)
+    np.testing.assert_allclose(found, homomorphic_colour(colour, circular=circular, **params), atol=1e-5)
