@@ -87,7 +87,10 @@ COMMANDS = {
         run=FOLDER                      the run; the newest one if not given
         protocol.map.sequences=[...]    the training sequences if not given
         protocol.map.every=5            or protocol.map.spacing=0.5
-        descriptor=thumbnail            something else than the trained network
+        descriptor=hog|gist|wisurf|...  something else than the trained network
+        build=incremental|spectral|som|sample|rooms
+                                        group the frames into nodes as well, and write that coarse layer
+        build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` shows them
         """,
         "siamloc map run=runs/vgg16 protocol.map.every=5",
         inherits=True,
@@ -101,10 +104,12 @@ COMMANDS = {
 
         run=FOLDER                        the run; the newest one if not given
         protocol.query.sequences=[...]    the frames to be located
-        task=localization|absolute|room_retrieval
+        task=localization|absolute|room_retrieval|mapping
         task.radii=[0.5,1.0]              recall: how near a map frame must be
-        task.baselines=[thumbnail,untrained]
-        descriptor=thumbnail              measure something else than the trained network
+        task.baselines=[hog,thumbnail,untrained]
+        descriptor=hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
+                                          measure something else than the trained network, without training
+        task=mapping build=incremental    measure the nodes of a map instead: see `siamloc map --help`
         """,
         "siamloc evaluate run=runs/vgg16 protocol.query.sequences=['*cloudy2','*night2','*sunny2']",
         inherits=True,
@@ -135,6 +140,20 @@ COMMANDS = {
         """,
         "siamloc localize run=runs/vgg16 images=[photo.jpeg]",
         inherits=True,
+    ),
+    "report": Command(
+        "report",
+        "one HTML page of a run's results",
+        """
+        Writes a page that opens from disk, without a network: tables, floor plan with every error and the pictures
+        behind it, error curves, the worst queries, confusion matrix, training curves, configuration.
+
+        run=FOLDER       the run; the newest one if not given
+        runs=[a,b,c]     several runs side by side
+        out=FILE         where to; report.html in the run's folder if not given
+        """,
+        "siamloc report runs=[runs/vgg16,runs/hog] out=comparison.html",
+        config="report",
     ),
     "augment expand": Command(
         "expand",

@@ -1,0 +1,158 @@
+"""What a report is made from: the result files of runs, read and put together."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.runs import Run
+from siamloc.tasks.columns import Columns, rows_by_label
+from siamloc.tasks.results import read_results, read_rows
+
+ALL = "all"
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The results of one descriptor.
+
+    Attributes:
+        name: of the descriptor; its row in the tables.
+        results: what `results.json` holds.
+        queries: columns of `queries.csv`; None where nothing was localized.
+        known: columns of `map.csv`; None where there is none.
+    """
+
+    name: str
+    results: dict[str, Any]
+    queries: Columns | None
+    known: Columns | None
+
+    @property
+    def methods(self) -> dict[str, dict[str, Any]]:
+        """The measures of the descriptor and of its baselines by name, its own first."""
+        return {self.name: self.results["measures"], **self.results.get("baselines", {})}
+
+    @property
+    def absolute(self) -> dict[str, Any] | None:
+        """The measures of localization, if any."""
+        return self.results["measures"].get("absolute")
+
+    @property
+    def rooms(self) -> dict[str, Any] | None:
+        """The measures of room retrieval, if any."""
+        return self.results["measures"].get("room_retrieval")
+
+    @property
+    def unit(self) -> str:
+        """What positions and errors count."""
+        return str((self.absolute or {}).get("unit", "m"))
+
+    @property
+    def lightings(self) -> list[str]:
+        """The lightings of the queries; none where they carry no label."""
+        return list((self.absolute or self.rooms or {}).get("lighting", {}))
+
+    @cached_property
+    def rows_by_lighting(self) -> dict[str, NDArray[np.int64]]:
+        """The rows of `queries.csv` by lighting; nothing where they carry no label."""
+        return {} if self.queries is None else rows_by_label(self.queries["lighting"])
+
+
+@dataclass(frozen=True, eq=False)
+class RunFiles:
+    """A run as the report shows it.
+
+    Attributes:
+        title: a name that tells it from the other runs of the report.
+        evaluations: at least one.
+        curves: columns of `metrics.csv`; None for what was not trained.
+        overrides: words that the run was trained with; None as well.
+    """
+
+    title: str
+    evaluations: tuple[Evaluation, ...]
+    curves: dict[str, NDArray[np.float64]] | None
+    overrides: tuple[str, ...] | None
+
+
+def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
+    """Read the result files of runs.
+
+    Args:
+        folders: of runs, or of single evaluations; one that is named twice counts once.
+
+    Raises:
+        ConfigError: no folders, or one that is missing or holds no evaluation.
+        FormatError: files that are not whole.
+    """
+    chosen = list({Path(folder).resolve(): Path(folder) for folder in folders}.values())
+    if not chosen:
+        raise ConfigError("a report needs at least one run: name it with run=FOLDER, or several with runs=[A,B]")
+    return [_gather(folder, title) for folder, title in zip(chosen, _titles(chosen), strict=True)]
+
+
+def _gather(folder: Path, title: str) -> RunFiles:
+    if not folder.is_dir():
+        raise ConfigError(f"there is no folder {folder}: name the folder of a run")
+    single = (folder / "results.json").is_file()
+    found = [folder] if single else [path.parent for path in folder.glob("evaluation/*/results.json")]
+    if not found:
+        raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
+    found.sort(key=lambda path: (path.name != "network", path.name))
+    run = Run(folder.resolve().parents[1] if single and folder.resolve().parent.name == "evaluation" else folder)
+    record = run.load_record() if run.record.is_file() else None
+    return RunFiles(
+        title,
+        tuple(_evaluation(path) for path in found),
+        _curves(run.metrics) if run.metrics.is_file() else None,
+        None if record is None else tuple(map(str, record["overrides"])),
+    )
+
+
+def _evaluation(folder: Path) -> Evaluation:
+    results = read_results(folder)
+    if not isinstance(results.get("measures"), dict) or not any(results["measures"].values()):
+        raise DataError(f"{folder / 'results.json'} holds no measures: evaluate again")
+    tables = results.get("tables", {})
+    whole = {"queries", "map"} <= set(tables) and "absolute" in results["measures"]
+    queries, known = (read_rows(folder, "queries"), read_rows(folder, "map")) if whole else (None, None)
+    if queries is not None and known is not None:
+        match, frames = queries["match"], len(known["x"])
+        if len(match) and not (match.min() >= 0 and match.max() < frames):
+            raise FormatError(f"{folder / 'queries.csv'} names map frames that map.csv lacks: evaluate again")
+    name = (results.get("config") or {}).get("descriptor") or {}
+    label = name.get("label") or name.get("name") if isinstance(name, dict) else None
+    return Evaluation(str(label or folder.name), results, queries, known)
+
+
+def _curves(path: Path) -> dict[str, NDArray[np.float64]] | None:
+    """Read the training curves; None for a file without a finished epoch."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        columns = {
+            name: np.array([float(row[name]) if row[name] else math.nan for row in rows]) for name in (rows or [{}])[0]
+        }
+    except (ValueError, TypeError, csv.Error, UnicodeDecodeError) as error:
+        raise FormatError(f"{path} is not a table of training curves ({error}): remove it, or train again") from error
+    return columns if "epoch" in columns else None
+
+
+def _titles(folders: list[Path]) -> list[str]:
+    """Return the shortest ends of the paths that differ from each other."""
+    parts = [folder.resolve().parts for folder in folders]
+    for depth in range(1, max(map(len, parts)) + 1):
+        titles = ["/".join(part[-depth:]) for part in parts]
+        if len(set(titles)) == len(titles):
+            break
+    return titles
