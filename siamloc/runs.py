@@ -53,6 +53,10 @@ class Run:
         """Folder of the results of a descriptor."""
         return self.folder / "evaluation" / descriptor
 
+    def layer(self, descriptor: str, build: str) -> Path:
+        """Folder of a coarse layer: `layer.npz`, and for an incremental map `mapper.npz` and what it did."""
+        return self.folder / "layers" / f"{descriptor}-{build}"
+
     def checkpoint(self, which: str) -> Path:
         """Return the checkpoint called "best" or "last"; best falls back to last where nothing was validated.
 
@@ -71,7 +75,13 @@ class Run:
         """Remove what an earlier training of this run left, its record first."""
         for path in (self.record, self.map, self.metrics, self.folder / "locations.csv"):
             path.unlink(missing_ok=True)
-        for folder in (self.checkpoints, self.folder / "tensorboard", self.bundle, self.folder / "evaluation"):
+        for folder in (
+            self.checkpoints,
+            self.folder / "tensorboard",
+            self.bundle,
+            self.folder / "evaluation",
+            self.folder / "layers",
+        ):
             shutil.rmtree(folder, ignore_errors=True)
 
     def save_record(self, overrides: Sequence[str], config: dict[str, Any]) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-__all__ = ["Retrieval", "VisualMap", "estimated_headings", "match", "nearest"]
+__all__ = ["CoarseLayer", "Retrieval", "VisualMap", "build_layer", "estimated_headings", "match", "nearest"]
 
 _HOME = {
+    "CoarseLayer": "coarse",
+    "build_layer": "layers",
     "Retrieval": "search",
     "nearest": "search",
     "VisualMap": "visual_map",

@@ -85,6 +85,8 @@ class CoarseLayer:
         Raises:
             DataError: not one label for each frame, none that is assigned, or a node without frames.
         """
+        from analytic.clustering import positions, representatives
+
         labels = np.asarray(labels, dtype=np.int64)
         if labels.shape != (len(known),):
             raise DataError(f"{len(known)} map frames need as many labels, got shape {labels.shape}")
@@ -94,13 +96,11 @@ class CoarseLayer:
         counts = np.bincount(labels[labels >= 0], minlength=k)
         if (counts == 0).any():
             raise DataError(f"node {int(np.flatnonzero(counts == 0)[0])} has no frames: number the nodes without gaps")
-        members = [np.flatnonzero(labels == node) for node in range(k)]
+
         return cls(
             labels=labels,
-            representatives=np.stack(
-                [known.descriptors[rows].mean(axis=0, dtype=np.float64) for rows in members]
-            ).astype(np.float32),
-            positions=np.stack([_mean_position(known.frames.xy[rows]) for rows in members]),
+            representatives=representatives(known.descriptors, labels).astype(np.float32),
+            positions=positions(known.frames.xy, labels),
             names=np.array([str(node) for node in range(k)] if names is None else names, dtype=np.str_),
             edges=connections(labels, known.frames.sequence),
             made=dict(made or {}),
@@ -178,8 +178,3 @@ def connections(labels: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArra
         steps = np.sort(np.stack([passed[:-1], passed[1:]], axis=1), axis=1)
         pairs.update((int(a), int(b)) for a, b in steps[steps[:, 0] != steps[:, 1]])
     return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
-
-
-def _mean_position(xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    known = xy[np.isfinite(xy).all(axis=1)]
-    return known.mean(axis=0) if len(known) else np.full(2, np.nan)

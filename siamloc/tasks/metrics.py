@@ -58,6 +58,26 @@ class PairAccuracy:
     n_different: int
 
 
+@dataclass(frozen=True, eq=False)
+class PairCurve:
+    """Shares of pairs judged rightly at several thresholds; NaN for a part that has no pairs.
+
+    Attributes:
+        thresholds: of the dissimilarity (t,).
+        same: of the pairs from one room (t,).
+        different: of the pairs from two rooms (t,).
+        overall: of all pairs (t,).
+        auc: area under the curve of the pairs from one room found against those from two rooms mistaken for one: the
+            share of such couples of pairs in which the one-room pair is less dissimilar, ties counting half.
+    """
+
+    thresholds: NDArray[np.float64]
+    same: NDArray[np.float64]
+    different: NDArray[np.float64]
+    overall: NDArray[np.float64]
+    auc: float
+
+
 def localization_error(estimated_xy: ArrayLike, true_xy: ArrayLike) -> NDArray[np.float64]:
     """Return the Euclidean distance between estimated and true positions (n,).
 
@@ -215,9 +235,7 @@ def pair_accuracy(distances: ArrayLike, same: ArrayLike, margin: float = 2.0, th
     if not 0 < threshold <= 1:
         raise ConfigError(f"the threshold of a dissimilarity lies in (0, 1], got {threshold}")
     dissimilarity = pair_dissimilarity(distances, margin)
-    truth = np.asarray(same)
-    if truth.dtype != np.bool_ or truth.shape != dissimilarity.shape:
-        raise DataError(f"one True or False per pair is needed, got {truth.dtype} of shape {truth.shape}")
+    truth = _verdicts(same, dissimilarity)
     correct = (dissimilarity < threshold) == truth
     return PairAccuracy(
         same=_share(correct[truth]),
@@ -225,6 +243,39 @@ def pair_accuracy(distances: ArrayLike, same: ArrayLike, margin: float = 2.0, th
         overall=_share(correct),
         n_same=int(truth.sum()),
         n_different=int((~truth).sum()),
+    )
+
+
+def pair_threshold_curve(
+    distances: ArrayLike, same: ArrayLike, margin: float = 2.0, thresholds: ArrayLike | None = None
+) -> PairCurve:
+    """Return what `pair_accuracy` gives at every threshold, and the area under the curve that needs none.
+
+    Args:
+        distances: between the two descriptors of each pair (n,).
+        same: True for pairs from one room (n,).
+        margin: the contrastive loss's margin, positive.
+        thresholds: (t,) in [0, 1], 0 calling every pair different; 0, 0.01 ... 1 if None.
+
+    Raises:
+        ConfigError: a margin or threshold out of range.
+        DataError: other shapes, or distances that are negative or not finite.
+    """
+    steps = np.arange(101) / 100 if thresholds is None else _column(thresholds, "thresholds")
+    if ((steps < 0) | (steps > 1)).any():
+        raise ConfigError(f"the thresholds of a dissimilarity lie in [0, 1], got {steps.min()} to {steps.max()}")
+    dissimilarity = pair_dissimilarity(distances, margin)
+    truth = _verdicts(same, dissimilarity)
+    one, two = np.sort(dissimilarity[truth]), np.sort(dissimilarity[~truth])
+    found, mistaken = np.searchsorted(one, steps), np.searchsorted(two, steps)
+    below, up_to = np.searchsorted(one, two), np.searchsorted(one, two, side="right")
+    couples = len(one) * len(two)
+    return PairCurve(
+        thresholds=steps,
+        same=_shares(found, len(one)),
+        different=_shares(len(two) - mistaken, len(two)),
+        overall=_shares(found + len(two) - mistaken, len(truth)),
+        auc=float(int((below + up_to).sum()) / (2 * couples)) if couples else math.nan,
     )
 
 
@@ -264,6 +315,17 @@ def heading_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:
 
 def _share(correct: NDArray[np.bool_]) -> float:
     return float(correct.mean()) if len(correct) else math.nan
+
+
+def _shares(counts: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+    return counts / n if n else np.full(len(counts), math.nan)
+
+
+def _verdicts(same: ArrayLike, dissimilarity: NDArray[np.float64]) -> NDArray[np.bool_]:
+    truth = np.asarray(same)
+    if truth.dtype != np.bool_ or truth.shape != dissimilarity.shape:
+        raise DataError(f"one True or False per pair is needed, got {truth.dtype} of shape {truth.shape}")
+    return truth
 
 
 def _column(values: ArrayLike, what: str) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 from siamloc.tasks.columns import Columns, retrieve, room_names, rows_by_label
-from siamloc.tasks.metrics import confusion_matrix, pair_accuracy, pair_dissimilarity
+from siamloc.tasks.metrics import confusion_matrix, pair_accuracy, pair_dissimilarity, pair_threshold_curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +36,30 @@ class PairResult:
         return len(self.columns["same"])
 
     def measures(self) -> dict[str, Any]:
-        """Return `metrics.PairAccuracy` as dictionaries, overall and by lighting, with margin and threshold."""
+        """Return all measures.
+
+        Returns:
+            margin, threshold, and the groups "overall" and "lighting" (by label): `metrics.PairAccuracy` as
+            dictionaries, with the `auc`. Then `auc` of all pairs, and `curve`: one dictionary of threshold, same,
+            different and overall for each threshold.
+        """
 
         def accuracy(rows: NDArray) -> dict[str, Any]:
             distance, same = self.columns["distance"][rows], self.columns["same"][rows]
-            return asdict(pair_accuracy(distance, same, self.margin, self.threshold))
+            shares = asdict(pair_accuracy(distance, same, self.margin, self.threshold))
+            return {**shares, "auc": pair_threshold_curve(distance, same, self.margin).auc}
+
+        curve = pair_threshold_curve(self.columns["distance"], self.columns["same"], self.margin)
+        names = ("threshold", "same", "different", "overall")
+        parts = (curve.thresholds.tolist(), curve.same.tolist(), curve.different.tolist(), curve.overall.tolist())
 
         return {
             "margin": self.margin,
             "threshold": self.threshold,
             "overall": accuracy(np.arange(len(self))),
             "lighting": {label: accuracy(rows) for label, rows in rows_by_label(self.columns["lighting"]).items()},
+            "auc": curve.auc,
+            "curve": [dict(zip(names, values, strict=True)) for values in zip(*parts, strict=True)],
         }
 
 

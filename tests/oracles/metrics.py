@@ -56,6 +56,14 @@ def pair_accuracy(distances, same, margin: float, threshold: float) -> tuple[int
     return right[True], count[True], right[False], count[False]
 
 
+def pair_auc(distances, same, margin: float) -> tuple[float, int]:
+    """Return how many couples of a one-room and a two-room pair are in order, ties counting half, and all couples."""
+    apart = [min(distance / margin, 1) for distance in distances]
+    one = [value for value, truth in zip(apart, same, strict=True) if truth]
+    two = [value for value, truth in zip(apart, same, strict=True) if not truth]
+    return sum(1.0 if a < b else 0.5 if a == b else 0.0 for a in one for b in two), len(one) * len(two)
+
+
 def confusion(true, predicted, labels) -> list[list[int]]:
     return [
         [sum(1 for t, p in zip(true, predicted, strict=True) if (t, p) == (row, column)) for column in labels]

@@ -26,6 +26,7 @@ def ranking_by_distance(map_xy: np.ndarray, query_xy: np.ndarray) -> np.ndarray:
     return np.argsort(np.linalg.norm(map_xy[None] - query_xy[:, None], axis=2), axis=1, kind="stable")
 
 
+@settings(deadline=None)  # the first call imports scipy
 @given(seed=seeds)
 def test_errors_and_floor_equal_the_loops(seed: int) -> None:
     map_xy, query_xy, retrieved = scene(seed)
@@ -157,6 +158,36 @@ def test_perfect_and_reversed_pairs() -> None:
     assert metrics.pair_accuracy([2.0, 0.0, 0.1], same).overall == 0
 
 
+@given(seed=seeds, margin=st.sampled_from([0.5, 2.0, 3.0]))
+def test_the_threshold_curve_is_the_accuracy_at_every_threshold(seed: int, margin: float) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(0, 40))
+    distances, same = rng.integers(0, 13, n) / 4, rng.random(n) < 0.3
+    steps = np.array([0.125, 0.25, 0.5, 0.75, 1.0])
+    curve = metrics.pair_threshold_curve(distances, same, margin, steps)
+    for i, threshold in enumerate(steps):
+        accuracy = metrics.pair_accuracy(distances, same, margin, threshold)
+        np.testing.assert_array_equal(
+            [curve.same[i], curve.different[i], curve.overall[i]],
+            [accuracy.same, accuracy.different, accuracy.overall],
+        )
+    ordered, couples = oracle.pair_auc(distances, same, margin)
+    assert math.isnan(curve.auc) if couples == 0 else math.isclose(curve.auc, ordered / couples, rel_tol=1e-15)
+
+
+def test_the_threshold_curve_of_perfect_reversed_and_shuffled_pairs() -> None:
+    same = np.arange(1000) < 300
+    curve = metrics.pair_threshold_curve(np.where(same, 0.2, 1.8), same)
+    assert curve.auc == 1
+    assert curve.thresholds.tolist() == [i / 100 for i in range(101)]
+    assert (curve.overall[11:91] == 1).all()
+    assert (curve.same[0], curve.different[0]) == (0, 1)  # at 0 every pair is different
+    assert metrics.pair_threshold_curve(np.where(same, 1.8, 0.2), same).auc == 0
+    assert metrics.pair_threshold_curve(np.ones(1000), same).auc == 0.5
+    shuffled = metrics.pair_threshold_curve(np.random.default_rng(0).uniform(0, 2, 1000), same).auc
+    assert abs(shuffled - 0.5) < 0.06  # three standard deviations
+
+
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from("abc")), max_size=40))
 def test_confusion_matrix_equals_the_loop(pairs: list[tuple[str, str]]) -> None:
     true, predicted = [t for t, _ in pairs], [p for _, p in pairs]
@@ -204,6 +235,8 @@ NAN = [[0.0, math.nan]]
         (lambda: metrics.recall_at_one_percent([[0]], [], XY, 1), DataError, "map positions must have shape"),
         (lambda: metrics.pair_accuracy([1.0], [True], margin=0), ConfigError, "margin must be positive, got 0"),
         (lambda: metrics.pair_accuracy([1.0], [True], threshold=0), ConfigError, "(0, 1], got 0"),
+        (lambda: metrics.pair_threshold_curve([1.0], [1]), DataError, "got int64 of shape (1,)"),
+        (lambda: metrics.pair_threshold_curve([1.0], [True], 2, [0.5, 1.5]), ConfigError, "[0, 1], got 0.5 to 1.5"),
         (lambda: metrics.pair_accuracy([-1.0], [True]), DataError, "1 of 1 pair distances are negative"),
         (lambda: metrics.pair_accuracy([math.nan], [True]), DataError, "1 of 1 distances are not finite"),
         (lambda: metrics.pair_accuracy([1.0], [1]), DataError, "got int64 of shape (1,)"),

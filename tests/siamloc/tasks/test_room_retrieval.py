@@ -24,9 +24,16 @@ def test_pairs_by_lighting(tmp_path: Path) -> None:
     np.testing.assert_allclose(result.columns["distance"], distance, rtol=1e-14)
     measures = result.measures()
     assert (measures["margin"], measures["threshold"]) == (2.5, 0.6)
-    assert measures["overall"] == vars(metrics.pair_accuracy(distance, same, 2.5, 0.6))
     night = lighting == "night"
-    assert measures["lighting"]["night"] == vars(metrics.pair_accuracy(distance[night], same[night], 2.5, 0.6))
+    for group, rows in ((measures["overall"], slice(None)), (measures["lighting"]["night"], night)):
+        accuracy = vars(metrics.pair_accuracy(distance[rows], same[rows], 2.5, 0.6))
+        assert group == {**accuracy, "auc": metrics.pair_threshold_curve(distance[rows], same[rows], 2.5).auc}
+    assert measures["auc"] == measures["overall"]["auc"]
+    assert len(measures["curve"]) == 101
+    assert measures["curve"][60] == {
+        "threshold": 0.6,
+        **{name: measures["overall"][name] for name in ("same", "different", "overall")},
+    }
     assert 0 < measures["overall"]["overall"] < 1
     assert result.columns["correct"].mean() == measures["overall"]["overall"]
     results = {"config": {}, "measures": measures, "denominators": {"pairs": len(result)}}

@@ -1,0 +1,115 @@
+"""A pose between map frames: the nearest ones by descriptor, weighted by the inverse of their distances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps.search import Retrieval
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Estimated poses.
+
+    Attributes:
+        xy: (n, 2) positions.
+        theta: (n,) headings, rad in (-pi, pi]; None where no headings were given, NaN where those used are unknown.
+        used: (n,) how many map frames each rests on.
+    """
+
+    xy: NDArray[np.float64]
+    theta: NDArray[np.float64] | None
+    used: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+
+def path_positions(frames: FrameTable) -> NDArray[np.float64]:
+    """Return how far along the path of its sequence each frame lies (m,), 0 for the first of each.
+
+    Raises:
+        DataError: a frame without a position.
+    """
+    if not frames.has_position.all():
+        raise DataError(
+            f"{int((~frames.has_position).sum())} of {len(frames)} map frames have no position: there is no path "
+            "along which to interpolate"
+        )
+    along = np.zeros(len(frames))
+    for rows in frames.rows_by("sequence").values():
+        along[rows[1:]] = np.cumsum(np.hypot(np.diff(frames.x[rows]), np.diff(frames.y[rows])))
+    return along
+
+
+def interpolate_poses(
+    found: Retrieval,
+    frames: FrameTable,
+    k: int = 3,
+    radius: float = 1.0,
+    headings: ArrayLike | None = None,
+    epsilon: float = 1e-6,
+) -> Poses:
+    """Return poses between the k nearest map frames of each query.
+
+    A frame at descriptor distance d weighs 1 / (d + epsilon). Only frames count that lie within a radius of the nearest
+    one along the map's own path: a frame that is near across a wall, or one elsewhere that looks alike, would draw
+    the mean to where the robot cannot be. Headings are averaged as directions.
+
+    Args:
+        found: by the search, at least min(k, m) neighbours of n queries.
+        frames: those of the map (m), in capture order inside each sequence, all with positions.
+        k: how many neighbours count at most; 1 gives the nearest frame's position exactly.
+        radius: along the path, in units of x and y, not negative; 0 leaves the frames at the nearest one's place.
+        headings: (n, k or more) heading of the query that each neighbour tells, rad; NaN where it tells none.
+        epsilon: keeps the weight of an identical descriptor finite, positive.
+
+    Raises:
+        ConfigError: k, radius or epsilon out of range.
+        DataError: too few neighbours, rows outside the map, headings of another shape, or a frame without a position.
+    """
+    if int(k) != k or k < 1:
+        raise ConfigError(f"interpolation needs a whole number of neighbours k >= 1, got {k}")
+    if not radius >= 0 or not epsilon > 0:
+        raise ConfigError(f"interpolation needs radius >= 0 and epsilon > 0, got {radius} and {epsilon}")
+    k = min(int(k), len(frames))
+    rows = found.indices
+    if rows.shape[1] < k or (rows.size and not 0 <= rows.min() <= rows.max() < len(frames)):
+        raise DataError(
+            f"interpolation needs {k} neighbours a query, rows 0 to {len(frames) - 1} of the map, got shape "
+            f"{rows.shape}"
+        )
+    near, apart = rows[:, :k], found.distances[:, :k]
+    along, best = path_positions(frames), near[:, :1]
+    inside = (np.abs(along[near] - along[best]) <= radius) & (frames.sequence[near] == frames.sequence[best])
+    weight = np.where(inside, 1 / (apart + epsilon), 0.0)
+    weight /= weight.sum(axis=1, keepdims=True)
+    # Offsets from the nearest frame: a single one has none, so that its position comes out to the last bit.
+    xy = frames.xy[best[:, 0]] + np.einsum("nk,nkc->nc", weight, frames.xy[near] - frames.xy[best])
+    theta = None if headings is None else _mean_heading(weight, headings, k)
+    return Poses(xy, theta, (weight > 0).sum(axis=1))
+
+
+def _mean_heading(weight: NDArray[np.float64], headings: ArrayLike, k: int) -> NDArray[np.float64]:
+    angle = np.asarray(headings, dtype=np.float64)
+    if angle.ndim != 2 or len(angle) != len(weight) or angle.shape[1] < k:
+        raise DataError(f"{len(weight)} queries need headings by {k} neighbours, got shape {angle.shape}")
+    angle = angle[:, :k]
+    known = np.isfinite(angle) & (weight > 0)
+    weight, angle = np.where(known, weight, 0.0), np.where(known, angle, 0.0)
+    # Turned back by the first known heading, so that one alone comes out to the last bit.
+    first = np.take_along_axis(angle, known.argmax(axis=1)[:, None], axis=1)
+    turned = angle - first
+    mean = np.arctan2((weight * np.sin(turned)).sum(axis=1), (weight * np.cos(turned)).sum(axis=1))
+    return np.where(known.any(axis=1), _wrapped(first[:, 0] + mean), np.nan)
+
+
+def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles in (-pi, pi]; those that are there already are left as they are."""
+    inside = (angle > -np.pi) & (angle <= np.pi)
+    return np.where(inside, angle, np.pi - np.remainder(np.pi - angle, 2 * np.pi))

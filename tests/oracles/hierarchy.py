@@ -1,0 +1,32 @@
+"""Hierarchical search as loops over frames and nodes."""
+
+from __future__ import annotations
+
+import math
+
+from tests.oracles.search import between
+
+
+def by_representatives(query, representatives, candidates: int, distance: str) -> list[int]:
+    ranked = sorted((between(query, mean, distance), node) for node, mean in enumerate(representatives))
+    return [node for _, node in ranked[:candidates]]
+
+
+def by_vote(nearest_frames, labels, candidates: int) -> list[int]:
+    votes: dict[int, list[int]] = {}
+    for place, frame in enumerate(nearest_frames):
+        if labels[frame] >= 0:
+            votes.setdefault(labels[frame], []).append(place)
+    ranked = sorted(votes, key=lambda node: (-len(votes[node]), votes[node][0]))
+    return ranked[:candidates]
+
+
+def by_position(query_xy, map_xy, labels) -> int:
+    return labels[min(range(len(map_xy)), key=lambda frame: (math.dist(map_xy[frame], query_xy), frame))]
+
+
+def search(query, descriptors, labels, nodes, k: int, distance: str) -> tuple[list[int], list[float], int]:
+    """Return frames, distances and how many frames were compared, for one query."""
+    inside = [frame for frame, node in enumerate(labels) if node == -1 or node in nodes]
+    ranked = sorted((between(query, descriptors[frame], distance), frame) for frame in inside)
+    return [frame for _, frame in ranked[:k]], [apart for apart, _ in ranked[:k]], len(inside)

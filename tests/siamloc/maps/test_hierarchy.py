@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import analytic
+from analytic import Description
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import VisualMap, match
+from siamloc.maps.coarse import CoarseLayer
+from siamloc.maps.hierarchy import HierarchicalSearch
+from siamloc.maps.node_ranking import NodeRanking, rank_by_representatives
+from tests.oracles import hierarchy as oracle
+
+DISTANCES = ("euclidean", "correlation", "cosine", "manhattan", "minkowski")
+
+
+def labelled(rng, n: int, nodes: int, unassigned: bool) -> np.ndarray:
+    """Return labels in no order; none of the nodes is empty."""
+    labels = np.concatenate([np.arange(nodes), rng.integers(-1 if unassigned else 0, nodes, n - nodes)])
+    return rng.permutation(labels)
+
+
+def visual_map(descriptors, distance: str = "euclidean") -> VisualMap:
+    n = len(descriptors)
+    return VisualMap(descriptors, FrameTable(path=[f"{i}.png" for i in range(n)]), distance=distance)
+
+
+def ranked(rng, n: int, nodes: int, candidates: int) -> NodeRanking:
+    order = np.argsort(rng.random((n, nodes)), axis=1)[:, :candidates]
+    return NodeRanking(order, np.full(n, nodes))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    distance=st.sampled_from(DISTANCES),
+    unassigned=st.booleans(),
+    k=st.integers(1, 25),
+    candidates=st.integers(1, 4),
+)
+def test_the_search_equals_the_loop(seed: int, distance: str, unassigned: bool, k: int, candidates: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Whole numbers: equal distances occur, within a node and between nodes.
+    known = visual_map(rng.integers(0, 3, (20, 3)), distance)
+    queries, labels = rng.integers(0, 3, (7, 3)).astype(np.float32), labelled(rng, 20, 4, unassigned)
+    layer = CoarseLayer.of_labels(known, labels)
+    ranking = ranked(rng, 7, 4, candidates)
+    result = HierarchicalSearch(known, layer).search(queries, ranking, k)
+    assert result.found.indices.shape == (7, min(k, 20))
+    for i in range(7):
+        frames, distances, compared = oracle.search(
+            queries[i].tolist(), known.descriptors.tolist(), labels.tolist(), ranking.nodes[i].tolist(), k, distance
+        )
+        if distance in ("euclidean", "manhattan"):
+            assert result.found.indices[i, : len(frames)].tolist() == frames
+            assert result.node[i] == labels[frames[0]]
+        np.testing.assert_allclose(result.found.distances[i, : len(frames)], distances, atol=1e-12)
+        assert (result.found.indices[i, len(frames) :] == result.found.indices[i, 0]).all()
+        assert np.isinf(result.found.distances[i, len(frames) :]).all()
+        assert (result.frames_compared[i], result.nodes_compared[i], result.compared[i]) == (compared, 4, compared + 4)
+    np.testing.assert_array_equal(result.tried, ranking.nodes)
+
+
+@pytest.mark.parametrize("distance", DISTANCES)
+@pytest.mark.parametrize("unassigned", [False, True])
+def test_all_nodes_as_candidates_give_the_answer_of_the_whole_map(distance: str, unassigned: bool) -> None:
+    rng = np.random.default_rng(3)
+    known = visual_map(rng.normal(size=(300, 16)).astype(np.float32), distance)
+    layer = CoarseLayer.of_labels(known, labelled(rng, 300, 12, unassigned))
+    queries = rng.normal(size=(40, 16)).astype(np.float32)
+    ranking = rank_by_representatives(queries, layer.representatives, 12, distance)
+    result = HierarchicalSearch(known, layer).search(queries, ranking, 9)
+    expected = known.search(queries, 9)
+    np.testing.assert_array_equal(result.found.indices, expected.indices)
+    np.testing.assert_array_equal(result.found.distances, expected.distances)
+    assert (result.compared == 312).all()
+
+
+def test_the_answer_depends_neither_on_the_other_queries_nor_on_the_size_of_the_parts(monkeypatch) -> None:
+    rng = np.random.default_rng(4)
+    known = visual_map(rng.normal(size=(200, 8)))
+    layer = CoarseLayer.of_labels(known, labelled(rng, 200, 7, True))
+    queries, ranking = rng.normal(size=(50, 8)), ranked(rng, 50, 7, 3)
+    search = HierarchicalSearch(known, layer)
+    whole = search.search(queries, ranking, 5)
+    rows = np.array([44, 2, 2, 17])
+    part = search.search(queries[rows], NodeRanking(ranking.nodes[rows], ranking.compared[rows]), 5)
+    np.testing.assert_array_equal(part.found.indices, whole.found.indices[rows])
+    np.testing.assert_array_equal(part.found.distances, whole.found.distances[rows])
+    for name, value in (("_PAIRS", 50), ("_ALIGNED_PAIRS", 50), ("_FOUND", 40), ("_FRAMES", 13)):
+        monkeypatch.setattr(f"siamloc.maps.hierarchy.{name}", value)
+    small = HierarchicalSearch(known, layer).search(queries, ranking, 5)
+    np.testing.assert_array_equal(small.found.indices, whole.found.indices)
+    np.testing.assert_array_equal(small.found.distances, whole.found.distances)
+
+
+def test_descriptors_that_are_compared_after_turning() -> None:
+    rng = np.random.default_rng(5)
+    descriptor = analytic.descriptor("briefgist", rows=4, columns=16)
+    images = rng.integers(0, 256, (14, 16, 64), dtype=np.uint8)
+    seen = descriptor.describe(images)
+    known = VisualMap(
+        seen.position,
+        FrameTable(path=[f"{i}.png" for i in range(14)]),
+        distance=descriptor.default_distance,
+        orientation=seen.orientation,
+    )
+    layer = CoarseLayer.of_labels(known, [0, 0, 1, 1, 2, 2, 2, -1, 3, 3, 3, 0, 1, 2])
+    noisy = np.clip(np.roll(images, 8, axis=2) + rng.normal(0, 40, images.shape), 0, 255).astype(np.uint8)
+    queries = descriptor.describe(noisy[[1, 3, 7, 9, 6]])
+    search = HierarchicalSearch(known, layer, descriptor)
+    every = search.search(queries, ranked(rng, 5, 4, 4), 3)
+    expected = match(known, queries, descriptor, 3)
+    np.testing.assert_array_equal(every.found.indices, expected.indices)
+    np.testing.assert_allclose(every.found.distances, expected.distances, atol=1e-5)
+    ranking = NodeRanking(np.array([[0], [1], [2], [3], [2]]), np.full(5, 4))
+    few = search.search(queries, ranking, 2)
+    assert few.found.indices[:, 0].tolist() == [1, 3, 7, 9, 6]
+    assert few.node.tolist() == [0, 1, -1, 3, 2]
+    assert few.compared.tolist() == [4 + 1 + n for n in (3, 3, 4, 3, 4)]
+
+
+def test_a_map_of_one_frame_and_nodes_of_one_frame() -> None:
+    one = visual_map([[1.0, 2.0]])
+    search = HierarchicalSearch(one, CoarseLayer.of_labels(one, [0]))
+    result = search.search([[5.0, 5.0], [0.0, 0.0]], NodeRanking(np.zeros((2, 1), int), np.ones(2, int)), 4)
+    assert result.found.indices.tolist() == [[0], [0]]
+    assert result.compared.tolist() == [2, 2]
+    known = visual_map([[0.0], [1.0], [2.0]])
+    alone = HierarchicalSearch(known, CoarseLayer.of_labels(known, [2, 0, 1]))
+    result = alone.search([[0.1]], NodeRanking(np.array([[0]]), np.array([3])), 3)
+    assert result.found.indices.tolist() == [[1, 1, 1]]
+    assert result.found.distances.tolist() == [[pytest.approx(0.9), np.inf, np.inf]]
+
+
+def test_frames_that_all_look_alike() -> None:
+    known = visual_map(np.ones((50, 4)))
+    search = HierarchicalSearch(known, CoarseLayer.of_labels(known, np.arange(50)[::-1] % 3))
+    result = search.search(np.zeros((6, 4)), NodeRanking(np.tile([2, 0], (6, 1)), np.full(6, 3)), 4)
+    expected = np.flatnonzero(np.arange(50)[::-1] % 3 != 1)[:4]
+    assert (result.found.indices == expected).all()
+    assert (result.found.distances == 2).all()
+
+
+def test_no_queries() -> None:
+    known = visual_map([[0.0], [1.0]])
+    search = HierarchicalSearch(known, CoarseLayer.of_labels(known, [0, 1]))
+    empty = NodeRanking(np.zeros((0, 1), dtype=int), np.zeros(0, dtype=int))
+    assert search.search(np.zeros((0, 1)), empty, 1).found.indices.shape == (0, 1)
+
+
+def test_frames_in_no_node_are_always_found() -> None:
+    known = visual_map([[0.0], [10.0], [5.0]])
+    search = HierarchicalSearch(known, CoarseLayer.of_labels(known, [0, 1, -1]))
+    result = search.search([[5.1], [5.1]], NodeRanking(np.array([[0], [-1]]), np.array([2, 2])), 1)
+    assert result.found.indices.tolist() == [[2], [2]]
+    assert result.node.tolist() == [-1, -1]
+    assert result.frames_compared.tolist() == [2, 1]
+
+
+def test_errors() -> None:
+    known = visual_map(np.eye(4))
+    layer = CoarseLayer.of_labels(known, [0, 0, 1, 1])
+    search = HierarchicalSearch(known, layer)
+    one = NodeRanking(np.array([[0]]), np.array([2]))
+    with pytest.raises(DataError, match="labels for 4 frames and the map has 3"):
+        HierarchicalSearch(known.take([0, 1, 2]), layer)
+    with pytest.raises(ConfigError, match="k >= 1, got 0"):
+        search.search(np.eye(4)[:1], one, 0)
+    with pytest.raises(DataError, match="2 queries need as many rows in the ranking, got 1"):
+        search.search(np.eye(4)[:2], one)
+    with pytest.raises(DataError, match="nodes of the layer, 0 to 1"):
+        search.search(np.eye(4)[:1], NodeRanking(np.array([[2]]), np.array([2])))
+    with pytest.raises(DataError, match="1 of 1 queries have no candidate node"):
+        search.search(np.eye(4)[:1], NodeRanking(np.array([[-1]]), np.array([2])))
+    with pytest.raises(DataError, match="vectors of 4 values like the map's"):
+        search.search(np.eye(3)[:1], one)
+    with pytest.raises(DataError, match="1 of 1 query descriptors hold values that are not finite"):
+        search.search(np.full((1, 4), np.nan), one)
+    with pytest.raises(DataError, match="out of all proportion"):
+        search.search(np.full((1, 4), 1e20), one)
+    assert search.search(Description(np.eye(4)[2:3]), NodeRanking(np.array([[1]]), np.array([2]))).node.tolist() == [1]

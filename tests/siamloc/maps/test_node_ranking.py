@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import Retrieval, nearest
+from siamloc.maps.node_ranking import NodeRanking, rank_by_position, rank_by_representatives, rank_by_vote
+from tests.oracles import hierarchy as oracle
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(max_examples=30, deadline=None)  # the first call imports scipy
+@given(seed=seeds, candidates=st.integers(1, 6), distance=st.sampled_from(["euclidean", "correlation", "manhattan"]))
+def test_nodes_by_representatives_equal_the_loop(seed: int, candidates: int, distance: str) -> None:
+    rng = np.random.default_rng(seed)
+    queries, representatives = rng.normal(size=(4, 3)), rng.normal(size=(5, 3))
+    ranking = rank_by_representatives(queries, representatives, candidates, distance)
+    expected = [oracle.by_representatives(query, representatives, candidates, distance) for query in queries.tolist()]
+    assert ranking.nodes.tolist() == expected
+    assert ranking.compared.tolist() == [5] * 4
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds, k=st.integers(1, 9), candidates=st.integers(1, 5))
+def test_nodes_by_vote_equal_the_loop(seed: int, k: int, candidates: int) -> None:
+    rng = np.random.default_rng(seed)
+    labels = rng.integers(-1, 4, 12)
+    indices = np.argsort(rng.random((5, 12)), axis=1)[:, :k]
+    ranking = rank_by_vote(Retrieval(indices, np.zeros(indices.shape)), labels, candidates)
+    for row, frames in zip(ranking.nodes.tolist(), indices.tolist(), strict=True):
+        expected = oracle.by_vote(frames, labels.tolist(), candidates)
+        assert row == expected + [-1] * (len(row) - len(expected))
+    assert ranking.compared.tolist() == [12] * 5
+
+
+def test_votes_of_a_small_example() -> None:
+    found = Retrieval(np.array([[0, 2, 3, 1]]), np.zeros((1, 4)))
+    assert rank_by_vote(found, [0, 1, 2, 2], 2).nodes.tolist() == [[2, 0]]  # two votes, then the nearer of one each
+    assert rank_by_vote(found, [-1, -1, -1, 0], 2).nodes.tolist() == [[0]]  # there is but one node
+    assert rank_by_vote(found, [-1] * 4, 1).nodes.tolist() == [[-1]]
+    assert rank_by_vote(found, [0, 1, 2, 2], 1, compared=7).compared.tolist() == [7]
+
+
+@settings(deadline=None)
+@given(seed=seeds)
+def test_the_perfect_layer_is_the_node_of_the_nearest_frame(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Whole numbers: equal distances occur, and frames of equal x and different y.
+    map_xy, query_xy, labels = rng.integers(0, 4, (9, 2)), rng.integers(0, 4, (5, 2)), rng.integers(-1, 3, 9)
+    ranking = rank_by_position(query_xy, map_xy, labels)
+    assert ranking.nodes.tolist() == [[oracle.by_position(xy, map_xy, labels)] for xy in query_xy]
+    assert ranking.compared.tolist() == [0] * 5
+
+
+def test_equal_x_and_different_y() -> None:
+    assert rank_by_position([[1.0, 5.0]], [[1.0, 0.0], [2.0, 5.0]], [0, 1]).nodes.tolist() == [[1]]
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: rank_by_representatives([[0.0]], [[0.0]], 0), ConfigError, "candidate nodes >= 1, got 0"),
+        (lambda: rank_by_representatives([[0.0, 1]], [[0.0]], 1), DataError, "2 values each"),
+        (lambda: rank_by_vote(nearest([[0.0]], [[0.0]]), [], 1), DataError, "labels must be whole numbers"),
+        (lambda: rank_by_vote(nearest([[0.0]], [[0.0]]), [0.0], 1), DataError, "labels must be whole numbers"),
+        (lambda: rank_by_vote(Retrieval(np.array([[3]]), np.zeros((1, 1))), [0, 0]), DataError, "rows 0 to 1"),
+        (lambda: rank_by_vote(nearest([[0.0]], [[0.0]]), [0], 1.5), ConfigError, "got 1.5"),
+        (lambda: rank_by_position([[0.0, 0]], [[0.0, 0]], [0, 1]), DataError, "1 map frames need as many labels"),
+        (lambda: rank_by_position([[0.0, np.nan]], [[0.0, 0]], [0]), DataError, "not finite"),
+        (lambda: NodeRanking(np.array([[1, 1]]), np.array([2])), DataError, "names a node twice"),
+        (lambda: NodeRanking(np.array([[1, 0]]), np.array([2, 2])), DataError, r"got int64 \(1, 2\) and int64 \(2,\)"),
+        (lambda: NodeRanking(np.array([[0.5]]), np.array([2])), DataError, "whole numbers"),
+    ],
+)
+def test_errors(call, error, message: str) -> None:
+    with pytest.raises(error, match=message):
+        call()

@@ -1,0 +1,224 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import analytic
+from analytic import Description
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import VisualMap
+from siamloc.maps.filter_learning import learn_temperature, temperature_of_map, tune_filter
+from siamloc.maps.motion import MotionModel
+from siamloc.maps.sequence_filter import SequenceFilter, frame_distances
+from tests.oracles import bayes_filter as oracle
+
+
+def frames(xy, **columns) -> FrameTable:
+    x, y = np.asarray(xy, dtype=float).reshape(-1, 2).T
+    return FrameTable(path=[f"{i}.png" for i in range(len(x))], x=x, y=y, **columns)
+
+
+def corridor(n: int = 60, spacing: float = 0.5) -> FrameTable:
+    return frames(np.column_stack([spacing * np.arange(n), np.zeros(n)]), time=np.arange(n) * 0.5)
+
+
+def ambiguous(place: np.ndarray, rng, noise: float = 0.25) -> np.ndarray:
+    """Return distances (n, 60) of queries at some places (frames) of a corridor whose two halves look nearly alike."""
+    own = np.arange(60)
+    seen = np.abs(own % 30 - place[:, None] % 30) / 3 + 0.05 * (own // 30 != place[:, None] // 30)
+    return np.minimum(seen, 1.5) + noise * rng.random((len(place), 60))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), kidnapping=st.floats(1e-6, 0.5), temperature=st.floats(0.05, 2))
+def test_the_filter_equals_the_naive_forward_algorithm(seed: int, kidnapping: float, temperature: float) -> None:
+    rng = np.random.default_rng(seed)
+    known = frames(np.cumsum(rng.normal(size=(9, 2)), axis=0))
+    motion = MotionModel.learn(known, step=float(rng.uniform(0.1, 2)))
+    table = oracle.transitions(known.xy.tolist(), motion.step, motion.spacing)
+    distances, sequence = rng.uniform(0, 3, (12, 9)), np.array(["a"] * 5 + ["b"] * 7)
+    labels = rng.integers(-1, 3, 9)
+    track = SequenceFilter(motion, temperature, kidnapping, labels).run(distances, sequence)
+    expected = [
+        belief
+        for part in (slice(0, 5), slice(5, 12))
+        for belief in oracle.forward(distances[part].tolist(), table, temperature, kidnapping)
+    ]
+    assert track.frame.tolist() == [belief.index(max(belief)) for belief in expected]
+    np.testing.assert_allclose(track.probability, [max(belief) for belief in expected], rtol=1e-9)
+    for i in (0, 4, 5, 11):
+        best = known.xy[track.frame[i]]
+        squares = [p * math.dist(xy, best) ** 2 for p, xy in zip(expected[i], known.xy, strict=True)]
+        assert track.spread[i] == pytest.approx(math.sqrt(math.fsum(squares)))
+        mass = {
+            node: sum(p for p, own in zip(expected[i], labels, strict=True) if own == node) for node in range(-1, 3)
+        }
+        assert track.node is not None
+        assert track.node_probability is not None
+        assert track.node[i] == max(mass, key=lambda node: mass[node])
+        assert track.node_probability[i] == pytest.approx(max(mass.values()))
+
+
+def test_transitions_are_probabilities_that_fall_with_the_distance_both_ways() -> None:
+    motion = MotionModel.learn(corridor(), step=0.5)
+    np.testing.assert_allclose(np.bincount(motion.source, motion.weight), 1)
+    moved = motion.predict(np.eye(60)[30])
+    np.testing.assert_allclose(moved[31:36], moved[29:24:-1])
+    assert (np.diff(moved[30:35]) < 0).all()
+    assert moved[:10].max() == moved[50:].max() == 0
+
+
+def test_the_step_is_learned_from_the_spacing_or_from_speed_and_interval() -> None:
+    known = corridor()
+    assert MotionModel.learn(known).step == MotionModel.learn(known).spacing == 0.5
+    assert MotionModel.learn(known, interval=0.1).step == pytest.approx(0.1)  # 1 m/s
+    assert MotionModel.learn(known, step=0.3, interval=0.1).step == 0.3
+    assert MotionModel.learn(known.with_columns(time=np.full(60, np.nan)), interval=0.1).step == 0.5
+    two = known.with_columns(sequence=np.array(["a"] * 30 + ["b"] * 30), x=np.r_[np.arange(30), 50 + np.arange(30)])
+    assert MotionModel.learn(two).spacing == 1  # nobody went from the end of one sequence to the start of the next
+
+
+def test_frames_of_two_buildings_are_not_neighbours() -> None:
+    known = frames([[0, 0], [1, 0], [0, 0], [1, 0]], building=["a", "a", "b", "b"], sequence=["a", "a", "b", "b"])
+    motion = MotionModel.learn(known)
+    np.testing.assert_allclose(motion.predict(np.array([1.0, 0, 0, 0]))[2:], 0)
+
+
+def test_a_corridor_of_two_halves_that_look_alike() -> None:
+    rng, place = np.random.default_rng(0), np.r_[0:60, 59:-1:-1]
+    distances = ambiguous(place, rng)
+    single = distances.argmin(axis=1)
+    track = SequenceFilter(MotionModel.learn(corridor()), 0.1, 1e-4).run(distances, np.zeros(120))
+    wrong_half = single // 30 != place // 30
+    assert wrong_half.sum() > 20
+    assert (np.abs(track.frame - place)[10:] <= 2).all()
+    assert (track.spread[20:] < 2).all()
+    assert track.spread[0] > 5  # after one query both halves are possible
+
+
+def test_a_kidnapped_robot_is_found_within_the_stated_number_of_queries() -> None:
+    n, kidnapping, temperature, gap = 200, 1e-4, 0.1, 0.4
+    motion = MotionModel.learn(corridor(n))
+    place = np.r_[np.arange(20, 50), np.arange(150, 180)]
+    distances = gap * (np.abs(np.arange(n) - place[:, None]) > 0)
+    track = SequenceFilter(motion, temperature, kidnapping).run(distances, np.zeros(60))
+    bound = 1 + math.log(n / kidnapping) / (gap / temperature + math.log(motion.predict(np.eye(n)[100])[101]))
+    found = np.flatnonzero(track.frame[30:] == place[30:])[0] + 1
+    assert 2 <= found <= bound < 8
+    assert (track.frame[30 + int(found) :] == place[30 + int(found) :]).all()
+    assert (track.frame[5:30] == place[5:30]).all()
+
+
+def test_each_sequence_begins_anew_wherever_its_queries_stand() -> None:
+    rng = np.random.default_rng(1)
+    motion, distances = MotionModel.learn(corridor()), ambiguous(np.r_[0:20, 40:60], rng)
+    run = SequenceFilter(motion, 0.2)
+    names = np.array(["a"] * 20 + ["b"] * 20)
+    track = run.run(distances, names)
+    mixed = np.argsort(np.r_[0:20, 0:20], kind="stable")
+    again = run.run(distances[mixed], names[mixed])
+    np.testing.assert_array_equal(again.frame, track.frame[mixed])
+    np.testing.assert_array_equal(again.probability, track.probability[mixed])
+    # Only the past counts.
+    np.testing.assert_array_equal(run.run(distances[:9], names[:9]).spread, track.spread[:9])
+
+
+def test_a_map_of_one_frame() -> None:
+    known = VisualMap([[1.0]], frames([[2, 3]]))
+    motion = MotionModel.learn(known.frames)
+    track = SequenceFilter(motion, temperature_of_map(known)).run([[0.3], [7.0]], ["a", "a"])
+    assert track.frame.tolist() == [0, 0]
+    assert track.probability.tolist() == [1, 1]
+    assert track.spread.tolist() == [0, 0]
+
+
+def test_the_temperature_is_the_likeliest_one() -> None:
+    rng = np.random.default_rng(2)
+    distances = rng.uniform(0, 1, (400, 8))
+    weight = np.exp(-distances / 0.3)
+    draw = (rng.random((400, 1)) < np.cumsum(weight / weight.sum(axis=1, keepdims=True), axis=1)).argmax(axis=1)
+    learned = learn_temperature(distances, draw)
+
+    def log_likelihood(temperature: float) -> float:
+        weight = np.exp(-distances / temperature)
+        return float(np.log(weight[np.arange(400), draw] / weight.sum(axis=1)).sum())
+
+    assert log_likelihood(learned) >= max(log_likelihood(learned * factor) for factor in (0.97, 1.03))
+    assert 0.2 < learned < 0.45
+    # Distances that tell all make it cold, such that tell nothing hot; neither makes it infinite.
+    certain = learn_temperature([[0.0, 1.0]] * 3, np.zeros(3, dtype=int))
+    useless = learn_temperature([[0.0, 1.0]] * 3, np.ones(3, dtype=int))
+    assert 0 < certain < 0.1 < 10 < useless < math.inf
+
+
+def test_the_temperature_of_a_map_leaves_each_frame_out() -> None:
+    rng = np.random.default_rng(3)
+    table = corridor(40)
+    known = VisualMap(table.xy + 0.2 * rng.normal(size=(40, 2)), table)
+    apart, away = frame_distances(known, known.description), np.abs(np.subtract.outer(table.x, table.x))
+    apart[np.eye(40, dtype=bool)] = away[np.eye(40, dtype=bool)] = np.inf
+    assert temperature_of_map(known) == pytest.approx(learn_temperature(apart, away.argmin(axis=1)))
+
+
+def test_tuning_finds_settings_that_suit_the_validation_sequence() -> None:
+    place = np.arange(60)
+    motion, distances = MotionModel.learn(corridor()), ambiguous(place, np.random.default_rng(5))
+    truth, names = motion.xy[place], np.zeros(60)
+    tried = tune_filter(motion, distances, truth, names, 1e-3, softer=(1, 100), kidnapping=(0.5, 1e-4))
+    assert len(tried) == 4
+    assert [settings.error for settings in tried] == sorted(settings.error for settings in tried)
+    assert (tried[0].temperature, tried[0].kidnapping) == (0.1, 1e-4)
+    best = SequenceFilter(motion, 0.1, 1e-4).run(distances, names)
+    assert tried[0].error == pytest.approx(np.hypot(*(motion.xy[best.frame] - truth).T).mean())
+
+
+def test_distances_of_descriptors_that_are_compared_after_turning() -> None:
+    rng = np.random.default_rng(6)
+    descriptor = analytic.descriptor("briefgist", rows=4, columns=16)
+    seen = descriptor.describe(rng.integers(0, 256, (5, 16, 64), dtype=np.uint8))
+    known = VisualMap(
+        seen.position, frames(np.zeros((5, 2))), distance=descriptor.default_distance, orientation=seen.orientation
+    )
+    np.testing.assert_allclose(
+        frame_distances(known, seen.take([3, 1]), descriptor), descriptor.pairwise(seen.take([3, 1]), seen), atol=1e-5
+    )
+    plain = VisualMap(np.eye(3), frames(np.zeros((3, 2))), distance="manhattan")
+    assert frame_distances(plain, Description(np.eye(3)[:1])).tolist() == [[0, 2, 2]]
+
+
+def test_errors() -> None:
+    known = corridor(4)
+    motion = MotionModel.learn(known)
+    with pytest.raises(ConfigError, match="step of a motion model must be positive, got 0"):
+        MotionModel.learn(known, step=0)
+    with pytest.raises(ConfigError, match="interval of a motion model must be positive"):
+        MotionModel.learn(known, interval=math.nan)
+    with pytest.raises(DataError, match="1 of 4 map frames have no position"):
+        MotionModel.learn(known.with_columns(x=[0, 1, math.nan, 2]))
+    with pytest.raises(DataError, match="0 of 0 map frames"):
+        MotionModel.learn(known.take([]))
+    with pytest.raises(ConfigError, match="temperature of the sequence filter must be positive, got 0"):
+        SequenceFilter(motion, 0)
+    with pytest.raises(ConfigError, match=r"kidnapping lies in \(0, 1\), got 0"):
+        SequenceFilter(motion, 1, 0)
+    with pytest.raises(DataError, match="4 map frames need as many labels"):
+        SequenceFilter(motion, 1, labels=[0, 1])
+    with pytest.raises(DataError, match="4 finite distances"):
+        SequenceFilter(motion, 1).step([0.0, 1, 2, math.inf])
+    with pytest.raises(DataError, match=r"distances of shape \(1, 4\), got \(1, 3\)"):
+        SequenceFilter(motion, 1).run([[0.0, 1, 2]], ["a"])
+    with pytest.raises(DataError, match="a temperature needs distances"):
+        learn_temperature([[0.0, 1]], [0.0])
+    with pytest.raises(DataError, match="at no finite distance"):
+        learn_temperature([[0.0, math.inf]], [1])
+    with pytest.raises(DataError, match="whose frames all have positions"):
+        temperature_of_map(VisualMap([[1.0]], frames([[math.nan, 0]])))
+    with pytest.raises(ConfigError, match="at least one factor"):
+        tune_filter(motion, np.zeros((1, 4)), [[0, 0]], ["a"], 1, softer=())
+    with pytest.raises(DataError, match="true positions"):
+        tune_filter(motion, np.zeros((1, 4)), [[0, math.nan]], ["a"], 1)
