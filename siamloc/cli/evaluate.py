@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from analytic import Description, Descriptor
 from siamloc.cli.compose import config_folder, plain
+from siamloc.cli.mapping import measure
 from siamloc.cli.steps import (
     Roles,
     build_map,
@@ -38,6 +39,9 @@ TASKS = ("absolute", "room_retrieval")
 
 def main(config: DictConfig) -> None:
     """Evaluate a descriptor and its baselines, write the files, print a table."""
+    if list(config.task.names) == ["mapping"]:
+        measure(config)
+        return
     for name in config.task.names:
         if name not in TASKS:
             raise ConfigError(f"unknown task {name!r}: {nearest(name, TASKS)}")
