@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import OmegaConf
 
 import analytic
 import siamloc.cli
 from benchmarks.report import Report, medians, parser
-from siamloc.cli.compose import config_folder
+from siamloc.cli.steps import descriptor_options
 from siamloc.data.decoding import read_image
 
 NAMES = ("hog", "gist", "wisurf", "briefgist", "fs", "radon_fourier", "radon_poc", "hog_mapping", "gist_mapping")
@@ -66,7 +65,7 @@ def row(name: str, data: Path, folder: Path) -> dict[str, Any]:
 
 def cost(name: str, image: Path) -> dict[str, float]:
     """Return bytes of a description and milliseconds for one panorama."""
-    options = dict(OmegaConf.to_container(OmegaConf.load(config_folder() / "descriptor" / f"{name}.yaml")))  # type: ignore
+    options = descriptor_options(name)
     options.pop("label", None)
     kind = options.pop("name")
     made = analytic.Thumbnail(**options) if kind == "thumbnail" else analytic.descriptor(kind, **options)

@@ -8,6 +8,7 @@ lengths and means: no descriptor is turned to find them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -145,7 +146,7 @@ class _Moments(NamedTuple):
         kept = vars(description)
         if "moments" not in kept:
             assert description.orientation is not None
-            flat = description.orientation.reshape(len(description), -1)
+            flat = description.orientation.reshape(len(description), prod(description.orientation.shape[1:]))
             norm = np.sqrt(np.einsum("bf,bf->b", flat, flat, dtype=np.float64))
             mean = flat.mean(axis=1, dtype=np.float64)
             squares = [np.square(row - middle).sum() for row, middle in zip(flat, mean, strict=True)]

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import prod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -65,7 +66,7 @@ class Description:
         """Squared lengths of the orientation parts (B,)."""
         if self.orientation is None:
             raise AnalyticError("this description has no orientation part")
-        flat = self.orientation.reshape(len(self), -1)
+        flat = self.orientation.reshape(len(self), prod(self.orientation.shape[1:]))
         return np.einsum("bf,bf->b", flat, flat, dtype=np.float64)
 
     @cached_property
@@ -207,8 +208,8 @@ class Descriptor(ABC):
         for description in (queries, references):
             if description.orientation is None:
                 raise AnalyticError(
-                    f"descriptor {self.name!r} has no orientation part, so that it cannot tell a heading: use one "
-                    "that has, such as 'hog'"
+                    f"a description for {self.name!r} has no orientation part, so that no turn can be found: describe "
+                    "the images with a descriptor that has one, such as 'hog', and keep it"
                 )
         assert queries.orientation is not None
         return int(queries.orientation.shape[1])
@@ -253,6 +254,11 @@ def _sizes(shape: tuple[tuple[int, ...], tuple[int, ...] | None]) -> str:
 
 
 def _other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:
+    if expected.get("name") != found.get("name"):
+        return (
+            f"the descriptions were made by {found.get('name')} instead of {expected.get('name')}: describe all images "
+            "with one descriptor"
+        )
     keys = [key for key in {**expected, **found} if expected.get(key) != found.get(key)]
     said = ", ".join(f"{key}={found.get(key)} instead of {expected.get(key)}" for key in keys)
     return f"the descriptions were made with other parameters ({said}): describe all images with one descriptor"
@@ -296,6 +302,8 @@ def shaped(array: Any) -> Any:
     if array.ndim == 2:
         array = array[None, None]
     elif array.ndim == 3:
+        if shape[2] == 3 and shape[0] != 3:
+            raise AnalyticError(f"a colour image must have its channels first, (3, H, W), got {shape}: transpose it")
         array = array[None] if shape[0] == 3 else array[:, None]
     if array.ndim != 4 or array.shape[1] not in (1, 3) or 0 in shape:
         raise AnalyticError(f"images must have shape (H, W), (3, H, W), (B, H, W) or (B, 3, H, W), got {shape}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, fields
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
 
 _LUMA = (0.299, 0.587, 0.114)
 _PIXELS = 1 << 17  # in work at once
+_KINDS: dict[str, tuple[type, type, str]] = {
+    "bool": (bool, bool, "True or False"),
+    "int": (Integral, int, "a whole number"),
+    "float": (Real, float, "a number"),
+    "str": (str, str, "a text"),
+}
 Part = Any  # a tensor, or an array
 
 
@@ -36,6 +43,13 @@ class ImageDescriptor(Descriptor):
     device: str = "cpu"
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            kind, plain, wanted = _KINDS[str(field.type)]
+            value = getattr(self, field.name)
+            value = value.item() if isinstance(value, np.generic) else value
+            if not isinstance(value, kind) or isinstance(value, bool) != (kind is bool):
+                raise AnalyticError(f"{self.name} needs {wanted} for {field.name}, got {value!r}")
+            object.__setattr__(self, field.name, plain(value))
         self._check_parameters()
 
     @property
@@ -131,7 +145,7 @@ def grey_tensor(tensor: Tensor, device: str) -> Tensor:
     """Return images (B, C, H, W) as luma (B, H, W), float32 in [0, 1], on a device. Errors as `describe`."""
     import torch
 
-    tensor = tensor.to(device)
+    tensor = _moved(tensor, device)
     if tensor.dtype == torch.uint8:
         values = tensor.to(torch.float32).mul_(1 / 255)
     else:
@@ -144,6 +158,20 @@ def grey_tensor(tensor: Tensor, device: str) -> Tensor:
         return values[:, 0]
     red, green, blue = values.unbind(1)
     return (red * _LUMA[0]).add_(green, alpha=_LUMA[1]).add_(blue, alpha=_LUMA[2])
+
+
+def _moved(tensor: Tensor, device: str) -> Tensor:
+    """Return a tensor on a device, which torch does not name in one sentence when it lacks it."""
+    import torch
+
+    try:
+        return tensor.to(device)
+    except (RuntimeError, AssertionError) as error:
+        if isinstance(error, torch.OutOfMemoryError):
+            raise
+        raise AnalyticError(
+            f"torch cannot compute on device={device!r} here: use 'cpu', or 'cuda' where there is a GPU"
+        ) from error
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:

@@ -31,15 +31,28 @@ def descriptor(name: str, **params: Any) -> ImageDescriptor:
     Raises:
         AnalyticError: an unknown name or parameter, or a value that fits no image.
     """
-    if name not in DESCRIPTORS:
-        raise AnalyticError(f"unknown descriptor {name!r}: {_nearest(name, list(DESCRIPTORS))}")
-    module, kind = DESCRIPTORS[name]
-    made = cast(type[ImageDescriptor], getattr(import_module(f"analytic.descriptors.{module}"), kind))
+    made = _class(name)
     valid = [field.name for field in fields(made)]
     for key in params:
         if key not in valid:
             raise AnalyticError(f"descriptor {name!r} has no parameter {key!r}: {_nearest(key, valid)}")
     return made(**params)
+
+
+def parameters(name: str) -> dict[str, Any]:
+    """Return the parameters of a descriptor with their defaults.
+
+    Raises:
+        AnalyticError: an unknown name.
+    """
+    return {field.name: field.default for field in fields(_class(name))}
+
+
+def _class(name: str) -> type[ImageDescriptor]:
+    if name not in DESCRIPTORS:
+        raise AnalyticError(f"unknown descriptor {name!r}: {_nearest(name, list(DESCRIPTORS))}")
+    module, kind = DESCRIPTORS[name]
+    return cast(type[ImageDescriptor], getattr(import_module(f"analytic.descriptors.{module}"), kind))
 
 
 def _nearest(word: str, valid: list[str]) -> str:

@@ -159,13 +159,23 @@ def _folder_of(name: str) -> Path:
 
 
 def _register_defaults(name: str) -> None:
-    """Make the dataclass that holds a command's defaults known to Hydra."""
-    if name == "simulate":
-        from hydra.core.config_store import ConfigStore
+    """Make the dataclasses that hold a command's defaults known to Hydra, so that a value stands in one place."""
+    from hydra.core.config_store import ConfigStore
 
+    store = ConfigStore.instance()
+    if name == "simulate":
         from siamloc.data.simulate import SimulateConfig
 
-        ConfigStore.instance().store("simulate_defaults", OmegaConf.create(as_plain(asdict(SimulateConfig()))))
+        store.store("simulate_defaults", OmegaConf.create(as_plain(asdict(SimulateConfig()))))
+    if name == "config":
+        from analytic.descriptors.registry import DESCRIPTORS, parameters
+        from analytic.mapper import Parameters
+
+        for descriptor in DESCRIPTORS:
+            # Whether columns wrap around follows from the data, and where to compute from `device`.
+            fields = {k: v for k, v in parameters(descriptor).items() if k not in ("circular", "device")}
+            store.store(descriptor, OmegaConf.create(fields), group="parameters/descriptor")
+        store.store("mapper", OmegaConf.create(asdict(Parameters())), group="parameters")
 
 
 def sweep_suffix() -> str:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
-from siamloc.cli.compose import plain, sweep_suffix, task_overrides
+from siamloc.cli.compose import config_folder, plain, sweep_suffix, task_overrides
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, concatenate, image_files
 from siamloc.data.library import PanoramaLibrary
@@ -189,6 +189,19 @@ def train_run(config: DictConfig) -> Run:
         )
     suffix = sweep_suffix()
     return Run(folder / suffix if suffix else folder)
+
+
+def descriptor_options(name: str) -> dict[str, Any]:
+    """Return the options of a descriptor by the name of its configuration file; what it leaves out has its default.
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+    folder = config_folder() / "descriptor"
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        raise ConfigError(f"unknown descriptor {name!r}: {nearest(name, [p.stem for p in folder.glob('*.yaml')])}")
+    return {str(key): value for key, value in OmegaConf.load(path).items() if key != "defaults"}
 
 
 def label_of(options: Mapping[str, Any]) -> str:

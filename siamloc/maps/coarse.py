@@ -150,7 +150,7 @@ class CoarseLayer:
         if not path.is_file():
             raise FormatError(f"{path} does not exist: build the layer first with `siamloc map build=...`")
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 header = json.loads(str(archive["header"][()]))
                 arrays = {name: archive[name] for name in _ARRAYS}
         except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:

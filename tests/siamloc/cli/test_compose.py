@@ -71,3 +71,17 @@ def test_compose_raises_what_the_command_line_prints():
 def test_configuration_lies_in_the_package_or_beside_it():
     assert (config_folder() / "config.yaml").is_file()
     assert config_folder().parent in (Path(__file__).parents[3], Path(__file__).parents[3] / "siamloc")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("demo", []),
+        ("expand", ["data=cold", "data.root=x", "out=y"]),
+        ("preview", []),
+        ("report", []),
+        ("simulate", []),
+    ],
+)
+def test_the_commands_with_a_file_of_their_own_compose(name, words):
+    assert plain(compose(words, name))
