@@ -31,8 +31,11 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
         raise AnalyticError(f"the Minkowski distance needs p >= 1, got {p}")
     if weights is not None:
         w = np.asarray(weights, dtype=np.float64)
-        if w.shape != (a.shape[1],) or (w < 0).any():
-            raise AnalyticError(f"weights must be {a.shape[1]} numbers that are not negative, got shape {w.shape}")
+        if w.shape != (a.shape[1],) or not (w >= 0).all():
+            raise AnalyticError(
+                f"weights must be {a.shape[1]} numbers that are not negative, got {w.min(initial=np.inf):g} as the "
+                f"smallest of shape {w.shape}"
+            )
         a, b = a * w ** (1 / p), b * w ** (1 / p)
     from scipy.spatial.distance import cdist
 
@@ -105,7 +108,7 @@ def unit_vectors(a: NDArray[Any], centred: bool = False) -> NDArray[np.float64]:
     a = np.asarray(a, dtype=np.float64)
     a = _centred(a) if centred else a
     norm = np.linalg.norm(a, axis=1, keepdims=True)
-    return np.divide(a, norm, out=np.zeros_like(a), where=norm > 0)
+    return np.divide(a, norm, out=np.zeros_like(a), where=norm != 0)
 
 
 def between_units(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ def noise(batch: ArrayLike, variance: float, generator: np.random.Generator) -> 
         As many images of the same shape and type; values that leave the range are cut off, uint8 is rounded.
 
     Raises:
-        AnalyticError: another shape or type, a variance that is negative or not finite.
+        AnalyticError: another shape or type, values out of range, a variance that is negative or not finite.
     """
     images = _images(batch, generator)
     if not (np.isfinite(variance) and variance >= 0):
@@ -66,7 +66,7 @@ def occlude(
         As many images of the same shape and type.
 
     Raises:
-        AnalyticError: another shape or type, a share or value outside [0, 1], less than one bar.
+        AnalyticError: another shape or type, values out of range, a share or value outside [0, 1], less than one bar.
     """
     images = _images(batch, generator)
     for key, number in (("share", share), ("value", value)):
@@ -101,5 +101,10 @@ def _images(batch: ArrayLike, generator: np.random.Generator) -> NDArray[Any]:
         raise AnalyticError(
             f"draws come from a numpy.random.Generator, such as numpy.random.default_rng(seed), got {generator!r}"
         )
-    with_channels(batch)  # shape and type
+    images = with_channels(batch)
+    if images.dtype != np.uint8 and not (images.min() >= 0 and images.max() <= 1):
+        raise AnalyticError(
+            f"floating-point images must have values in [0, 1], got values between {images.min():g} and "
+            f"{images.max():g}: divide them by 255 if they are bytes"
+        )
     return np.asarray(batch)

@@ -60,7 +60,8 @@ class FourierSignature(ImageDescriptor):
         turns: how many turns are compared; a multiple or a divisor of the width of an image, so that whole columns
             are whole turns. [T] compares one for each of its 512 columns.
         heading: "correlation" or "phase_product".
-        whitened: whether a correlation is that of phases alone; a product of phases always is.
+        whitened: whether a correlation is that of phases alone; a product of phases always is. It is an addition to the
+            seeds, which bars across the picture mislead much less; False is the plain correlation.
 
     The defaults are the best of [T] 3.5.1 for the position; for the heading, [T] 3.5.3 only says an intermediate or
     high number of rows.
@@ -75,7 +76,7 @@ class FourierSignature(ImageDescriptor):
     rows: int = 8
     columns: int = 8
     orientation_rows: int = 16
-    orientation_columns: int = 32
+    orientation_columns: int = 64
     turns: int = 512
     heading: str = "correlation"
     whitened: bool = True

@@ -20,7 +20,8 @@ def main(config: DictConfig) -> None:
     visual_map.save(target)
     print(f"map: {target}, {len(visual_map)} frames, descriptors of {visual_map.width} numbers")
     if config.build.name != "none":
-        build_and_save(config, run, visual_map, descriptor)
+        build_and_save(config, run, visual_map, descriptor, label_of(options))
         return
     query = "" if config.protocol.query.sequences is not None else " protocol.query.sequences=[...]"
-    print(f"next: siamloc evaluate run={run.folder}{query}")
+    settings = "" if label_of(options) == "network" else " with the same data and descriptor"
+    print(f"next: siamloc evaluate run={run.folder}{query}{settings}")

@@ -43,6 +43,62 @@ def print_summary(methods: Mapping[str, Mapping[str, Any]]) -> None:
             if recall["k"] == 1:
                 within = f"recall@1 within {recall['radius']:g} {absolute['unit']}"
                 print(f"{within}: {recall['answerable']} of {recall['queries']} queries have a map frame that near")
+    for method, measures in methods.items():
+        overall = measures.get("absolute", {}).get("overall", {})
+        told = overall.get("heading_error", {}).get("count", 0)
+        if 0 < told < overall["queries"]:
+            print(f"heading, {method}: {told} of {overall['queries']} queries, where theta is known on both sides")
+
+
+def print_hierarchical(method: str, measures: Mapping[str, Any]) -> None:
+    """Print a row per lighting: errors of both layers together and taken apart, and the comparisons they took."""
+    unit, table = f"\\[{measures['unit']}]", Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("lighting")
+    heads = ["mean", "95 %", "floor", "excess", "right\nnode", "wrong\nnode", "perfect\nnodes", "whole\nmap"]
+    for name in heads:
+        table.add_column(f"{name}\n{unit}" if "\n" not in name else f"{name} {unit}", justify="right")
+    heading = "heading_error" in measures["overall"]
+    further = ["loss", "node\nfound", "frames\ncompared", "with\nnodes", *(["heading\n\\[deg]"] * heading), "queries"]
+    for name in further:
+        table.add_column(name, justify="right")
+    labels = list(measures["lighting"])
+    for label in [*labels, "all"] if len(labels) != 1 else labels:
+        group = measures["overall"] if label == "all" else measures["lighting"][label]
+        errors = [group["error"]["mean"], group["error"]["p95"], group["floor"]["mean"], group["excess"]["mean"]]
+        errors += [
+            group[name]["error"]["mean"] for name in ("given_right", "given_wrong", "perfect_coarse", "absolute")
+        ]
+        compared = group["comparisons"]
+        shares = [group["loss"], group["coarse"]["accuracy"], compared["frames_share"], compared["share"]]
+        turned = group["heading_error"]["mean"] if "heading_error" in group else float("nan")
+        table.add_row(
+            label,
+            *map(_number, errors),
+            *map(_percent, shares),
+            *([_number(turned, 1)] * heading),
+            str(group["queries"]),
+        )
+    print(f"hierarchical localization, {method}")
+    console = Console()
+    console.print(table) if console.is_terminal else Console(width=160).print(table)
+    mean = measures["overall"]["comparisons"]["mean"]
+    print(f"map: {measures['map_frames']} frames; {mean:.1f} comparisons a query with those of the nodes")
+
+
+def print_calibration(measures: Mapping[str, Any], unit: str) -> None:
+    """Print how well expected errors hold."""
+    overall = measures["overall"]
+    lost = overall["lost"]
+    print(
+        f"expected error: {overall['predicted']:.3f} {unit} for {overall['observed']:.3f} {unit} in truth, off by "
+        f"{overall['gap']:.3f} {unit} along the calibration curve; lost above {lost['lost_above']:g} {unit}: "
+        f"{lost['called']} called, {lost['lost']} in truth, precision {_percent(lost['precision'])}, recall "
+        f"{_percent(lost['recall'])}"
+    )
+
+
+def _number(value: float, digits: int = 3) -> str:
+    return f"{value:.{digits}f}" if value == value else "-"
 
 
 def _lightings(measures: Mapping[str, Any]) -> list[str]:

@@ -71,7 +71,10 @@ class VisualMap:
         descriptors.flags.writeable = False
         object.__setattr__(self, "descriptors", descriptors)
         if self.orientation is not None:
-            object.__setattr__(self, "orientation", _checked_orientation(self.orientation, len(self.frames)))
+            orientation = _checked_orientation(self.orientation, len(self.frames))
+            if _in_one_line(orientation, descriptors):
+                orientation = descriptors.reshape(orientation.shape)
+            object.__setattr__(self, "orientation", orientation)
         object.__setattr__(self, "identity", plain(dict(self.identity)))
 
     def __len__(self) -> int:
@@ -131,10 +134,12 @@ class VisualMap:
             "unit": self.unit,
             "made": plain(self.made),
         }
-        arrays: dict[str, NDArray] = {"header": np.array(json.dumps(header, ensure_ascii=False))}
-        arrays["descriptors"] = self.descriptors
+        arrays: dict[str, NDArray] = {"descriptors": self.descriptors}
         if self.orientation is not None:
-            arrays["orientation"] = self.orientation
+            header["orientation"] = list(self.orientation.shape)
+            if not np.shares_memory(self.orientation, self.descriptors):
+                arrays["orientation"] = self.orientation
+        arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
         arrays.update({f"frame_{name}": column for name, column in self.frames.columns().items()})
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
             for name, array in arrays.items():
@@ -170,7 +175,7 @@ class VisualMap:
                 distance=header["distance"],
                 unit=header["unit"],
                 made=header.get("made", {}),
-                orientation=arrays.get("orientation"),
+                orientation=_stored_orientation(header, arrays),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(f"{path} is not a whole siamloc map ({error}): build it anew") from error
@@ -183,6 +188,18 @@ class VisualMap:
 
 
 _ABSENT = object()
+
+
+def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:
+    """Say whether the orientation parts are the descriptors in another shape, so that one copy will do."""
+    same = orientation.dtype == descriptors.dtype and orientation.size == descriptors.size
+    return same and np.array_equal(orientation.reshape(descriptors.shape), descriptors)
+
+
+def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> NDArray | None:
+    if header.get("orientation") is None:
+        return None
+    return arrays["orientation"] if "orientation" in arrays else arrays["descriptors"].reshape(header["orientation"])
 
 
 def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:

@@ -230,13 +230,54 @@ def test_an_ordinary_camera_has_no_heading(name):
         (np.zeros((32, 128), dtype=np.int32), "got int32"),
         (np.zeros((32, 1)), "at least 2 columns, got 32 x 1"),
         (np.zeros((2, 5, 32, 128)), r"got \(2, 5, 32, 128\)"),
+        (np.zeros((32, 128, 3)), r"channels first, \(3, H, W\), got \(32, 128, 3\)"),
         ([np.zeros((32, 128)), np.zeros((32, 64))], "one size"),
     ],
-    ids=["nan", "infinite", "range", "type", "column", "shape", "mixed"],
+    ids=["nan", "infinite", "range", "type", "column", "shape", "channels last", "mixed"],
 )
 def test_what_is_no_picture_is_refused_in_one_sentence(name, images, says):
     with pytest.raises(AnalyticError, match=says):
         small(name).describe(images)
+
+
+@every
+def test_a_parameter_of_another_type_is_refused_before_any_work(name):
+    numbers = {key: value for key, value in SMALL[name].items() if isinstance(value, int)}
+    for key, value in numbers.items():
+        for wrong in (value + 0.0, str(value), None, True):
+            with pytest.raises(AnalyticError, match=f"{name} needs a whole number for {key}, got"):
+                small(name, **{key: wrong})
+        same = small(name, **{key: np.int64(value)})
+        assert type(same.identity[key]) is int
+        assert same == small(name)
+    with pytest.raises(AnalyticError, match=f"{name} needs True or False for circular, got 'no'"):
+        small(name, circular="no")
+    small(name).describe(COLOUR[0])
+
+
+@every
+def test_an_unknown_device_is_one_sentence(name):
+    with pytest.raises(AnalyticError, match="torch cannot compute on device='gpu' here: use 'cpu'"):
+        small(name, device="gpu").describe(COLOUR[0])
+
+
+@every
+def test_no_descriptions_compare_to_nothing(name):
+    made = small(name)
+    here = made.describe(COLOUR)
+    none = here.take(slice(0, 0))
+    for queries, references in ((none, here), (here, none), (none, none)):
+        shape = (len(queries), len(references))
+        assert made.pairwise(queries, references).shape == shape
+        assert made.align(queries, references).heading.shape == shape
+    assert len(made.localize(none, here).index) == 0
+    with pytest.raises(AnalyticError, match="no reference"):
+        made.localize(here, none)
+
+
+def test_what_other_descriptors_made_is_named():
+    with pytest.raises(AnalyticError, match=r"\(name=fs instead of hog\): describe"):
+        small("hog").pairwise(small("hog").describe(COLOUR), small("fs").describe(COLOUR))
 
 
 @pytest.mark.parametrize("name", ["fs", "hog", "gist", "wisurf", "briefgist"])

@@ -46,6 +46,11 @@ def test_correlation_ignores_gain_and_offset(a, gain, offset):
     np.testing.assert_allclose(distance("correlation")(gain * a + offset, b), distance("correlation")(a, b), atol=1e-6)
 
 
+@pytest.mark.parametrize("name", DISTANCES)
+def test_values_that_are_not_numbers_are_no_distance(name):
+    assert np.isnan(distance(name)([[np.nan, 1.0, 2.0]], [[1.0, 2.0, 4.0]])).all()
+
+
 def test_vectors_without_direction_are_at_one_from_everything():
     flat, other = np.full((1, 4), 3.7), np.array([[1.0, 2, 3, 4], [0, 0, 0, 0]])
     assert distance("correlation")(flat, other).tolist() == [[1, 1]]
@@ -60,7 +65,8 @@ def test_vectors_without_direction_are_at_one_from_everything():
         (lambda: distance("cosine")(np.zeros(3), np.zeros((2, 3))), r"\(n, D\)"),
         (lambda: minkowski(np.zeros((1, 2)), np.zeros((1, 2)), p=0.5), "p >= 1, got 0.5"),
         (lambda: minkowski(np.zeros((1, 2)), np.zeros((1, 2)), weights=[1]), "2 numbers that are not negative"),
-        (lambda: minkowski(np.zeros((1, 2)), np.zeros((1, 2)), weights=[1, -1]), "not negative"),
+        (lambda: minkowski(np.zeros((1, 2)), np.zeros((1, 2)), weights=[1, -1]), "not negative, got -1"),
+        (lambda: minkowski(np.zeros((1, 2)), np.zeros((1, 2)), weights=[1, np.nan]), "not negative, got nan"),
     ],
 )
 def test_mistakes_are_one_sentence(call, says):

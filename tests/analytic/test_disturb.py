@@ -89,6 +89,8 @@ def test_bars_have_the_value_asked_for_in_every_channel():
         (lambda: noise(IMAGES, np.nan, generator()), "at least 0, got nan"),
         (lambda: noise(IMAGES, 0.1, np.random), "numpy.random.Generator"),
         (lambda: noise(np.zeros((4, 4), dtype=np.int64), 0.1, generator()), "got int64"),
+        (lambda: noise(np.full((4, 4), 200.0), 0.1, generator()), "between 200 and 200: divide them by 255"),
+        (lambda: occlude(np.full((4, 4), np.nan), 0.1, generator()), "between nan and nan"),
         (lambda: occlude(IMAGES, 1.1, generator()), r"share .* in \[0, 1\], got 1.1"),
         (lambda: occlude(IMAGES, np.nan, generator()), r"share .* got nan"),
         (lambda: occlude(IMAGES, 0.1, generator(), value=-1), r"value .* got -1"),

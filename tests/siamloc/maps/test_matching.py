@@ -69,6 +69,17 @@ def test_orientation_parts_are_saved_with_the_map(tmp_path):
     assert part.frames.path.tolist() == ["3.png", "1.png"]
 
 
+def test_what_turns_as_a_whole_is_kept_once(tmp_path):
+    wisurf = analytic.descriptor("wisurf", rows=2, windows=16)
+    known = map_of(wisurf, IMAGES)
+    assert np.shares_memory(known.orientation, known.descriptors)
+    known.save(tmp_path / "map.npz")
+    loaded = VisualMap.load(tmp_path / "map.npz")
+    assert (tmp_path / "map.npz").stat().st_size < 1.2 * known.descriptors.nbytes + 20_000
+    assert np.array_equal(loaded.orientation, wisurf.describe(IMAGES).orientation)
+    assert np.shares_memory(loaded.orientation, loaded.descriptors)
+
+
 @pytest.mark.parametrize("orientation", [np.zeros((2, 3, 4)), np.zeros((9, 3)), np.full((9, 2, 2), np.nan)])
 def test_orientation_parts_that_do_not_fit_are_an_error(orientation):
     with pytest.raises(ValueError, match="a map's orientation parts"):
