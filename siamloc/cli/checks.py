@@ -73,6 +73,11 @@ def _one_of(*values: Any) -> _Test:
     return lambda value: value in values, " or ".join(map(str, values))
 
 
+def _or_none(test: _Test) -> _Test:
+    holds, expected = test
+    return lambda value: value is None or holds(value), f"{expected}, or null"
+
+
 _TEXT: _Test = (lambda value: isinstance(value, str), "a text")
 _FLAG: _Test = (lambda value: isinstance(value, bool), "true or false")
 
@@ -96,6 +101,18 @@ _EXPECTED: dict[str, _Test] = {
     "task.ks": _list_of(_whole(1)),
     "task.pairs.count": _whole(1),
     "task.plots": _FLAG,
+    "task.filter": _FLAG,
+    "task.filter_settings.temperature": _or_none(_number(0)),
+    "task.filter_settings.kidnapping": (lambda value: _number(0)[0](value) and value < 1, "a number between 0 and 1"),
+    "task.filter_tune": _FLAG,
+    "task.interpolate": _or_none(_whole(1)),
+    "task.error_model": _FLAG,
+    "task.lost_above": _number(0),
+    "task.place_radius": _number(0, strictly=False),
+    "task.candidates": _whole(1),
+    "task.coarse.by": _one_of("representatives", "vote"),
+    "task.coarse.neighbours": _whole(1),
+    "task.coarse.descriptor": _or_none(_TEXT),
     "top": _whole(1),
     "depth": _whole(1),
     "workers": (lambda value: value is None or _whole(1)[0](value), "a whole number from 1"),

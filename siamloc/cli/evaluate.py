@@ -2,65 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from analytic import Description, Descriptor
-from siamloc.cli.compose import config_folder, plain
-from siamloc.cli.mapping import measure
-from siamloc.cli.steps import (
-    Roles,
-    build_map,
-    described,
-    finished_run,
-    identity_of,
-    label_of,
-    make_descriptor,
-    map_file,
-)
-from siamloc.cli.tables import print_summary
+from analytic import Descriptor
+from siamloc.cli import hierarchical, mapping
+from siamloc.cli.compose import plain
+from siamloc.cli.estimates import Estimates, check_validation, estimate, needs_validation, prepare_search
+from siamloc.cli.searching import Search, Vectors, check_apart, lacking, run_searches, saved_map
+from siamloc.cli.steps import Roles, build_map, descriptor_options, finished_run, label_of, make_descriptor
+from siamloc.cli.tables import print_calibration, print_summary
 from siamloc.data.frames import FrameTable
 from siamloc.data.pairs import PairSampler
 from siamloc.errors import ConfigError, DataError, SiamlocError, nearest
-from siamloc.maps import Retrieval, VisualMap, estimated_headings, match
+from siamloc.maps import VisualMap
 from siamloc.runs import Run
 from siamloc.tasks.absolute import AbsoluteResult, evaluate_absolute, neighbours
+from siamloc.tasks.beside import located_columns
+from siamloc.tasks.columns import Columns
 from siamloc.tasks.results import write_results
 from siamloc.tasks.room_retrieval import PairResult, RoomResult, evaluate_pairs, evaluate_rooms
 
-Vectors = np.ndarray[Any, np.dtype[np.float32]]
-TASKS = ("absolute", "room_retrieval")
+TASKS = ("absolute", "room_retrieval", "hierarchical")
 
 
 def main(config: DictConfig) -> None:
-    """Evaluate a descriptor and its baselines, write the files, print a table."""
-    if list(config.task.names) == ["mapping"]:
-        measure(config)
+    """Measure the tasks that are asked for; each kind of result has a folder of its own."""
+    names = list(config.task.names)
+    if names == ["mapping"]:
+        mapping.measure(config)
         return
-    for name in config.task.names:
+    for name in names:
         if name not in TASKS:
             raise ConfigError(f"unknown task {name!r}: {nearest(name, TASKS)}")
+    if "hierarchical" in names:
+        hierarchical.measure(config)
+    if set(names) != {"hierarchical"}:
+        _measure(config)
+
+
+def _measure(config: DictConfig) -> None:
+    """Evaluate a descriptor and its baselines, write the files, print a table."""
     run = finished_run(config)
     options = plain(config.descriptor)
     descriptor = make_descriptor(config, run, options)
     skipped: dict[str, str] = {}
     label = label_of(options)
     others = _baseline_descriptors(config, run, label, skipped)
-    known = _saved_map(config, run, descriptor)
+    known = saved_map(config, run, descriptor)
+    validated = needs_validation(config)
+    wanted = ("query", "validation") if validated else ("query",)
     if known is not None:
-        roles = Roles(config, ("query",), known.frames)
+        roles = Roles(config, wanted, known.frames)
         map_frames = roles["known"]
     else:
-        roles = Roles(config, ("map", "query"))
+        roles = Roles(config, ("map", *wanted))
         map_frames = roles["map"]
         known = build_map(config, descriptor, roles.library, map_frames, "describing the map")
-    _check_apart(roles.protocol.kind, known.frames, roles["query"])
-    main_result = _evaluate(config, descriptor, known, roles, label)
+    check_apart(roles.protocol.kind, known.frames, roles["query"])
+    if validated:
+        check_validation(known.frames, roles["validation"])
+    main_result = _evaluate(config, descriptor, known, roles, label, alone=False)
     main_result.skipped.update(skipped)
     baselines = {
         name: _evaluate(config, other, _map_like(config, other, map_frames, roles, name), roles, name)
@@ -68,15 +74,32 @@ def main(config: DictConfig) -> None:
     }
     folder = run.evaluation(label)
     measures = _write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
-    print_summary({label: measures["measures"], **measures["baselines"]})
-    for name, reason in main_result.skipped.items():
-        print(f"{name} left out: {reason}")
+    _print(label, measures, main_result, known.frames, roles["query"])
     if config.task.plots:
         from siamloc.report import plots
 
         for path in plots.draw_all(folder):
             print(f"picture: {path}")
     print(f"results: {folder / 'results.json'}, one row per query in {folder / 'queries.csv'}")
+
+
+def _print(label: str, measures: Mapping[str, Any], result: Evaluation, known: FrameTable, queries: FrameTable) -> None:
+    """Print the tables, what was left out, and what would help."""
+    own = measures["measures"]
+    if own:
+        rows = {label: own}
+        for name, sign in (("filtered", "filter"), ("interpolated", "interpolation")):
+            if f"absolute_{name}" in own:
+                rows[f"{label} + {sign}"] = {"absolute": own[f"absolute_{name}"]}
+        print_summary({**rows, **measures["baselines"]})
+    if "calibration" in own:
+        print_calibration(own["calibration"], own["absolute"]["unit"])
+    for name, reason in result.skipped.items():
+        print(f"{name} left out: {reason}")
+    if result.located is not None:
+        print(f"located all the same, without a score: {len(result.located['path'])} queries, in located.csv")
+    if result.rooms is not None and (text := hierarchical.missing_rooms(known, queries)):
+        print(text)
 
 
 @dataclass
@@ -86,12 +109,15 @@ class Evaluation:
     absolute: AbsoluteResult | None = None
     rooms: RoomResult | None = None
     pairs: PairResult | None = None
+    estimates: Estimates | None = None
+    located: Columns | None = None
     skipped: dict[str, str] = field(default_factory=dict)
 
     def measures(self) -> dict[str, Any]:
         """Return the measures of what was measured."""
         parts = {"absolute": self.absolute, "room_retrieval": self.rooms, "room_pairs": self.pairs}
-        return {name: part.measures() for name, part in parts.items() if part is not None}
+        further = {} if self.estimates is None else self.estimates.measures
+        return {**{name: part.measures() for name, part in parts.items() if part is not None}, **further}
 
     def tables(self, suffix: str = "") -> dict[str, dict[str, Any]]:
         """Return the columns of what was measured by table name."""
@@ -99,50 +125,17 @@ class Evaluation:
         return {name + suffix: part.columns for name, part in parts.items() if part is not None}
 
 
-def _saved_map(config: DictConfig, run: Run, descriptor: Descriptor) -> VisualMap | None:
-    """Return the map that `siamloc map` made for this descriptor, if there is one."""
-    path = map_file(run, label_of(plain(config.descriptor)))
-    if not path.is_file():
-        return None
-    known = VisualMap.load(path)
-    known.check_describer(identity_of(config, descriptor))
-    role = known.made.get("role")
-    if role is not None and role != plain(config.protocol.map):
-        raise ConfigError(
-            f"{path} was made of other frames than protocol.map asks for now: run `siamloc map` again, with the "
-            "protocol.map keys that are wanted"
-        )
-    return known
-
-
-def _check_apart(kind: str, known: FrameTable, queries: FrameTable) -> None:
-    """Make sure that no query comes from the map's own run, unless the protocol says so."""
-    if kind == "same_run":
-        return
-    shared = sorted(set(known.sequence.tolist()) & set(queries.sequence.tolist()))
-    copies = np.flatnonzero(np.isin(queries.path, known.path))
-    if shared or len(copies):
-        what = f"sequence {shared[0]!r}" if shared else f"image {queries.path[copies[0]]}"
-        raise ConfigError(
-            f"{what} is in the map and among the queries, so that the result would not be honest: query another "
-            "sequence, or say protocol.kind=same_run"
-        )
-
-
 def _baseline_descriptors(config: DictConfig, run: Run, main: str, skipped: dict[str, str]) -> dict[str, Descriptor]:
     """Return the baselines by name; "untrained" is left out where there is no trained network to begin with."""
-    folder = config_folder() / "descriptor"
     found: dict[str, Descriptor] = {}
     for name in config.task.baselines:
-        path = folder / f"{name}.yaml"
-        if not path.is_file():
-            raise ConfigError(f"unknown baseline {name!r}: {nearest(name, [p.stem for p in folder.glob('*.yaml')])}")
+        options = descriptor_options(name)
         if name == main:
             continue
         if name in ("network", "untrained") and not run.record.is_file():
             skipped[f"baseline {name}"] = f"{run.folder} holds no trained network"
             continue
-        found[name] = make_descriptor(config, run, plain(OmegaConf.load(path)))  # type: ignore[arg-type]
+        found[name] = make_descriptor(config, run, options)
     return found
 
 
@@ -150,7 +143,10 @@ def _map_like(config: DictConfig, descriptor: Descriptor, frames: FrameTable, ro
     return build_map(config, descriptor, roles.library, frames, f"describing the map, {name}")
 
 
-def _evaluate(config: DictConfig, descriptor: Descriptor, known: VisualMap, roles: Roles, name: str) -> Evaluation:
+def _evaluate(
+    config: DictConfig, descriptor: Descriptor, known: VisualMap, roles: Roles, name: str, alone: bool = True
+) -> Evaluation:
+    """Measure one descriptor; with the estimates beside the single-frame one unless that is wanted alone."""
     result = Evaluation()
     queries = roles["query"]
     k = neighbours(list(config.task.ks), len(known))
@@ -159,15 +155,28 @@ def _evaluate(config: DictConfig, descriptor: Descriptor, known: VisualMap, role
         for task, what, count in (("absolute", "position", k), ("room_retrieval", "room label", 1))
         if task in config.task.names and (search := _search(config, what, task, known, queries, count, result))
     }
+    if "absolute" in searches and not alone:
+        searches["absolute"] = prepare_search(config, searches["absolute"])
+    placed = known.frames.has_position
+    bare = np.flatnonzero(~queries.has_position)
+    if len(bare) and placed.any() and not alone:
+        searches["located"] = Search(known if placed.all() else known.take(placed), bare, 1)
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(result.skipped.values())}")
-    vectors = _run_searches(descriptor, roles, searches, f"describing the queries, {name}")
+    vectors = run_searches(descriptor, roles.library, queries, searches, f"describing the queries, {name}")
     if "absolute" in searches:
         search = searches["absolute"]
         radii, ks = list(config.task.radii), list(config.task.ks)
-        result.absolute = evaluate_absolute(
-            search.known, None, queries.take(search.rows), radii, ks, search.retrieval, search.headings
-        )
+        placed_queries = queries.take(search.rows)
+        headings = None if search.headings is None else search.headings[:, 0]
+        result.absolute = evaluate_absolute(search.known, None, placed_queries, radii, ks, search.retrieval, headings)
+        if not alone:
+            result.estimates = estimate(config, descriptor, roles, search, placed_queries, result.absolute)
+            result.absolute = result.estimates.result
+    if "located" in searches:
+        search = searches["located"]
+        headings = None if search.headings is None else search.headings[:, 0]
+        result.located = located_columns(search.known, queries.take(bare), search.retrieval, headings)
     if "room_retrieval" in searches:
         search = searches["room_retrieval"]
         labelled = queries.take(search.rows)
@@ -175,59 +184,6 @@ def _evaluate(config: DictConfig, descriptor: Descriptor, known: VisualMap, role
         if vectors is not None:
             result.pairs = _pairs(config, descriptor, vectors[search.rows], labelled, result.skipped)
     return result
-
-
-@dataclass
-class _Search:
-    """Queries to be looked for in a map, and what was found so far.
-
-    Attributes:
-        known: map frames that have what the task needs.
-        rows: of the queries that have it (n,), in order.
-        k: neighbours wanted.
-    """
-
-    known: VisualMap
-    rows: NDArray[np.int64]
-    k: int
-    found: list[Retrieval] = field(default_factory=list)
-    turned: list[NDArray[np.float64] | None] = field(default_factory=list)
-
-    @property
-    def retrieval(self) -> Retrieval:
-        return Retrieval(
-            np.concatenate([part.indices for part in self.found]),
-            np.concatenate([part.distances for part in self.found]),
-        )
-
-    @property
-    def headings(self) -> NDArray[np.float64] | None:
-        told = [part for part in self.turned if part is not None]
-        return np.concatenate(told) if len(told) == len(self.turned) else None
-
-
-def _run_searches(descriptor: Descriptor, roles: Roles, searches: dict[str, _Search], what: str) -> Vectors | None:
-    """Describe the queries and look for them; return the position parts, or None for such as are not kept.
-
-    The parts of descriptors that are compared after turning are large, so that only those of a batch are there at once.
-    """
-    parts: Iterable[Description] = described(descriptor, roles.library, roles["query"], what)
-    if not descriptor.aligned:
-        parts = [Description.concatenate(list(parts))]
-    start, vectors = 0, []
-    for part in parts:
-        for search in searches.values():
-            inside = search.rows[(search.rows >= start) & (search.rows < start + len(part))] - start
-            queries = part if len(inside) == len(part) else part.take(inside)
-            if len(queries):
-                found = match(search.known, queries, descriptor, search.k)
-                search.found.append(found)
-                search.turned.append(estimated_headings(search.known, queries, descriptor, found))
-        start += len(part)
-        vectors.append(part.position)
-        if descriptor.aligned:
-            vectors.clear()
-    return vectors[0] if vectors else None
 
 
 def _search(
@@ -238,22 +194,19 @@ def _search(
     queries: FrameTable,
     k: int,
     result: Evaluation,
-) -> _Search | None:
+) -> Search | None:
     """Return the search among the frames that have what a task needs, and note how many do not."""
     in_map, in_queries = (
         table.has_position if what == "position" else table.room != "" for table in (known.frames, queries)
     )
     for where, has in (("queries", in_queries), ("map frames", in_map)):
-        if has.all():
-            continue
-        text = f"{int((~has).sum())} of {len(has)} {where} have no {what}"
+        text = lacking(config, has, f"{where} have no {what}")
         if not has.any():
             result.skipped[task] = text
             return None
-        if config.data.on_error == "raise":
-            raise DataError(f"{text}: data.on_error=skip leaves them out")
-        result.skipped[f"{task}, {where}"] = text
-    return _Search(known if in_map.all() else known.take(in_map), np.flatnonzero(in_queries), k)
+        if text:
+            result.skipped[f"{task}, {where}"] = text
+    return Search(known if in_map.all() else known.take(in_map), np.flatnonzero(in_queries), k)
 
 
 def _pairs(
@@ -305,6 +258,11 @@ def _write(
         denominators["pairs"] = len(result.pairs)
     for name, baseline in baselines.items():
         tables.update(baseline.tables(f"_{name}"))
+    if result.located is not None:
+        tables["located"] = result.located
+    details = {} if result.estimates is None else result.estimates.details
+    if result.estimates is not None and result.estimates.model is not None:
+        result.estimates.model.save(folder / details["error_model"]["file"])
     measures = {
         "measures": result.measures(),
         "baselines": {name: baseline.measures() for name, baseline in baselines.items()},
@@ -319,6 +277,7 @@ def _write(
             **measures,
             "denominators": denominators,
             "skipped": result.skipped,
+            **({"estimates": details} if details else {}),
         },
         rows,
         tables,

@@ -104,11 +104,20 @@ COMMANDS = {
 
         run=FOLDER                        the run; the newest one if not given
         protocol.query.sequences=[...]    the frames to be located
-        task=localization|absolute|room_retrieval|mapping
+        task=localization|absolute|room_retrieval|hierarchical|mapping
         task.radii=[0.5,1.0]              recall: how near a map frame must be
         task.baselines=[hog,thumbnail,untrained]
         descriptor=hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
                                           measure something else than the trained network, without training
+        task.filter=true                  beside each frame's own estimate, that of a robot followed on its way;
+                                          task.filter_tune=true learns from protocol.validation
+        task.interpolate=3                a pose between the three nearest map frames
+        task.error_model=true             the expected error of each query, learned from protocol.validation
+        task=hierarchical build=incremental|spectral|som|sample|rooms
+                                          search the nodes of a map first, then the frames inside the nearest
+        task.candidates=3                 that many nodes
+        task.coarse.descriptor=hog_mapping task.coarse.by=representatives|vote
+                                          how nodes are ranked
         task=mapping build=incremental    measure the nodes of a map instead: see `siamloc map --help`
         """,
         "siamloc evaluate run=runs/vgg16 protocol.query.sequences=['*cloudy2','*night2','*sunny2']",

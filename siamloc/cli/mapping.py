@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +32,26 @@ from siamloc.tasks.mapping import evaluate_mapping
 from siamloc.tasks.results import write_results
 
 
-def build_and_save(config: DictConfig, run: Run, known: VisualMap, descriptor: Descriptor) -> tuple[CoarseLayer, Path]:
+def layer_over(
+    config: DictConfig, run: Run, known: VisualMap, descriptor: Descriptor, label: str
+) -> tuple[CoarseLayer, Path]:
+    """Return the configured layer over a map and its folder: the one that was built before, if it fits."""
+    folder = run.layer(label, config.build.name)
+    layer = _saved_layer(config, folder, known)
+    return (layer, folder) if layer is not None else build_and_save(config, run, known, descriptor, label)
+
+
+def build_and_save(
+    config: DictConfig, run: Run, known: VisualMap, descriptor: Descriptor, label: str
+) -> tuple[CoarseLayer, Path]:
     """Build the configured layer over a map, write it with all that explains it, and say what it is."""
     options = plain(config.build)
     built = build_layer(known, descriptor, options, config.seed, track)
-    folder = run.layer(label_of(plain(config.descriptor)), options["name"])
+    folder = run.layer(label, options["name"])
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     built.layer.save(folder / "layer.npz")
-    write_json(folder / "placing.json", _placing(built))
+    write_json(folder / "placing.json", {**_placing(built), "map": _digest(known)})
     if built.mapper is not None:
         built.mapper.save(folder / "mapper.npz")
         write_text(folder / "events.jsonl", "".join(f"{line}\n" for line in built.mapper.events))
@@ -49,7 +62,8 @@ def build_and_save(config: DictConfig, run: Run, known: VisualMap, descriptor: D
     lost = f", {unassigned} frames in none" if unassigned else ""
     seconds = built.seconds.sum()
     print(f"layer: {folder}, {len(built.layer)} nodes over {len(known)} frames{lost}, built in {seconds:.1f} s")
-    print(f"next: siamloc evaluate task=mapping build={options['name']} ... with the same settings")
+    if list(config.task.names) not in (["mapping"], ["hierarchical"]):
+        print(f"next: siamloc evaluate task=mapping|hierarchical build={options['name']} ... with the same settings")
     return built.layer, folder
 
 
@@ -62,10 +76,7 @@ def measure(config: DictConfig) -> None:
     descriptor = make_descriptor(config, run, options)
     label = label_of(options)
     known = _map(config, run, descriptor, label)
-    folder = run.layer(label, config.build.name)
-    layer = _saved_layer(config, folder, known)
-    if layer is None:
-        layer, folder = build_and_save(config, run, known, descriptor)
+    layer, folder = layer_over(config, run, known, descriptor, label)
     placing = read_json(folder / "placing.json")
     result = evaluate_mapping(
         known,
@@ -126,11 +137,22 @@ def _saved_layer(config: DictConfig, folder: Path, known: VisualMap) -> CoarseLa
         return None
     try:
         layer = CoarseLayer.load(folder / "layer.npz")
+        digest = read_json(folder / "placing.json").get("map")
     except FormatError:
         return None
     wanted = plain(config.build)
     same = all(layer.made.get(key) == value for key, value in wanted.items())
-    return layer if same and len(layer.labels) == len(known) else None
+    seeded = layer.made.get("seed", config.seed) == config.seed
+    return layer if same and seeded and digest == _digest(known) else None
+
+
+def _digest(known: VisualMap) -> str:
+    """Return what changes with a map's descriptors, frames or descriptor."""
+    digest = hashlib.sha256(json.dumps(known.identity, sort_keys=True).encode())
+    digest.update("\0".join([*known.frames.path.tolist(), *known.frames.place.tolist()]).encode())
+    for array in (known.descriptors, known.frames.xy):
+        digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def _placing(built: Built) -> dict[str, Any]:

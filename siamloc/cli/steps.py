@@ -122,11 +122,20 @@ class Roles:
         self.protocol = Protocol.from_config(plain(config.protocol))
         table = read_frames(config)
         wanted = {name: self.protocol.frames(name, table) for name in names}
+        for name, frames in wanted.items():
+            if not len(frames):
+                raise ConfigError(
+                    f"protocol.{name} selects none of the {len(table)} frames; the data holds {table.describe()}: "
+                    f"choose others with protocol.{name}.sequences, lightings or rooms"
+                )
         if known is not None:
             wanted["known"] = _found_again(known, table)
         sequences = list(concatenate(list(wanted.values())).rows_by("sequence"))
         self.library = open_library(config, table.take(np.isin(table.sequence, sequences)))
         self._frames = {name: self.library.select(frames) for name, frames in wanted.items()}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._frames
 
     def __getitem__(self, name: str) -> FrameTable:
         frames = self._frames[name]

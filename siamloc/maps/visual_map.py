@@ -197,9 +197,9 @@ def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:
 
 
 def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> NDArray | None:
-    if header.get("orientation") is None:
-        return None
-    return arrays["orientation"] if "orientation" in arrays else arrays["descriptors"].reshape(header["orientation"])
+    if "orientation" in arrays or header.get("orientation") is None:
+        return arrays.get("orientation")
+    return arrays["descriptors"].reshape(header["orientation"])
 
 
 def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
