@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from typing import Any, ClassVar
 
 import torch
@@ -14,6 +15,9 @@ from augment.errors import AugmentError, nearest
 from augment.ranges import Range, spread
 
 Params = dict[str, Tensor]
+
+_FARTHEST = 1e6  # no column, row or angle that makes sense lies beyond
+_ROUNDING = 1e-5  # relative, of values that were drawn in float32 from the logarithm
 
 
 class Effect(ABC):
@@ -56,6 +60,7 @@ class Effect(ABC):
         if not isinstance(self.options["circular"], bool):
             raise AugmentError(f"circular of {self.name} must be true or false, got {self.options['circular']!r}")
         self._spans: dict[tuple[int, int], dict[str, Range]] = {}
+        self._limits: dict[tuple[int, int], tuple[dict[str, Range], Tensor, Tensor]] = {}
 
     def __repr__(self) -> str:
         ranges = [f"{key}=({value.low:g}, {value.high:g})" for key, value in self.ranges.items()]
@@ -74,9 +79,14 @@ class Effect(ABC):
         """Return parameters for every frame of a batch; they follow from the generator and the batch's shape.
 
         Raises:
-            AugmentError: the batch has another shape or dtype than (B, 3, H, W) uint8 or float32.
+            AugmentError: the batch has another shape or dtype than (B, 3, H, W) uint8 or float32, or the generator
+                is none.
         """
         check_shape(batch)
+        if not isinstance(generator, torch.Generator):
+            raise AugmentError(
+                f"{self.name} draws from a torch.Generator, such as torch.Generator().manual_seed(0), got {generator!r}"
+            )
         height, width = batch.shape[2:]
         spans = self.spans(height, width)
         uniform = torch.rand(len(batch), len(spans), generator=generator, device=generator.device).cpu()
@@ -161,28 +171,65 @@ class Effect(ABC):
         """Return parameters as tensors (B,) in the main memory.
 
         Raises:
-            AugmentError: names or lengths that do not fit.
+            AugmentError: names, lengths or values that do not fit.
         """
-        names = self.param_names(height, width)
+        valid, low, high = self._bounds(height, width)
         for key in params:
-            if key not in names:
-                raise AugmentError(f"the parameters of {self.name} hold {key!r}, which it has not: valid: {names}")
+            if key not in valid:
+                raise AugmentError(f"the parameters of {self.name} hold {key!r}, which it has not: valid: {[*valid]}")
         checked = {}
-        for key in names:
+        for key, span in valid.items():
             if key not in params:
-                raise AugmentError(f"the parameters of {self.name} lack {key!r}: they need {', '.join(names)}")
-            value = torch.as_tensor(params[key], device="cpu")
-            if value.shape != (count,):
+                raise AugmentError(f"the parameters of {self.name} lack {key!r}: they need {', '.join(valid)}")
+            checked[key] = self._values(key, params[key], span, count)
+        if count and checked:
+            together = torch.cat(list(checked.values())).view(len(checked), count)
+            fits = ((together >= low) & (together <= high)).all(1)  # NaN fits nowhere
+            if not fits.all():
+                key = list(checked)[fits.tolist().index(False)]
+                least, most = _ends(valid[key])
                 raise AugmentError(
-                    f"parameter {key!r} of {self.name} has shape {tuple(value.shape)}, expected ({count},): "
-                    "one value for each frame of the batch"
+                    f"parameter {key!r} of {self.name} must lie in [{least:.7g}, {most:.7g}], "
+                    f"got {checked[key].tolist()}"
                 )
-            checked[key] = value.float() if value.dtype == torch.float64 else value
         return checked
 
-    def param_names(self, height: int, width: int) -> list[str]:
-        """Return the names of the parameters that `draw` gives."""
-        return list(self.spans(height, width))
+    def limits(self, height: int, width: int) -> dict[str, Range]:
+        """Return the parameters that `draw` gives, each with the values that `apply` takes: minimum to maximum."""
+        return self.spans(height, width)
+
+    def _bounds(self, height: int, width: int) -> tuple[dict[str, Range], Tensor, Tensor]:
+        size = (height, width)
+        if size not in self._limits:
+            valid = self.limits(height, width)
+            ends = torch.tensor([_ends(span) for span in valid.values()]).view(-1, 2)
+            low, high = (ends + ends.abs() * torch.tensor([-_ROUNDING, _ROUNDING])).split(1, dim=1)
+            self._limits[size] = (valid, low, high)
+        return self._limits[size]
+
+    def _values(self, key: str, given: Any, span: Range, count: int) -> Tensor:
+        """Return one parameter as a tensor (B,), int64 if it counts in whole numbers, else float32."""
+        try:
+            value = torch.as_tensor(given, device="cpu")
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise AugmentError(f"parameter {key!r} of {self.name} must be a list of numbers, got {given!r}") from error
+        if value.shape != (count,):
+            raise AugmentError(
+                f"parameter {key!r} of {self.name} has shape {tuple(value.shape)}, expected ({count},): "
+                "one value for each frame of the batch"
+            )
+        if value.is_complex() or (span.whole and value.is_floating_point() and not value.equal(value.floor())):
+            kind = "whole" if span.whole else "real"
+            raise AugmentError(f"parameter {key!r} of {self.name} must be made of {kind} numbers, got {value.tolist()}")
+        return value.long() if span.whole else value.float()
+
+
+def _ends(span: Range) -> tuple[float, float]:
+    """Return the least and the greatest value that `apply` takes of a parameter."""
+    return (
+        span.minimum if isfinite(span.minimum) else -_FARTHEST,
+        span.maximum if isfinite(span.maximum) else _FARTHEST,
+    )
 
 
 def check_shape(batch: Tensor) -> None:

@@ -20,6 +20,7 @@ from augment.rotation import wrapped
 
 _KINDS = ("effect", "all_of", "one_of")
 _UNIT = Range(0, 1)
+_TAKEN = Range(0, 1, minimum=0, maximum=1, whole=True)
 
 
 @dataclass(frozen=True)
@@ -88,12 +89,13 @@ class Policy(Effect):
             spans.update({f"{prefix}.{key}": span for key, span in inner.spans(height, width).items()})
         return spans
 
-    def param_names(self, height: int, width: int) -> list[str]:
-        """The names of the parameters, decisions taken."""
-        names = []
+    def limits(self, height: int, width: int) -> dict[str, Range]:
+        """The parameters, decisions taken."""
+        spans = {}
         for prefix, inner in self._prefixed():
-            names += [f"{prefix}.on", *(f"{prefix}.{key}" for key in inner.param_names(height, width))]
-        return [*names, "heading"]
+            spans[f"{prefix}.on"] = _TAKEN
+            spans.update({f"{prefix}.{key}": span for key, span in inner.limits(height, width).items()})
+        return {**spans, "heading": Range(0, 0)}
 
     def complete(self, params: Params, height: int, width: int) -> Params:
         """Take the decisions, and add up the headings."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -61,6 +61,7 @@ def expand(
     on_error: Literal["skip", "raise"] = "skip",
     progress: Progress | None = None,
     read: Reader | None = None,
+    reading: Mapping[str, Any] | None = None,
 ) -> Expansion:
     """Write the variants of images, each file whole or not at all.
 
@@ -78,6 +79,8 @@ def expand(
         progress: called with (items, total, what), yields the items; for a bar.
         read: returns the picture (3, H, W), uint8, RGB, of a source, or raises AugmentError; called from several
             threads. The file as it is if None.
+        reading: what decides how `read` makes a picture of a source, in values that JSON can hold; resuming with
+            another is refused.
 
     Raises:
         AugmentError: no images, outputs that do not fit or coincide, a folder that is not empty, a resume with other
@@ -90,7 +93,8 @@ def expand(
     if seed < 0:
         raise AugmentError(f"seed must be 0 or more, got {seed}")
     listed = variants(depth, circular)
-    done = prepare(folder, sources, targets, {"seed": int(seed), "depth": depth, "circular": circular}, resume)
+    options = {"seed": int(seed), "depth": depth, "circular": circular, "reading": dict(reading or {})}
+    done = prepare(folder, sources, targets, options, resume)
     work: list[Job] = []
     for frame, (source, row) in enumerate(zip(sources, targets, strict=True)):
         missing = [v for v in listed if name_in(row[v.number], folder) not in done or not row[v.number].is_file()]
@@ -211,7 +215,7 @@ def _checked_depth(sources: list[Path], targets: list[list[Path]], folder: Path,
     if len(set(every)) != len(every) or set(every) & set(sources):
         raise AugmentError("outputs must differ from each other and from the images they are made of")
     for path in every:
-        if not path.is_relative_to(folder):
+        if not path.is_relative_to(folder) or ".." in path.relative_to(folder).parts:
             raise AugmentError(f"{path} lies outside the folder {folder}")
         if path.suffix.lower() not in (".jpeg", ".jpg", ".png", ".webp", ".bmp"):
             raise AugmentError(f"{path} has no suffix of a picture: use .jpeg or .png")

@@ -41,7 +41,7 @@ def prepare(
     folder: Path, sources: list[Path], targets: list[list[Path]], options: dict[str, Any], resume: bool
 ) -> dict[str, Row]:
     """Make the folder ready and return the rows of the pictures that an earlier call finished."""
-    wanted = {"schema": VERSION, **options, "frames": len(sources)}
+    wanted = json.loads(json.dumps({"schema": VERSION, **options, "frames": len(sources)}))  # as it will be read again
     settings = folder / SETTINGS
     if folder.exists() and any(folder.iterdir()):
         if not resume:

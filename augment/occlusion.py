@@ -41,7 +41,7 @@ class Occlude(Effect):
     def places(self, height: int, width: int) -> dict[str, Range]:
         """Where the first sector begins, and where each bar stands in its sector."""
         column = Range(0, width - 1 if self.circular else 0, whole=True)
-        return {"column": column, **{place: Range(0, 1) for place in _PLACES}}
+        return {"column": column, **{place: Range(0, 1, minimum=0, maximum=1) for place in _PLACES}}
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame what fills its bars."""

@@ -48,7 +48,7 @@ def effect(name: str, **params: Any) -> Effect:
     Raises:
         AugmentError: an unknown name or parameter (the valid ones are named), or a range that makes no sense.
     """
-    if name not in _HOMES:
+    if name not in EFFECTS:
         raise AugmentError(f"unknown effect {name!r}: {nearest(name, EFFECTS)}")
     module, _, cls = _HOMES[name].partition(".")
     built: Effect = getattr(import_module(f"augment.{module}"), cls)(**params)

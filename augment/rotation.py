@@ -44,9 +44,9 @@ class Rotate(Effect):
         """Add the heading."""
         return {**params, "heading": wrapped(params["shift"] * (2 * pi / width))}
 
-    def param_names(self, height: int, width: int) -> list[str]:
-        """Shift and heading."""
-        return ["shift", "heading"]
+    def limits(self, height: int, width: int) -> dict[str, Range]:
+        """Any shift, and the heading."""
+        return {"shift": Range(0, 0, whole=True), "heading": Range(0, 0)}
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the move of its columns."""

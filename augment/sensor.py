@@ -34,8 +34,8 @@ class Noise(Effect):
     def places(self, height: int, width: int) -> dict[str, Range]:
         """Where the two stretches begin, and how far the noise is turned."""
         return {
-            "first": Range(0, _TABLE // 2 - 1, whole=True),
-            "second": Range(_TABLE // 2, _TABLE - 1, whole=True),
+            "first": Range(0, _TABLE // 2 - 1, minimum=0, maximum=_TABLE - 1, whole=True),
+            "second": Range(_TABLE // 2, _TABLE - 1, minimum=0, maximum=_TABLE - 1, whole=True),
             "column": Range(0, 0, whole=True),
         }
 

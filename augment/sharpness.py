@@ -63,7 +63,7 @@ class Blur(Effect):
     def __init__(self, **params: Any) -> None:
         super().__init__(**params)
         size = self.options["size"]
-        if not isinstance(size, int) or size < 1 or size % 2 == 0:
+        if isinstance(size, bool) or not isinstance(size, int) or size < 1 or size % 2 == 0:
             raise AugmentError(f"size of {self.name} must be an odd number of pixels, got {size!r}")
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:

@@ -57,7 +57,7 @@ class Spot(Layer):
         return {
             "column": Range(0, width - 1, whole=True),
             "row": Range(0, height - 1, whole=True),
-            "light": Range(low, high, neutral=neutral, whole=True),
+            "light": Range(low, high, minimum=0, maximum=1, neutral=neutral, whole=True),
         }
 
     def describe(self, params: Mapping[str, Tensor]) -> list[str]:

@@ -47,6 +47,7 @@ def main(config: DictConfig) -> None:
             on_error=config.data.on_error,
             progress=track,
             read=read,
+            reading=decode.parameters(),
         )
     lost = {str(source) for source, _ in done.failed}
     made = np.array([path not in lost for path in frames.path.tolist()])

@@ -45,7 +45,7 @@ def outputs(
         headings: what each picture's rotation adds to the heading (n, depth), rad.
 
     Raises:
-        DataError: two pictures would have one name.
+        DataError: two pictures would have one name, or the folder's own name would rename a sequence.
     """
     places = _cold(frames, Path(root), Path(folder)) if kind == "cold" else _PLACES[kind](frames, Path(root))
     turned = turned_headings(frames, headings)
@@ -98,11 +98,15 @@ def _cold(frames: FrameTable, root: Path, folder: Path) -> list[tuple[Path, str,
     for sequence, rows in frames.rows_by("sequence").items():
         camera = Path(frames.path[rows[0]]).parent
         rooms = frames.room[rows].tolist()
-        above[sequence] = next(
-            relative
-            for relative in _candidates(camera.parent, root, sequence)
-            if name_sequence(folder / relative, relative.as_posix(), rooms).sequence == sequence
-        )
+        for relative in _candidates(camera.parent, root, sequence):
+            if name_sequence(folder / relative, relative.as_posix(), rooms).sequence == sequence:
+                above[sequence] = relative
+                break
+        else:
+            raise DataError(
+                f"below {folder} the sequence {sequence} would be read as one of another building: choose a folder "
+                "whose name says no building and no part"
+            )
     return [
         (above[frame["sequence"]] / Path(frame["path"]).parent.name, *_stem(Path(frame["path"]))) for frame in frames
     ]

@@ -174,6 +174,10 @@ def test_wrong_parameters_of_apply():
 def test_unknown_names():
     with pytest.raises(augment.AugmentError, match="unknown effect 'bulp': did you mean 'bulb'"):
         augment.effect("bulp")
+    with pytest.raises(augment.AugmentError, match=r"unknown effect \['bulb'\]: .*valid: bulb, "):
+        augment.effect(["bulb"])
+    with pytest.raises(augment.AugmentError, match=r"bulb draws from a torch.Generator, such as .*, got 7"):
+        augment.effect("bulb").draw(7, panoramas(1))
     with pytest.raises(augment.AugmentError, match="bulb has no parameter 'radios': did you mean 'radius'"):
         augment.effect("bulb", radios=3)
     with pytest.raises(AttributeError, match="module 'augment' has no attribute 'efect'"):
@@ -190,3 +194,48 @@ def test_strengths_go_both_ways():
     assert float(augment.effect("gamma").at(-1, batch)["gamma"]) == pytest.approx(0.5)
     assert float(augment.effect("gamma").at(1, batch)["gamma"]) == pytest.approx(2.0)
     assert float(augment.effect("darken").at(-1, batch)["amount"]) == 75
+
+
+NO_VALUES = [float("nan"), float("inf"), -1e9, 1e9, "high", None, 3 + 4j]
+
+
+@pytest.mark.parametrize("value", NO_VALUES, ids=repr)
+@pytest.mark.parametrize("name", NAMES)
+def test_values_that_no_parameter_takes(name, value):
+    effect, batch = build(name), panoramas(2)
+    params = effect.draw(generator(), batch)
+    for key in list(params)[:30]:
+        with pytest.raises(augment.AugmentError, match=f"parameter '{key}' of .* must (be|lie)"):
+            effect.apply(batch, {**params, key: [value, value]})
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value", "message"),
+    [
+        ("noise", "first", -5, r"'first' of noise must lie in \[0, 2097151\]"),
+        ("brighten", "amount", 2.5, "'amount' of brighten must be made of whole numbers, got"),
+        ("jpeg", "quality", 500, r"'quality' of jpeg must lie in \[1, 100\], got \[500"),
+        ("policy thesis", "0.bulb.radius", 0, r"'0.bulb.radius' of thesis must lie in \[0.5, "),
+    ],
+)
+def test_values_outside_of_what_makes_sense(name, key, value, message):
+    effect, batch = build(name), panoramas(2)
+    params = effect.draw(generator(), batch)
+    with pytest.raises(augment.AugmentError, match=message):
+        effect.apply(batch, {**params, key: [value, value]})
+
+
+@pytest.mark.parametrize(
+    ("name", "params"),
+    [
+        ("gamma", {"gamma": 20}),
+        ("gamma", {"gamma": 0.05}),
+        ("bulb", {"aspect": (0.05, 20)}),
+        ("vignette", {"strength": 0.99}),
+    ],
+)
+def test_what_is_drawn_at_the_ends_of_the_permitted_is_applied(name, params):
+    effect, batch = augment.effect(name, **params), panoramas(200, 4, 8)
+    for dtype in DTYPES:
+        pictures = batch if dtype == torch.uint8 else batch.float() / 255
+        assert effect(pictures, generator()).shape == batch.shape

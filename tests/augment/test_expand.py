@@ -142,6 +142,14 @@ def test_resuming_with_other_settings_is_refused(images, tmp_path, change, messa
         expand(images[::-1], targets, out, resume=True)
 
 
+def test_resuming_with_another_way_of_reading_is_refused(images, tmp_path):
+    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 2)
+    expand(images, targets, out, reading={"size": (16, 32)})
+    expand(images, targets, out, reading={"size": (16, 32)}, resume=True)
+    with pytest.raises(augment.AugmentError, match=r"was expanded with reading=.*32.*, now asked for .*64"):
+        expand(images, targets, out, reading={"size": (32, 64)}, resume=True)
+
+
 def test_settings_or_table_that_are_none(images, tmp_path):
     out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 2)
     expand(images, targets, out)
@@ -186,6 +194,7 @@ def test_jpeg_outputs_have_quality_95(images, tmp_path):
         (lambda i, o: (i, [[o / "a.png"]] * 3, o), "outputs must differ from each other and from the images"),
         (lambda i, o: (i, [[p] for p in i], o.parent), "outputs must differ from each other and from the images"),
         (lambda i, o: (i, outputs(o / "..", 3, 1), o / "deeper"), "lies outside the folder"),
+        (lambda i, o: (i, outputs(o / "in" / ".." / "..", 3, 1), o), "lies outside the folder"),
         (lambda i, o: (i, outputs(o, 3, 1, ".txt"), o), "has no suffix of a picture: use .jpeg or .png"),
     ],
 )

@@ -27,6 +27,7 @@ def motion(picture, p):
     return oracle.convolve(picture, np.full((1, length), 1 / length))
 
 
+TABLE = torch.randn(2**21, generator=torch.Generator().manual_seed(20230705)).numpy()
 CASES = [
     ("bulb", {"radius": (20, 60)}, lambda i, p: oracle.spot(i, p, oracle.round_distance)),
     ("bulb", {"radius": 400, "intensity": 3}, lambda i, p: oracle.spot(i, p, oracle.round_distance)),
@@ -47,6 +48,8 @@ CASES = [
     ("blur", {"strength": (0.1, 0.9), "size": 3}, boxed(3)),
     ("motion_blur", {"length": (20, 70)}, motion),
     ("rotate", {}, oracle.rotate),
+    ("occlude", {"level": (0, 200)}, oracle.occlude),
+    ("noise", {}, lambda i, p: oracle.noise(i, p, TABLE)),
     ("vignette", {}, oracle.vignette),
     ("shadow", {}, oracle.shadow),
     ("sun_patch", {}, oracle.sun_patch),

@@ -55,6 +55,7 @@ def test_a_number_is_a_range_of_one_value():
         ("brighten", {"amount": 3.5}, "amount of brighten must be made of whole numbers, got 3.5"),
         ("occlude", {"share": (0, 1.5)}, r"share of occlude must lie in \[0, 1\]"),
         ("blur", {"size": 4}, "size of blur must be an odd number of pixels, got 4"),
+        ("blur", {"size": True}, "size of blur must be an odd number of pixels, got True"),
         ("blur", {"circular": 1}, "circular of blur must be true or false, got 1"),
     ],
 )

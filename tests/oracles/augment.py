@@ -188,3 +188,27 @@ def sun_patch(picture, p):
         return value * (1 + (p["gain"] - 1) * sun[c] * inside * panes)
 
     return every_pixel(picture, lit)
+
+
+def occlude(picture, p):
+    """Bar i of n stands in sector i of n, counted from a column."""
+    width, n = picture.shape[2], p["bars"]
+    hidden = set()
+    for i in range(n):
+        begin, end = i * width // n, (i + 1) * width // n
+        length = min(math.floor(p["share"] * width / n + 0.5), end - begin)
+        start = begin + min(int(p[f"place{i}"] * (end - begin - length + 1)), end - begin - length)
+        hidden |= {(start + step + p["column"]) % width for step in range(length)}
+    return every_pixel(picture, lambda c, y, x, value: p["level"] if x in hidden else value)
+
+
+def noise(picture, p, table):
+    """From the table of normal numbers, read row by row and channel by channel from two places."""
+    _, height, width = picture.shape
+
+    def noisy(c, y, x, value):
+        step = (c * height + y) * width + (x - p["column"]) % width
+        first, second = (float(table[(p[key] + step) % len(table)]) for key in ("first", "second"))
+        return value + 255 * math.sqrt(p["variance"]) * (first + second) / math.sqrt(2)
+
+    return every_pixel(picture, noisy)

@@ -64,6 +64,11 @@ def test_a_folder_in_use_is_refused_and_resuming_makes_what_is_missing(manifest,
     assert all(path.stat().st_mtime_ns == when for path, when in untouched.items() if path not in lost)
 
 
+def test_resuming_at_another_size_is_refused(manifest, expanded, capsys):
+    assert main(words(manifest, expanded, "sequences=[day]", "resume=true", "data.image_size=[16,64]")) == 2
+    assert "now asked for" in capsys.readouterr().err
+
+
 def test_one_unreadable_image_is_left_out_and_said(manifest, tmp_path, capsys):
     table = write_manifest(tmp_path / "in", {"day": "cloudy"}, frames_per_room=1)
     broken = data.read("manifest", manifest=table).path[1]

@@ -49,6 +49,12 @@ def test_an_expanded_cold_data_set_reads_as_the_frames_with_turned_headings(tmp_
     assert found.path.tolist() == [str(path) for row in files for path in row]
 
 
+def test_a_folder_whose_name_would_rename_the_sequence_is_refused(tmp_path):
+    frames = cold_frames("/drives/seq2_cloudy3").with_columns(sequence=["seq2_cloudy3"] * 3)
+    with pytest.raises(DataError, match="seq2_cloudy3 would be read as one of another building: choose a folder"):
+        outputs("cold", frames, "/drives/seq2_cloudy3", tmp_path / "freiburg_part_b" / "cold-freiburg_part_b", TURNS)
+
+
 def test_sequences_without_rooms_get_no_list(tmp_path):
     frames = cold_frames(rooms=("", "", ""))
     files = outputs("cold", frames, "/cold", tmp_path, TURNS)
