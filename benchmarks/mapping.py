@@ -1,0 +1,188 @@
+"""Measure compact maps: the incremental mapper in both versions beside clustering and plain sampling.
+
+    python -m benchmarks.mapping --data FOLDER [--out FOLDER] [--pictures FOLDER] [--spacing METRES] [--quick] [--scale]
+
+FOLDER holds what `siamloc simulate camera=panorama building=freiburg_like` renders; the map is path 2, cloudy1, at all
+its frames or one every `--spacing` metres, described by HOG as [I] 6.1 takes it. Version 2 has the y and omega of [T]
+4.6.1; spectral clustering and sampling get its number of nodes. Silhouettes are of the capture points, "pooled" as in
+[I] eq. 12-13 and "nearest" as in [C] 8-9; `kept` is the pooled one times the share of frames that are in a node, since
+a map that leaves out what is difficult looks good otherwise. With `--pictures`, the sweeps of y and omega ([I] figure
+9) and of the number of clusters ([I] figures 11, 12) are drawn. `--scale` adds 20,000 frames in one run.
+
+Targets: the pooled silhouette of version 2 is at least that of version 1, and that of spectral clustering with as many
+nodes; at most 5 % of the frames are in no node of version 2.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from omegaconf import OmegaConf
+
+import analytic
+from analytic import Description, Descriptor
+from benchmarks.report import Report, parser
+from siamloc.data import read
+from siamloc.maps import VisualMap
+from siamloc.maps.layers import build_layer
+from siamloc.report import plots, sweeps
+from siamloc.tasks.mapping import evaluate_mapping
+
+CONF = Path(__file__).parents[1] / "conf"
+SEQUENCE = "*seq2_cloudy1"
+YS = (0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25)
+OMEGAS = (1.7, 1.85, 2.0, 2.15, 2.3)
+CLUSTERS = (4, 6, 8, 10, 12, 16, 20, 24, 30, 36, 42, 50, 60)
+GRIDS = ((2, 2), (3, 2), (4, 2), (5, 2), (4, 3), (4, 4), (5, 4), (6, 4), (6, 5), (6, 6), (7, 6), (10, 5), (10, 6))
+RADIUS, GAP = 1.0, 30
+MOST_UNASSIGNED = 5.0
+
+
+def main() -> None:
+    arguments = parser(__doc__)
+    arguments.add_argument("--data", type=Path, help="folder of the rendered building; not needed with --only-scale")
+    arguments.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw the sweeps into it")
+    arguments.add_argument("--spacing", type=float, default=0.0, help="metres between map frames; all frames if 0")
+    arguments.add_argument("--quick", action="store_true", help="every third value of the sweeps, short drives")
+    arguments.add_argument("--scale", action="store_true", help="also 20,000 frames in one run")
+    arguments.add_argument("--only-scale", action="store_true", help="nothing else")
+    arguments.add_argument("--places", type=Path, default=Path("../shared/data/cold_places"), help="of --scale")
+    options = arguments.parse_args()
+    if options.data is None and not options.only_scale:
+        arguments.error("--data is needed: the folder that `siamloc simulate camera=panorama` rendered")
+    figures: dict[str, Any] = {}
+    if not options.only_scale:
+        report = Report("mapping", options.out, packages=("scipy", "scikit-learn"))
+        figures = compare(options, report)
+        report.write(figures)
+    if options.scale or options.only_scale:
+        from benchmarks import mapping_scale
+
+        mapping_scale.run(options.places, options.out, options.quick)
+
+
+def compare(options: Any, report: Report) -> dict[str, Any]:
+    """Both versions and their rivals on one drive, with the sweeps."""
+    known, descriptor = described(options.data, options.spacing)
+    print(f"{len(known)} frames of {known.frames.sequence[0]}")
+    table = [measured(known, descriptor, f"incremental, version {v}", incremental(v, 1.5, 1.85)) for v in (2, 1)]
+    nodes = table[0]["nodes"]
+    for name, count in (("spectral", nodes), ("sample", nodes), ("spectral", table[1]["nodes"])):
+        table.append(measured(known, descriptor, f"{name}, {count}", batch(name, count)))
+    step = 3 if options.quick else 1
+    grid = [
+        {"version": version, "y": y, "omega": omega}
+        | measured(known, descriptor, f"version {version}, y {y}, omega {omega}", incremental(version, y, omega))
+        for version in (1, 2)
+        for y in YS[::step]
+        for omega in OMEGAS[:: min(step, 2)]
+    ]
+    others = [("spectral", count) for count in CLUSTERS[::step]] + [("sample", count) for count in CLUSTERS[::step]]
+    curve = [{"method": name} | measured(known, descriptor, f"{name}, {n}", batch(name, n)) for name, n in others]
+    for size in GRIDS[::step]:
+        row = measured(known, descriptor, f"som, {size[0]} x {size[1]}", {"name": "som", "grid": size})
+        curve.append({"method": "som"} | row)
+    judge(report, table)
+    print_table(table)
+    if options.pictures is not None:
+        draw(options.pictures, table, grid, curve)
+    best = max((row for row in grid if row["version"] == 2), key=lambda row: row["kept"])
+    return {
+        "frames": len(known),
+        "spacing": options.spacing or "that of the data",
+        "table": table,
+        "y_and_omega": grid,
+        "clusters": curve,
+        "best_of_version_2_by_kept": best,
+    }
+
+
+def described(data: Path, spacing: float) -> tuple[VisualMap, Descriptor]:
+    """The map frames with their descriptors."""
+    frames = read("cold", root=data).select(sequence=SEQUENCE)
+    if spacing > 0:
+        frames = frames.spaced(spacing)
+    options = dict(OmegaConf.load(CONF / "descriptor" / "hog_mapping.yaml"))
+    own = {key: value for key, value in options.items() if key not in ("name", "label", "defaults")}
+    descriptor = analytic.descriptor(options["name"], **own)
+    batches = (frames.path[start : start + 64].tolist() for start in range(0, len(frames), 64))
+    found = Description.concatenate([descriptor.describe(np.stack([picture(path) for path in b])) for b in batches])
+    made = VisualMap(found.position, frames, descriptor.identity, orientation=found.orientation)
+    return made, descriptor
+
+
+def picture(path: str) -> NDArray[np.uint8]:
+    """An image (3, H, W) in the order red, green, blue."""
+    image = cv2.imread(path)
+    if image is None:
+        raise SystemExit(f"{path} cannot be read: render the building anew")
+    return np.ascontiguousarray(image[..., ::-1].transpose(2, 0, 1))
+
+
+def incremental(version: int, y: float, omega: float) -> dict[str, Any]:
+    return {"name": "incremental", "version": version, "y": y, "omega": omega}
+
+
+def batch(name: str, nodes: int) -> dict[str, Any]:
+    more = {"sigma": None, "neighbours": None, "assign": "kmeans"} if name == "spectral" else {}
+    return {"name": name, "nodes": nodes, **more}
+
+
+def measured(known: VisualMap, descriptor: Descriptor, what: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Build a layer and measure it."""
+    built = build_layer(known, descriptor, options)
+    found = evaluate_mapping(known, built.layer, descriptor, RADIUS, GAP, built.seconds).measures()
+    closures = found["closures"]
+    share = found["unassigned"]["share"]
+    return {
+        "what": what,
+        "nodes": found["nodes"],
+        "unassigned": round(100 * share, 1),
+        "silhouette": _rounded(found["silhouette"]["pooled"]),
+        "kept": _rounded((1 - share) * found["silhouette"]["pooled"]),
+        "nearest": _rounded(found["silhouette"]["nearest"]),
+        "descriptors": _rounded(found["descriptor_silhouette"]),
+        "inertia": _rounded(found["inertia"]),
+        "purity": _rounded(found["purity"]["overall"]),
+        "precision": _rounded(closures["precision"]),
+        "recall": _rounded(closures["recall"]),
+        "f1": _rounded(closures["f1"]),
+        "ms_per_frame": _rounded(found["ms_per_frame"]["mean"]),
+    }
+
+
+def judge(report: Report, table: list[dict[str, Any]]) -> None:
+    second, first, spectral = table[:3]
+    for rival in (first, spectral):
+        what = f"pooled silhouette of version 2 ({second['silhouette']}) at least that of {rival['what']}"
+        report.target(f"{what} ({rival['silhouette']})", second["silhouette"] >= rival["silhouette"])
+    share = second["unassigned"]
+    report.target(f"version 2 leaves at most {MOST_UNASSIGNED:g} % out ({share} %)", share <= MOST_UNASSIGNED)
+
+
+def draw(folder: Path, table: list[dict[str, Any]], grid: list[dict[str, Any]], curve: list[dict[str, Any]]) -> None:
+    points = [{**table[1], "version": 1}, {**table[0], "version": 2}]
+    for figure, name in (
+        (sweeps.heat_maps(grid), "mapping_sweep.png"),
+        (sweeps.silhouette_against_clusters(curve, points), "clusters.png"),
+    ):
+        print(f"picture: {plots.save(figure, folder / name)}")
+
+
+def print_table(table: list[dict[str, Any]]) -> None:
+    columns = [name for name in table[0] if name != "what"]
+    print(f"{'':<24}" + "".join(f"{name:>13}" for name in columns))
+    for row in table:
+        print(f"{row['what']:<24}" + "".join(f"{row[name]!s:>13}" for name in columns))
+
+
+def _rounded(value: float) -> float | None:
+    return None if value != value else round(float(value), 3)
+
+
+if __name__ == "__main__":
+    main()
