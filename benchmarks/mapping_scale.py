@@ -3,7 +3,7 @@
 Part of `python -m benchmarks.mapping --scale`. The poses are the real ones of COLD's lists; the descriptors are drawn:
 smooth random functions of position (256 numbers) and of position and azimuth (256 steps of 16 bins), with noise of
 their own in every frame, as long as those of HOG. First the robot repeats its rounds in one building, so that the
-number of nodes stays, and then it drives through all buildings.
+number of nodes does not grow, and then it drives through all buildings. Times are those of the processor.
 
 Targets: the last frames take at most twice as long per node as those about frame 2,000; at most 10 ms per frame; memory
 at most three times what the descriptors of all frames take.

@@ -8,6 +8,7 @@ lengths and means: no descriptor is turned to find them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 from typing import ClassVar, NamedTuple
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from analytic.descriptors import circular
 from analytic.descriptors.base import Alignment, Description, Match
 from analytic.descriptors.image import ImageDescriptor
+from analytic.descriptors.threads import each
 from analytic.distances import distance as distance_named
 
 _CLOSE = 1e-2
@@ -126,9 +128,13 @@ class AlignedDescriptor(ImageDescriptor):
             apart, close = np.zeros(shape), np.ones(shape, dtype=bool)
         else:
             apart, close = _from_peak(name, turned.peak, _Moments.of(queries), _Moments.of(references))
+        assert references.orientation is not None
+        values = references.orientation[0].size if len(references) else 0
         for row in np.flatnonzero(close.any(axis=1)).tolist():
             columns = np.flatnonzero(close[row])
-            apart[row, columns] = _directly(name, queries, row, references, columns, turned.step[row, columns])
+            compare = partial(_directly, name, queries, row, references, turned.step[row])
+            found = each(compare, np.array_split(columns, max(1, columns.size * values >> 20)))
+            apart[row, columns] = np.concatenate(found)
         return apart
 
 
@@ -181,10 +187,10 @@ def _directly(
     queries: Description,
     row: int,
     references: Description,
-    columns: NDArray[np.int64],
     steps: NDArray[np.int64],
+    columns: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Return the distances of one query, turned back by some steps, to some references."""
+    """Return the distances of one query, turned back by some steps (m,), to some of the references."""
     assert queries.orientation is not None
     assert references.orientation is not None
     query = queries.orientation[row]
@@ -192,7 +198,7 @@ def _directly(
     difference = np.empty_like(query)
     measure = distance_named(name)
     apart = np.zeros(len(columns))
-    for place, (column, step) in enumerate(zip(columns, steps, strict=True)):
+    for place, (column, step) in enumerate(zip(columns, steps[columns], strict=True)):
         turned, reference = twice[step : step + len(query)], references.orientation[column]
         if name == "manhattan":
             np.abs(np.subtract(turned, reference, out=difference), out=difference)

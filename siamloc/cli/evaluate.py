@@ -10,7 +10,7 @@ import numpy as np
 from omegaconf import DictConfig
 
 from analytic import Descriptor
-from siamloc.cli import hierarchical, mapping
+from siamloc.cli import hierarchical, mapping, robustness
 from siamloc.cli.compose import plain
 from siamloc.cli.estimates import Estimates, check_validation, estimate, needs_validation, prepare_search
 from siamloc.cli.searching import Search, Vectors, check_apart, lacking, run_searches, saved_map
@@ -35,6 +35,9 @@ def main(config: DictConfig) -> None:
     names = list(config.task.names)
     if names == ["mapping"]:
         mapping.measure(config)
+        return
+    if names == ["robustness"]:
+        robustness.measure(config)
         return
     for name in names:
         if name not in TASKS:

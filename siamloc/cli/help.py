@@ -104,7 +104,7 @@ COMMANDS = {
 
         run=FOLDER                        the run; the newest one if not given
         protocol.query.sequences=[...]    the frames to be located
-        task=localization|absolute|room_retrieval|hierarchical|mapping
+        task=localization|absolute|room_retrieval|hierarchical|mapping|robustness
         task.radii=[0.5,1.0]              recall: how near a map frame must be
         task.baselines=[hog,thumbnail,untrained]
         descriptor=hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
@@ -119,6 +119,7 @@ COMMANDS = {
         task.coarse.descriptor=hog_mapping task.coarse.by=representatives|vote
                                           how nodes are ranked
         task=mapping build=incremental    measure the nodes of a map instead: see `siamloc map --help`
+        task=robustness                   error against noise, occlusion, turns and effects
         """,
         "siamloc evaluate run=runs/vgg16 protocol.query.sequences=['*cloudy2','*night2','*sunny2']",
         inherits=True,

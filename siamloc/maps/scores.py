@@ -28,8 +28,13 @@ class Scores(Protocol):
     def references(self, references: NDArray) -> Any:
         """Prepare a block of references (m, D)."""
 
-    def block(self, queries: Any, references: Any) -> tuple[NDArray, NDArray[np.float64]]:
-        """Return the scores (n, m), and by how much those of a row may be wrong (n,)."""
+    def block(
+        self, queries: Any, references: Any, buffer: NDArray[np.float32] | None = None
+    ) -> tuple[NDArray, NDArray[np.float64]]:
+        """Return the scores (n, m), in the buffer (at least n m) if need be, and by how much a row's may be wrong (n,).
+
+        A buffer saves asking the system for memory again and again.
+        """
 
     def at(self, queries: Any, distances: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the true scores of references at these distances (n,), one of each query."""
@@ -88,12 +93,16 @@ class ProductScores:
         block.product[:, -1] = -(block.norm**2) / 2
         return block
 
-    def block(self, queries: _Block, references: _Block) -> tuple[NDArray, NDArray[np.float64]]:
+    def block(
+        self, queries: _Block, references: _Block, buffer: NDArray[np.float32] | None = None
+    ) -> tuple[NDArray, NDArray[np.float64]]:
         """Return the scores and the bound of their rounding error."""
         longest = references.norm.max()
         terms = queries.product.shape[1] + 8
         slack = terms * (_ROUNDOFF * (queries.norm * longest + longest**2) + _SMALLEST)
-        return queries.product @ references.product.T, slack
+        n, m = len(queries.product), len(references.product)
+        out = None if buffer is None else buffer[: n * m].reshape(n, m)
+        return np.matmul(queries.product, references.product.T, out=out), slack
 
     def at(self, queries: _Block, distances: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the scores that belong to distances, a little lower than exact."""
@@ -186,7 +195,9 @@ class DirectScores:
         """Return a block of references in float64."""
         return references.astype(np.float64, copy=False)
 
-    def block(self, queries: NDArray, references: NDArray) -> tuple[NDArray, NDArray[np.float64]]:
+    def block(
+        self, queries: NDArray, references: NDArray, buffer: NDArray[np.float32] | None = None
+    ) -> tuple[NDArray, NDArray[np.float64]]:
         """Return the negative distances; they are exact."""
         self._last = self._distance(queries, references)
         return -self._last, np.zeros(len(queries))

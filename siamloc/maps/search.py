@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,9 +20,11 @@ from siamloc.errors import nearest as nearest_name
 from siamloc.maps.scores import DirectScores, ProductScores, Scores
 
 _REFERENCES_PER_BLOCK = 4096
-_PAIRS_PER_BLOCK = 1 << 19  # 2 MiB of scores, which stay in the processor's cache
-_QUERIES_PER_BLOCK = 256  # but not fewer than make a matrix product worth it
-_BYTES_PER_PAIR = 80  # of a block in which everything ties: score, mask, two indices, distance, and sorting them
+_QUERIES_PER_BLOCK = 2048  # the fewer products, the less their threads wait for each other
+_GROUP = 256  # neighbouring scores of which the largest tells whether to look at the others
+_MANY_GROUPS = 4  # a query's groups to look at, beyond which a better bound is worth its time
+_BYTES_PER_SCORE = 16
+_BYTES_PER_PAIR = 80  # of rows in which everything ties: score, mask, two indices, distance, and sorting them
 
 
 @dataclass(frozen=True)
@@ -71,59 +72,108 @@ def nearest(
     k = min(int(k), len(r))
     best = Retrieval(np.full((len(q), k), len(r), dtype=np.int64), np.full((len(q), k), np.inf))
     scores: Scores = DirectScores(distance) if distance in ("manhattan", "minkowski") else ProductScores(distance, q, r)
-    batch, height, width = _block_sizes(q.shape[1], len(r), int(memory), scores.bytes_per_query(q))
-    for rows in _slices(0, len(q), batch):
-        _search(best, q, r, rows, scores, height, width)
+    sizes = _Sizes.fitting(q.shape[1], len(r), int(memory), scores.bytes_per_query(q))
+    for rows in _slices(0, len(q), sizes.batch):
+        _search(best, q, r, rows, scores, sizes)
     return best
 
 
+@dataclass(frozen=True)
+class _Sizes:
+    """What is held at once.
+
+    Attributes:
+        batch: queries that are prepared and kept while all references pass by.
+        height: queries of a block of scores.
+        width: references of a block of scores.
+        rows: of a block, whose candidates are looked at.
+    """
+
+    batch: int
+    height: int
+    width: int
+    rows: int
+
+    @classmethod
+    def fitting(cls, values: int, references: int, memory: int, query: int) -> _Sizes:
+        """Return the sizes for vectors of so many values and queries of so many bytes once prepared."""
+        vector = 8 * (values + 3)
+        pairs = max(memory // 4 // _BYTES_PER_PAIR, 1)
+        width = max(min(_REFERENCES_PER_BLOCK, references, memory // 8 // (3 * vector), pairs), 1)
+        height = max(min(_QUERIES_PER_BLOCK, memory // 2 // (_BYTES_PER_SCORE * width), memory // 8 // (3 * vector)), 1)
+        return cls(max(memory // 8 // query // height, 1) * height, height, width, max(pairs // width, 1))
+
+
 def _search(
-    best: Retrieval, queries: NDArray, references: NDArray, batch: slice, scores: Scores, height: int, width: int
+    best: Retrieval, queries: NDArray, references: NDArray, batch: slice, scores: Scores, sizes: _Sizes
 ) -> None:
     """Fill the rows of one batch; its queries are prepared once and kept while the references pass by."""
-    blocks = [(rows, scores.queries(queries[rows])) for rows in _slices(batch.start, batch.stop, height)]
-    for columns in _slices(0, len(references), width):
+    blocks = [(rows, scores.queries(queries[rows])) for rows in _slices(batch.start, batch.stop, sizes.height)]
+    buffer = np.empty(min(sizes.height, batch.stop - batch.start) * sizes.width, dtype=np.float32)
+    for columns in _slices(0, len(references), sizes.width):
         prepared = scores.references(references[columns])
         for rows, block in blocks:
-            _improve(
-                best.indices[rows],
-                best.distances[rows],
-                scores,
-                block,
-                prepared,
-                columns.start,
-            )
+            score, slack = scores.block(block, prepared, buffer)
+            indices, distances = best.indices[rows], best.distances[rows]
+            needed = scores.at(block, distances[:, -1]) - slack
+            for part in _slices(0, len(score), sizes.rows):
+                row, column = _candidates(score[part], slack[part], needed[part], indices.shape[1])
+                if len(row):
+                    exact = scores.exact(block, prepared, part.start + row, column)
+                    _merge(indices[part], distances[part], row, column + columns.start, exact)
 
 
-def _improve(indices: NDArray, distances: NDArray, scores: Scores, queries: Any, references: Any, first: int) -> None:
-    """Merge one block of references, whose first row has the number `first`, into the best so far, in place."""
-    k = indices.shape[1]
-    score, slack = scores.block(queries, references)
-    worst = distances[:, -1]
-    if np.isinf(worst).any():
-        needed = _kth_largest(score, k) - 2 * slack
-        live = np.arange(len(score))
+def _candidates(score: NDArray, slack: NDArray, needed: NDArray, k: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return row and column, in order, of what may be among the k nearest so far of queries (n,).
+
+    Args:
+        score: of a block of references (n, m).
+        slack: by how much the scores may be wrong (n,).
+        needed: score below which a reference is not wanted (n,).
+        k: neighbours wanted.
+    """
+    groups, peaks = _groups(score)
+    # The k nearest of all are among the k nearest of the block. Where references come nearer and nearer, as along a
+    # drive, that is the better bound.
+    if k == 1:
+        needed = np.maximum(needed, peaks.max(axis=1) - 2 * slack)
+        row, group = _reaching(peaks, needed)
     else:
-        needed = scores.at(queries, worst) - slack
-        live = np.flatnonzero(score.max(axis=1) >= needed)
-    if not len(live):
-        return
-    part = score if len(live) == len(score) else score[live]
-    threshold = needed[live].astype(score.dtype)
-    hits = part >= threshold[:, None]
-    if np.count_nonzero(hits) > 4 * k * len(live):
-        # The references come nearer and nearer, as along a drive: the block's own best are the better threshold.
-        threshold = np.maximum(threshold, (_kth_largest(part, k) - 2 * slack[live]).astype(score.dtype))
-        hits = part >= threshold[:, None]
-    row, column = np.nonzero(hits)
-    exact = scores.exact(queries, references, live[row], column)
-    _merge(indices, distances, live, row, column + first, exact)
+        row, group = _reaching(peaks, needed)
+        live = row[np.diff(row, prepend=-1) != 0]
+        if len(row) > _MANY_GROUPS * len(live) or np.isinf(needed).any():
+            needed[live] = np.maximum(needed[live], _kth_largest(score[live], k) - 2 * slack[live])
+            row, group = _reaching(peaks, needed)
+    if not len(row):
+        return row, group
+    place, offset = _reaching(groups[row, group], needed[row])
+    return row[place], group[place] * groups.shape[2] + offset
 
 
-def _merge(indices: NDArray, distances: NDArray, live: NDArray, row: NDArray, column: NDArray, exact: NDArray) -> None:
-    """Keep the k nearest of those known and of the candidates; `row` counts inside `live` and never decreases."""
+def _groups(score: NDArray) -> tuple[NDArray, NDArray]:
+    """Return scores in groups of neighbours (n, groups, size), filled up with -inf, and the groups' maxima."""
+    n, width = score.shape
+    size = min(_GROUP, width)
+    if width % size:
+        filled = np.full((n, -(-width // size) * size), -np.inf, dtype=score.dtype)
+        filled[:, :width] = score
+        score = filled
+    peaks = np.maximum.reduceat(score, np.arange(0, score.shape[1], size), axis=1)
+    return score.reshape(n, -1, size), peaks
+
+
+def _reaching(values: NDArray, needed: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return row and column, in order, of the values (n, m) that reach what their row needs (n,)."""
+    place = np.flatnonzero(values >= needed.astype(values.dtype)[:, None])
+    return place // values.shape[1], place % values.shape[1]
+
+
+def _merge(indices: NDArray, distances: NDArray, row: NDArray, column: NDArray, exact: NDArray) -> None:
+    """Keep the k nearest of those known (n, k) and of the candidates, in place; `row` never decreases."""
     k = indices.shape[1]
-    counts = np.bincount(row, minlength=len(live))
+    fresh = np.diff(row, prepend=-1) != 0
+    live, row = row[fresh], np.cumsum(fresh) - 1
+    counts = np.bincount(row)
     place = k + np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
     near = np.full((len(live), k + int(counts.max())), np.inf)
     found = np.zeros(near.shape, dtype=np.int64)
@@ -142,17 +192,6 @@ def _kth_largest(score: NDArray, k: int) -> NDArray[np.float64]:
     if k > score.shape[1]:
         return np.full(len(score), -np.inf)
     return np.partition(score, score.shape[1] - k, axis=1)[:, score.shape[1] - k].astype(np.float64)
-
-
-def _block_sizes(width: int, references: int, memory: int, query: int) -> tuple[int, int, int]:
-    """Return how many queries (of so many bytes) make a batch, how many of them a block, and references a block."""
-    vector = 8 * (width + 3)
-    pairs = max(memory // 2 // _BYTES_PER_PAIR, 1)
-    columns = max(min(_REFERENCES_PER_BLOCK, references, memory // 8 // (3 * vector), pairs), 1)
-    enough = max(_PAIRS_PER_BLOCK // columns, _QUERIES_PER_BLOCK)
-    rows = max(min(enough, pairs // columns, memory // 8 // (3 * vector)), 1)
-    batch = max(memory // 8 // query // rows, 1) * rows
-    return batch, rows, columns
 
 
 def _slices(start: int, stop: int, step: int) -> Iterator[slice]:

@@ -34,7 +34,7 @@ def heat_maps(table: Rows, measures: Sequence[str] = ("nodes", "silhouette", "un
 
     Args:
         table: rows with version, y, omega and the measures; `unassigned` in percent. A measure may be missing (None).
-        measures: of "nodes", "unassigned", "silhouette" (the pooled one); of the last the highest is framed.
+        measures: of "nodes", "unassigned", "silhouette" (the pooled one); of the last the highest are framed.
 
     Raises:
         DataError: no rows, or a row without one of the columns.
@@ -65,7 +65,8 @@ def heat_maps(table: Rows, measures: Sequence[str] = ("nodes", "silhouette", "un
                     look = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white" if dark else "black"}
                     axes.text(j, i, pattern.format(grid[i, j]), **look)
                 if measure == "silhouette" and np.isfinite(grid).any():
-                    _frame(axes, *np.unravel_index(np.nanargmax(grid), grid.shape))
+                    for i, j in np.argwhere(grid == np.nanmax(grid)):
+                        _frame(axes, i, j)
                 axes.set_xticks(range(len(omegas)), [f"{omega:g}" for omega in omegas])
                 axes.set_yticks(range(len(ys)), [f"{y:g}" for y in ys])
                 axes.tick_params(length=0)
@@ -131,7 +132,7 @@ def _grid(table: Rows, version: Any, ys: Sequence[float], omegas: Sequence[float
     return grid
 
 
-def _frame(axes: Any, row: Any, column: Any) -> None:
+def _frame(axes: Any, row: int, column: int) -> None:
     from matplotlib.patches import Rectangle
 
     axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor="#D55E00", linewidth=2.2))

@@ -93,6 +93,22 @@ def test_near_zero_distances_far_from_the_origin_are_right() -> None:
     assert (found.distances[:, 0] == 0).all()
 
 
+@pytest.mark.parametrize("distance", ["euclidean", "manhattan", "cosine"])
+@pytest.mark.parametrize("k", [1, 3, 20, 600])
+@pytest.mark.parametrize("smooth", [False, True])
+def test_many_groups_of_references(distance: str, k: int, smooth: bool) -> None:
+    queries, references = gaussian(9, 1100, 6, seed=9)
+    if smooth:  # neighbours look alike, and all that is near stands together
+        references = np.cumsum(references, axis=0, dtype=np.float32)
+        queries += references[::123]
+    references[700:720] = references[100]
+    indices, distances = oracle.nearest(queries, references, k, distance)
+    for memory in (SMALL, 1 << 20, 1 << 28):
+        found = nearest(queries, references, k, distance, memory)
+        np.testing.assert_array_equal(found.indices, indices)
+        np.testing.assert_allclose(found.distances, distances, rtol=1e-9, atol=1e-15)
+
+
 @pytest.mark.parametrize("distance", ["cosine", "correlation"])
 def test_small_angles_are_right(distance: str) -> None:
     rng = np.random.default_rng(3)

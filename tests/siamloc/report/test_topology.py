@@ -335,6 +335,9 @@ def test_heat_maps() -> None:
     assert grid[1, 0] == 1.5 / 1.7
     (frame,) = [patch for patch in panels[1].patches if not patch.get_fill()]
     assert frame.get_xy() == (-0.5, 0.5)
+    rows = [{**row, "silhouette": 0.5} for row in sweep()]
+    tied = next(axes for axes in sweeps.heat_maps(rows, ("silhouette",)).axes if axes.images)
+    assert len([patch for patch in tied.patches if not patch.get_fill()]) == 6
     text = text_of(figure)
     assert "0.88" in text
     assert "frames in no node" not in text
