@@ -68,7 +68,7 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
     if not family:
         raise ConfigError(f"unknown command {words[0]!r}: {nearest(words[0], COMMANDS)}")
     if {"-h", "--help"} & set(words):
-        print("\n\n".join(map(command_help, family)))
+        print("\n\n".join([command_help(name) for name in family]))  # `map` is a module of this package
         return None, []
     given = " ".join(words[:2]) if len(words) > 1 and "=" not in words[1] else words[0]
     raise ConfigError(f"unknown command {given!r}: use one of {', '.join(family)}")
