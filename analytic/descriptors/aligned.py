@@ -12,6 +12,7 @@ from functools import partial
 from math import prod
 from typing import ClassVar, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -195,14 +196,12 @@ def _directly(
     assert references.orientation is not None
     query = queries.orientation[row]
     twice = np.concatenate([query, query])  # each turn of the query is a stretch of it: Q[k + s] against R[k]
-    difference = np.empty_like(query)
     measure = distance_named(name)
     apart = np.zeros(len(columns))
     for place, (column, step) in enumerate(zip(columns, steps[columns], strict=True)):
         turned, reference = twice[step : step + len(query)], references.orientation[column]
         if name == "manhattan":
-            np.abs(np.subtract(turned, reference, out=difference), out=difference)
-            apart[place] = difference.sum()
+            apart[place] = cv2.norm(turned, reference, cv2.NORM_L1)  # one pass over both, summed in double precision
         else:
             apart[place] = measure(turned.reshape(1, -1), reference.reshape(1, -1))[0, 0]
     return apart
