@@ -134,7 +134,7 @@ class AlignedDescriptor(ImageDescriptor):
         for row in np.flatnonzero(close.any(axis=1)).tolist():
             columns = np.flatnonzero(close[row])
             compare = partial(_directly, name, queries, row, references, turned.step[row])
-            found = each(compare, np.array_split(columns, max(1, columns.size * values >> 20)))
+            found = each(compare, np.array_split(columns, max(1, columns.size * values >> 24)))
             apart[row, columns] = np.concatenate(found)
         return apart
 
