@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from siamloc.report.gathered import Evaluation
 from siamloc.report.markup import Markup, count, number, tag
 from siamloc.report.svg import DASHES, Axis, Line, chart, series_1_2_5
 from siamloc.tasks.absolute import baseline_names
+from siamloc.tasks.columns import rows_by_label
 
 _LIGHTINGS = {"cloudy": "k0", "night": "k1", "sunny": "k2"}
 _MOST_POINTS = 240
@@ -30,7 +31,7 @@ def error_curves(evaluation: Evaluation) -> Markup:
     columns, unit = evaluation.queries, evaluation.unit
     groups = evaluation.rows_by_lighting
     every = np.arange(len(columns["error"]))
-    axis = _error_axis([columns["error"], columns["floor"]], unit)
+    axis = error_axis([columns["error"], columns["floor"]], unit)
     lines = []
     if len(groups) != 1:
         lines.append(_cumulative("all queries", columns["error"], unit, "ink"))
@@ -46,12 +47,34 @@ def error_curves(evaluation: Evaluation) -> Markup:
             break
         errors = {evaluation.name: columns["error"], **{name: columns[f"baseline_{name}"] for name in names}}
         lines = [
-            _cumulative(name, error[rows], unit, *_method_look(i)) for i, (name, error) in enumerate(errors.items())
+            _cumulative(name, error[rows], unit, *method_look(i)) for i, (name, error) in enumerate(errors.items())
         ]
         lines.append(_cumulative("floor", columns["floor"][rows], unit, "soft", DASHES[2]))
-        axis = _error_axis([*errors.values(), columns["floor"]], unit)
+        axis = error_axis([*errors.values(), columns["floor"]], unit)
         charts.append(chart(f"methods, {label}", lines, axis, _SHARE))
     return tag("div.panels", *charts)
+
+
+def estimate_curves(evaluation: Evaluation, name: str) -> Markup:
+    """Return a chart for each lighting: the single-frame errors, and those of another estimate of the same queries.
+
+    Args:
+        evaluation: with queries.
+        name: of the estimate, such as "filtered".
+    """
+    assert evaluation.queries is not None
+    columns, unit = evaluation.queries, evaluation.unit
+    groups = evaluation.rows_by_lighting or {"all queries": np.arange(len(columns["error"]))}
+    axis = error_axis([columns["error"], columns[f"{name}_error"], columns["floor"]], unit)
+    charts = []
+    for label, rows in groups.items():
+        lines = [
+            _cumulative(name, columns[f"{name}_error"][rows], unit, "ink"),
+            _cumulative("single frame", columns["error"][rows], unit, "k5", DASHES[1]),
+            _cumulative("floor", columns["floor"][rows], unit, "soft", DASHES[2]),
+        ]
+        charts.append(chart(label, lines, axis, _SHARE, 340, 240))
+    return tag("div.panels.three", *charts)
 
 
 def compared_curves(evaluations: Mapping[str, Evaluation]) -> Markup | None:
@@ -62,15 +85,16 @@ def compared_curves(evaluations: Mapping[str, Evaluation]) -> Markup | None:
             by_unit.setdefault(evaluation.unit, {})[title] = evaluation.queries
     charts = []
     for unit, tables in by_unit.items():
-        lines = [
-            _cumulative(title, columns["error"], unit, f"k{i % 8}", DASHES[i // 8 % len(DASHES)])
-            for i, (title, columns) in enumerate(tables.items())
-        ]
-        floors = [columns["floor"] for columns in tables.values()]
-        if all(np.array_equal(floors[0], floor) for floor in floors):
-            lines.append(_cumulative("floor", floors[0], unit, "soft", DASHES[2]))
-        axis = _error_axis([*(columns["error"] for columns in tables.values()), *floors], unit)
-        charts.append(chart("all queries of each", lines, axis, _SHARE))
+        charts.append(_compared("all queries of each", tables, unit))
+        groups = {title: rows_by_label(columns["lighting"]) for title, columns in tables.items()}
+        labels = list(dict.fromkeys(label for rows in groups.values() for label in rows))
+        for label in labels if len(labels) > 1 else []:
+            chosen = {
+                title: {name: columns[name][groups[title][label]] for name in ("error", "floor")}
+                for title, columns in tables.items()
+                if label in groups[title]
+            }
+            charts.append(_compared(label, chosen, unit))
     return tag("div.panels", *charts) if charts else None
 
 
@@ -100,7 +124,7 @@ def training_curves(columns: Mapping[str, NDArray[np.float64]]) -> Markup:
         finite = np.concatenate([line.y[np.isfinite(line.y)] for line in lines])
         top = 1.0 if metric in _SHARES else _above(float(finite.max()))
         y = Axis("share" if metric in _SHARES else metric.replace("_", " "), min(0.0, float(finite.min())), top)
-        charts.append(chart(_METRIC_NAMES.get(metric, metric.replace("_", " ")), lines, x, y, 360, 230))
+        charts.append(chart(_METRIC_NAMES.get(metric, metric.replace("_", " ")), lines, x, y, 340, 230))
     return tag("div.panels.three", *charts)
 
 
@@ -110,12 +134,45 @@ def lighting_colours(labels: Sequence[str] | Mapping[str, object]) -> list[str]:
     return [_LIGHTINGS.get(label) or f"k{3 + others.index(label) % 5}" for label in labels]
 
 
+def method_look(rank: int) -> tuple[str, str | None]:
+    """Return colour and dash of a method: the measured one stands out, baselines differ in both."""
+    return ("ink", None) if rank == 0 else (f"k{(rank + 2) % 8}", DASHES[rank % len(DASHES)])
+
+
+def error_axis(errors: Sequence[ArrayLike], unit: str, lowest: float = 5) -> Axis:
+    """Return a logarithmic axis from where the first queries are right to the largest error.
+
+    Args:
+        errors: of each line.
+        unit: of the errors.
+        lowest: percentile of a line's errors that is still shown.
+    """
+    columns = [np.asarray(error, dtype=np.float64) for error in errors]
+    largest = max(float(error.max()) for error in columns)
+    if largest <= 0:
+        return Axis(f"error [{unit}]", 0, 1)
+    low = min(float(np.percentile(error, lowest)) for error in columns)
+    high = _above(largest)
+    # Errors of nothing have no place on the axis: their share shows where the curve begins.
+    low = min(max(low, largest / 1000), largest / 10)
+    below = [value for value in series_1_2_5(low / 10, low) if value <= low * (1 + 1e-9)]
+    return Axis(f"error [{unit}], logarithmic", below[-1], high, log=True)
+
+
 _SHARE = Axis("queries with at most this error [%]", 0, 100)
 
 
-def _method_look(rank: int) -> tuple[str, str | None]:
-    """Return colour and dash of a method: the measured one stands out, baselines differ in both."""
-    return ("ink", None) if rank == 0 else (f"k{(rank + 2) % 8}", DASHES[rank % len(DASHES)])
+def _compared(name: str, tables: Mapping[str, Mapping[str, NDArray]], unit: str) -> Markup:
+    """Return the curves of several evaluations in one chart."""
+    lines = [
+        _cumulative(title, columns["error"], unit, f"k{(0, 5, 3, 2, 1, 4, 6, 7)[i % 8]}", DASHES[i % len(DASHES)])
+        for i, (title, columns) in enumerate(tables.items())
+    ]
+    floors = [columns["floor"] for columns in tables.values()]
+    if all(np.array_equal(floors[0], floor) for floor in floors):
+        lines.append(_cumulative("floor", floors[0], unit, "soft", DASHES[2]))
+    axis = error_axis([*(columns["error"] for columns in tables.values()), *floors], unit)
+    return chart(name, lines, axis, _SHARE)
 
 
 def _cumulative(label: str, error: NDArray, unit: str, colour: str, dash: str | None = None) -> Line:
@@ -129,19 +186,6 @@ def _cumulative(label: str, error: NDArray, unit: str, colour: str, dash: str | 
         x, y = np.concatenate([ordered[:1], ordered[keep]]), np.concatenate([[0], share])
     note = f"{number(float(ordered.mean()))} {unit}, n = {count(len(ordered))}"
     return Line(label, np.append(x, np.inf), np.append(y, 100.0), colour, dash, note)
-
-
-def _error_axis(errors: Sequence[NDArray], unit: str) -> Axis:
-    """Return a logarithmic axis from where the first queries are right to the largest error."""
-    largest = max(float(error.max()) for error in errors)
-    if largest <= 0:
-        return Axis(f"error [{unit}]", 0, 1)
-    low = min(float(np.percentile(error, 5)) for error in errors)
-    high = _above(largest)
-    # Errors of nothing have no place on the axis: their share shows where the curve begins.
-    low = min(max(low, largest / 1000), largest / 10)
-    below = [value for value in series_1_2_5(low / 10, low) if value <= low * (1 + 1e-9)]
-    return Axis(f"error [{unit}], logarithmic", below[-1], high, log=True)
 
 
 def _above(value: float) -> float:

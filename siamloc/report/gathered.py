@@ -19,6 +19,10 @@ from siamloc.tasks.columns import Columns, rows_by_label
 from siamloc.tasks.results import read_results, read_rows
 
 ALL = "all"
+FURTHER = {"filtered": "filter", "interpolated": "interpolation"}
+_KINDS = ("localization", "hierarchical", "robustness", "mapping")
+# Errors on the same queries that hierarchical results hold beside their own.
+_BESIDE_HIERARCHICAL = {"whole map": "error_absolute", "perfect nodes": "error_perfect_coarse"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,25 +31,57 @@ class Evaluation:
 
     Attributes:
         name: of the descriptor; its row in the tables.
+        kind: what was measured: "localization", which room retrieval belongs to, "hierarchical", "robustness", or
+            another task.
         results: what `results.json` holds.
         queries: columns of `queries.csv`; None where nothing was localized.
         known: columns of `map.csv`; None where there is none.
     """
 
     name: str
+    kind: str
     results: dict[str, Any]
     queries: Columns | None
     known: Columns | None
 
     @property
+    def title(self) -> str:
+        """The descriptor, and what was measured with it where that needs saying."""
+        if self.kind == "localization":
+            return self.name
+        build, coarse = ((self.results.get(key) or {}).get("name") for key in ("layer", "coarse_descriptor"))
+        own = (self.results.get("descriptor") or {}).get("name")
+        of = f" of {coarse}" if coarse not in (None, own) else ""
+        return f"{self.name}, {self.kind}" + (f" over {build} nodes{of}" if build else "")
+
+    @property
     def methods(self) -> dict[str, dict[str, Any]]:
-        """The measures of the descriptor and of its baselines by name, its own first."""
-        return {self.name: self.results["measures"], **self.results.get("baselines", {})}
+        """The measures of the descriptor, of its further estimates and of its baselines by name, its own first."""
+        own = dict(self.results["measures"])
+        if self.absolute is not None:
+            own["absolute"] = self.absolute
+        further = {
+            f"{self.name} + {sign}": {"absolute": own[f"absolute_{name}"]}
+            for name, sign in FURTHER.items()
+            if f"absolute_{name}" in own
+        }
+        return {self.name: own, **further, **self.results.get("baselines", {})}
 
     @property
     def absolute(self) -> dict[str, Any] | None:
-        """The measures of localization, if any."""
-        return self.results["measures"].get("absolute")
+        """The measures of localization, in the whole map or in nodes first, if any."""
+        measures = self.results["measures"]
+        return measures.get("absolute") or measures.get("hierarchical")
+
+    @property
+    def measured(self) -> bool:
+        """Whether queries were localized or their rooms looked for."""
+        return self.absolute is not None or self.rooms is not None
+
+    @property
+    def located(self) -> int:
+        """Queries that were located without a known pose to compare with."""
+        return int(self.results.get("tables", {}).get("located", {}).get("rows", 0))
 
     @property
     def rooms(self) -> dict[str, Any] | None:
@@ -108,12 +144,13 @@ def _gather(folder: Path, title: str) -> RunFiles:
     found = [folder] if single else [path.parent for path in folder.glob("evaluation/*/results.json")]
     if not found:
         raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
-    found.sort(key=lambda path: (path.name != "network", path.name))
     run = Run(folder.resolve().parents[1] if single and folder.resolve().parent.name == "evaluation" else folder)
     record = run.load_record() if run.record.is_file() else None
+    evaluations = [_evaluation(path) for path in sorted(found, key=lambda path: (path.name != "network", path.name))]
+    evaluations.sort(key=lambda one: _KINDS.index(one.kind) if one.kind in _KINDS else len(_KINDS))
     return RunFiles(
         title,
-        tuple(_evaluation(path) for path in found),
+        tuple(evaluations),
         _curves(run.metrics) if run.metrics.is_file() else None,
         None if record is None else tuple(map(str, record["overrides"])),
     )
@@ -121,18 +158,31 @@ def _gather(folder: Path, title: str) -> RunFiles:
 
 def _evaluation(folder: Path) -> Evaluation:
     results = read_results(folder)
-    if not isinstance(results.get("measures"), dict) or not any(results["measures"].values()):
-        raise DataError(f"{folder / 'results.json'} holds no measures: evaluate again")
     tables = results.get("tables", {})
-    whole = {"queries", "map"} <= set(tables) and "absolute" in results["measures"]
+    measures = results.get("measures")
+    if not isinstance(measures, dict) or not (any(measures.values()) or "located" in tables):
+        raise DataError(f"{folder / 'results.json'} holds no measures: evaluate again")
+    kind = _kind(folder, results)
+    whole = {"queries", "map"} <= set(tables) and ("absolute" in measures or "hierarchical" in measures)
     queries, known = (read_rows(folder, "queries"), read_rows(folder, "map")) if whole else (None, None)
+    if queries is not None and kind == "hierarchical":
+        queries |= {f"baseline_{name}": queries[column] for name, column in _BESIDE_HIERARCHICAL.items()}
     if queries is not None and known is not None:
         match, frames = queries["match"], len(known["x"])
         if len(match) and not (match.min() >= 0 and match.max() < frames):
             raise FormatError(f"{folder / 'queries.csv'} names map frames that map.csv lacks: evaluate again")
     name = (results.get("config") or {}).get("descriptor") or {}
     label = name.get("label") or name.get("name") if isinstance(name, dict) else None
-    return Evaluation(str(label or folder.name), results, queries, known)
+    return Evaluation(str(label or folder.name), kind, results, queries, known)
+
+
+def _kind(folder: Path, results: dict[str, Any]) -> str:
+    measures = results["measures"]
+    if not measures:
+        return "hierarchical" if folder.name.startswith("hierarchical-") else "localization"
+    if measures.keys() & {"absolute", "room_retrieval"}:
+        return "localization"
+    return next((kind for kind in _KINDS if kind in measures), str(next(iter(measures))).replace("_", " "))
 
 
 def _curves(path: Path) -> dict[str, NDArray[np.float64]] | None:

@@ -5,48 +5,25 @@ from __future__ import annotations
 import datetime
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from string import Template
 
 from siamloc import __version__
 from siamloc.errors import DataError
 from siamloc.files import write_text
-from siamloc.report import sections, tables
+from siamloc.report import estimate_sections, room_sections, sections, tables
 from siamloc.report.curves import compared_curves
-from siamloc.report.gathered import Evaluation, RunFiles, gather
-from siamloc.report.markup import Markup, count, join, plural, script_data, tag
-from siamloc.report.pictures import Decoder, Sheets, make_large, make_sheets
-from siamloc.report.plan_data import Plan, make_plan
+from siamloc.report.gathered import FURTHER, Evaluation, RunFiles, gather
+from siamloc.report.hierarchical_section import hierarchical
+from siamloc.report.illustrated import Part, large_pictures, notes_on, parts_of, reserve, sheets_of
+from siamloc.report.markup import Markup, join, plural, script_data, tag
+from siamloc.report.parts import section
+from siamloc.report.pictures import Sheets
+from siamloc.report.robustness_section import compared_robustness, robustness
 
 MAX_BYTES = 4_900_000
-_MOST_QUERIES = 12_000  # on all plans of a page together; their numbers are 1.3 MB
 _LARGE_SHARE = 0.27
 _ASSETS = Path(__file__).parent / "assets"
-
-
-@dataclass(eq=False)
-class _Part:
-    """An evaluation on its way into the page."""
-
-    run: RunFiles
-    evaluation: Evaluation
-    number: int
-    plan: Plan | None
-    decoder: Decoder
-    sheets: int = -1
-
-    @property
-    def anchor(self) -> str:
-        return f"part-{self.number}"
-
-    @property
-    def title(self) -> str:
-        """The run, and the descriptor where the run's name does not say it."""
-        name = self.evaluation.name
-        alone = len(self.run.evaluations) == 1
-        return self.run.title if alone and self.run.title == name else f"{self.run.title} · {name}"
 
 
 def write_report(folders: Sequence[str | Path], out: str | Path, max_bytes: int = MAX_BYTES) -> Path:
@@ -67,11 +44,11 @@ def write_report(folders: Sequence[str | Path], out: str | Path, max_bytes: int 
         StorageError: the disk refuses.
     """
     runs = gather(folders)
-    parts = _parts(runs)
-    large = _large_pictures(parts, int(max_bytes * _LARGE_SHARE))
+    parts = parts_of(runs)
+    large = large_pictures(parts, int(max_bytes * _LARGE_SHARE))
     bare = _page(runs, parts, large, [])
-    room = max_bytes - len(bare.encode()) - _reserve(parts)
-    page = _page(runs, parts, large, _sheets(parts, room) if room > 0 else [])
+    room = max_bytes - len(bare.encode()) - reserve(parts)
+    page = _page(runs, parts, large, sheets_of(parts, room) if room > 0 else [])
     size = len(page.encode())
     if size > max_bytes:
         raise DataError(
@@ -83,56 +60,7 @@ def write_report(folders: Sequence[str | Path], out: str | Path, max_bytes: int 
     return out
 
 
-def _parts(runs: list[RunFiles]) -> list[_Part]:
-    evaluations = [(run, evaluation) for run in runs for evaluation in run.evaluations]
-    most = max(500, _MOST_QUERIES // len(evaluations))
-    decoders: dict[str, Decoder] = {}
-    parts = []
-    for number, (run, evaluation) in enumerate(evaluations):
-        decoder = Decoder(evaluation.results["config"])
-        decoder = decoders.setdefault(json.dumps(decoder.parameters, sort_keys=True), decoder)
-        parts.append(_Part(run, evaluation, number, make_plan(evaluation, most), decoder))
-    return parts
-
-
-def _large_pictures(parts: list[_Part], budget: int) -> dict[tuple[int, str], str]:
-    wanted = [
-        (part.decoder, path)
-        for part in parts
-        if part.plan is not None
-        for row in part.plan.worst.tolist()
-        for path in part.plan.triple(row)
-    ]
-    return make_large(wanted, budget)
-
-
-def _reserve(parts: list[_Part]) -> int:
-    """Return bytes for what is written when the pictures are known: their numbers, and notes on them."""
-    frames = sum(len(part.plan.rows) + len(part.plan.known["x"]) for part in parts if part.plan is not None)
-    return 5 * frames + 2000 * len(parts)
-
-
-def _sheets(parts: list[_Part], budget: int) -> list[Sheets]:
-    """Return a set of sheets per decoder; frames that several evaluations show are in it once."""
-    sets: dict[int, list[_Part]] = {}
-    for part in parts:
-        if part.plan is not None:
-            sets.setdefault(id(part.decoder), []).append(part)
-    orders = []
-    for members in sets.values():
-        # By turns, so that no evaluation goes without pictures where there is not room for all.
-        turns = zip_longest(*(part.plan.picture_order() for part in members if part.plan is not None))
-        orders.append(list(dict.fromkeys(path for turn in turns for path in turn if path is not None)))
-    total = sum(map(len, orders))
-    sheets = []
-    for number, (members, order) in enumerate(zip(sets.values(), orders, strict=True)):
-        for part in members:
-            part.sheets = number
-        sheets.append(make_sheets(members[0].decoder, order, budget * len(order) // total))
-    return sheets
-
-
-def _page(runs: list[RunFiles], parts: list[_Part], large: dict[tuple[int, str], str], sheets: list[Sheets]) -> Markup:
+def _page(runs: list[RunFiles], parts: list[Part], large: dict[tuple[int, str], str], sheets: list[Sheets]) -> Markup:
     one = len(parts) == 1
     title = runs[0].title if len(runs) == 1 else ", ".join(run.title for run in runs)
     body = [_head(title, parts), _comparison(parts) if not one else None]
@@ -158,7 +86,7 @@ def _page(runs: list[RunFiles], parts: list[_Part], large: dict[tuple[int, str],
     )
 
 
-def _head(title: str, parts: list[_Part]) -> Markup:
+def _head(title: str, parts: list[Part]) -> Markup:
     dates = sorted(filter(None, (_date(part.evaluation) for part in parts)))
     when = f"measured {dates[0]}" + (f" to {dates[-1]}" if dates[-1] != dates[0] else "") if dates else None
     facts = [when]
@@ -182,7 +110,17 @@ def _head(title: str, parts: list[_Part]) -> Markup:
     )
 
 
-def _comparison(parts: list[_Part]) -> Markup:
+def _comparison(parts: list[Part]) -> Markup | None:
+    """Return the tables and curves of what several evaluations measured; None where none of it is measured twice."""
+    measured = [part for part in parts if part.evaluation.measured]
+    disturbed = compared_robustness(
+        {part.method: part.evaluation for part in parts if part.evaluation.kind == "robustness"}
+    )
+    own = _compared(measured) if len(measured) > 1 else None
+    return tag("article.overview", own, disturbed) if own or disturbed else None
+
+
+def _compared(parts: list[Part]) -> Markup:
     """Return the table of all evaluations, and a warning where they did not answer the same queries."""
     notes = []
     asked = {_identity(part.evaluation) for part in parts}
@@ -192,15 +130,12 @@ def _comparison(parts: list[_Part]) -> Markup:
     elif len(asked) > 1:
         notes.append("These evaluations differ in their queries or in their map: compare them with care.")
     rows = {part.title: (part.evaluation, part.anchor) for part in parts}
-    return tag(
-        "article.overview",
-        sections.section(
-            "Comparison",
-            tables.comparison(rows),
-            *(tag("p.note", note) for note in notes),
-            compared_curves({part.title: part.evaluation for part in parts}),
-            name="compared",
-        ),
+    return section(
+        "Comparison",
+        tables.comparison(rows),
+        *(tag("p.note", note) for note in notes),
+        compared_curves({part.title: part.evaluation for part in parts}),
+        name="compared",
     )
 
 
@@ -210,7 +145,7 @@ def _identity(evaluation: Evaluation) -> tuple[object, ...]:
     return (tuple(evaluation.queries["path"].tolist()), tuple(evaluation.known["path"].tolist()))
 
 
-def _evaluation(part: _Part, large: dict[tuple[int, str], str], sheets: list[Sheets], one: bool) -> Markup:
+def _evaluation(part: Part, large: dict[tuple[int, str], str], sheets: list[Sheets], one: bool) -> Markup:
     evaluation = part.evaluation
     uris = {path: uri for (decoder, path), uri in large.items() if decoder == id(part.decoder)}
     head = None
@@ -224,51 +159,32 @@ def _evaluation(part: _Part, large: dict[tuple[int, str], str], sheets: list[She
             tag("p.meta", " · ".join(filter(None, facts)).replace("_", " ")),
             sections.key_figures(evaluation),
         )
+    notes = notes_on(part, uris, sheets)
+    sections_ = {
+        "summary": sections.summary(evaluation),
+        "nodes": hierarchical(evaluation),
+        "floor plan": sections.floor_plan(evaluation, part.plan, part.number, notes),
+        "cumulative errors": sections.cumulative(evaluation),
+        **{sign: estimate_sections.further_estimate(evaluation, name) for name, sign in FURTHER.items()},
+        "expected errors": estimate_sections.expected_errors(evaluation),
+        "worst queries": sections.worst(part.plan, uris),
+        "rooms": room_sections.confusion(evaluation, part.number),
+        "pairs": room_sections.pairs(evaluation),
+        "robustness": robustness(evaluation),
+        "further measures": sections.further(evaluation),
+    }
+    found = {name: made for name, made in sections_.items() if made is not None}
+    places = {name: f"{part.anchor}-{name.replace(' ', '-')}" for name in found}
+    links = [tag("a", name, href=f"#{place}") for name, place in places.items()]
     return tag(
         "article",
         head,
-        sections.summary(evaluation),
-        sections.floor_plan(evaluation, part.plan, part.number, _notes(part, uris, sheets)),
-        sections.cumulative(evaluation),
-        sections.worst(part.plan, uris),
-        sections.confusion(evaluation),
-        sections.further(evaluation),
+        tag("nav.contents", *links, aria_label=f"contents, {part.title}") if len(links) > 1 else None,
+        sections.unscored(evaluation),
+        *(tag("div", made, id=places[name]) for name, made in found.items()),
         id=part.anchor,
         data_evaluation=part.number,
     )
-
-
-def _notes(part: _Part, uris: dict[str, str], sheets: list[Sheets]) -> list[str]:
-    """Say what the plan does not show."""
-    plan = part.plan
-    if plan is None:
-        return []
-    notes = []
-    if len(plan.rows) < plan.total:
-        notes.append(
-            f"The plan shows {count(len(plan.rows))} of {count(plan.total)} queries, the worst among them, to keep "
-            "this page small. The tables and curves rest on all."
-        )
-    bare = [path for row in plan.worst.tolist() for path in plan.triple(row) if path not in uris]
-    if not set(bare) <= set(part.decoder.missing):
-        notes.append("Some of the worst queries are shown without pictures to keep this page small.")
-    if not sheets:
-        return notes
-    place = sheets[part.sheets].place
-    order = plan.picture_order()
-    missing = [path for path in order if path in part.decoder.missing]
-    if missing:
-        notes.append(
-            f"{plural(len(missing), 'picture')} of {count(len(order))} could not be read, the first is {missing[0]} "
-            f"({part.decoder.missing[missing[0]]})."
-        )
-    without = sum(path not in place for path in plan.queries["path"].tolist())
-    if without:
-        notes.append(
-            f"Pictures are thinned out to keep this page small: {count(len(plan.rows) - without)} of "
-            f"{count(len(plan.rows))} queries have one, the worst among them."
-        )
-    return notes
 
 
 def _date(evaluation: Evaluation) -> str:

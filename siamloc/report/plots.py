@@ -44,13 +44,16 @@ def draw_all(folder: str | Path, out: str | Path | None = None) -> list[Path]:
 
     Args:
         folder: what `siamloc.tasks.results.write_results` wrote: `queries.csv` and `map.csv` give `floor_plan.png` and
-            `error_curve.png`, the measures "room_retrieval" give `confusion.png`.
+            `error_curve.png`, the measures "room_retrieval" give `confusion.png` and, under several lightings,
+            `confusion_by_lighting.png`, the measures "room_pairs" give `pairs.png`.
         out: where the PNG files go; into the folder itself if None.
 
     Raises:
         FormatError: result files that are missing or not whole.
         StorageError: the disk refuses.
     """
+    from siamloc.report import room_plots
+
     results = read_results(folder)
     measures, tables = results["measures"], results["tables"]
     unit = measures.get("absolute", {}).get("unit", "m")
@@ -65,6 +68,12 @@ def draw_all(folder: str | Path, out: str | Path | None = None) -> list[Path]:
         labels, counts = rooms["confusion"]["labels"], np.array(rooms["confusion"]["counts"])
         figure = confusion_matrix(labels, counts, rooms["rooms_missing_in_map"])
         drawn.append(save(figure, target / "confusion.png"))
+        by_lighting = {label: np.array(part) for label, part in rooms["confusion"].get("lighting", {}).items()}
+        if len(by_lighting) > 1:
+            figure = room_plots.confusion_by_lighting(labels, by_lighting)
+            drawn.append(save(figure, target / "confusion_by_lighting.png"))
+    if "room_pairs" in measures:
+        drawn.append(save(room_plots.pair_curves(measures["room_pairs"]), target / "pairs.png"))
     return drawn
 
 
@@ -137,33 +146,45 @@ def confusion_matrix(labels: Sequence[str], counts: NDArray, missing: Sequence[s
     if not n or np.shape(counts) != (n, n):
         raise DataError(f"a confusion matrix of {n} rooms needs counts of shape ({n}, {n}), got {np.shape(counts)}")
     totals = counts.sum(axis=1)
-    shares = 100 * counts / np.maximum(totals, 1)[:, None]
     with style():
         side = min(max(0.62 * n, 2.4), 12.0)
         figure = _figure(side + 2.9, side + 1.0)
         axes = figure.add_subplot()
-        image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
-        crowded = n > 16
-        for row, column in zip(*np.nonzero(counts), strict=True):
-            share = shares[row, column]
-            text = f"{share:.0f}" if crowded else f"{_percent(share)} %\n{counts[row, column]}"
-            colour = "white" if share > 55 else "black"
-            axes.text(column, row, text, ha="center", va="center", fontsize=6 if crowded else 7.5, color=colour)
+        image = draw_matrix(axes, counts, shares_only=n > 16)
         names = [f"{label}\n(not in map)" if label in missing else label for label in labels]
         rows = [f"{label}  (n = {total})" for label, total in zip(labels, totals, strict=True)]
         rows = [f"{row}\n(not in map)" if label in missing else row for row, label in zip(rows, labels, strict=True)]
         axes.set_xticks(range(n), names, rotation=45, ha="right", rotation_mode="anchor")
         axes.set_yticks(range(n), rows)
         axes.set(xlabel="room of the nearest map frame", ylabel="true room of the query")
-        axes.set_xticks(np.arange(n + 1) - 0.5, minor=True)
-        axes.set_yticks(np.arange(n + 1) - 0.5, minor=True)
-        axes.grid(which="minor", color="white", linewidth=1)
-        axes.tick_params(which="both", length=0)
-        axes.spines[:].set_visible(False)
         bar = figure.colorbar(image, ax=axes, shrink=0.8, pad=0.02)
         bar.set_label("share of the true room's queries [%]")
         bar.outline.set_visible(False)  # type: ignore[operator]
         return figure
+
+
+def draw_matrix(axes: Any, counts: NDArray, shares_only: bool) -> Any:
+    """Draw the cells of a confusion matrix and return them as an image.
+
+    Args:
+        axes: what to draw on.
+        counts: (L, L), row = true room.
+        shares_only: whether the counts are left out.
+    """
+    shares = 100 * counts / np.maximum(counts.sum(axis=1), 1)[:, None]
+    image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
+    for row, column in zip(*np.nonzero(counts), strict=True):
+        share = shares[row, column]
+        text = _percent(share) if shares_only else f"{_percent(share)} %\n{counts[row, column]}"
+        colour = "white" if share > 55 else "black"
+        axes.text(column, row, text, ha="center", va="center", fontsize=6 if shares_only else 7.5, color=colour)
+    edges = np.arange(len(counts) + 1) - 0.5
+    axes.set_xticks(edges, minor=True)
+    axes.set_yticks(edges, minor=True)
+    axes.grid(which="minor", color="white", linewidth=1)
+    axes.tick_params(which="both", length=0)
+    axes.spines[:].set_visible(False)
+    return image
 
 
 def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:

@@ -9,22 +9,21 @@ import numpy as np
 
 from siamloc.report import tables
 from siamloc.report.curves import error_curves, training_curves
-from siamloc.report.gathered import ALL, Evaluation, RunFiles
+from siamloc.report.gathered import ALL, FURTHER, Evaluation, RunFiles
 from siamloc.report.markup import Content, Markup, count, join, number, percent, plural, tag
+from siamloc.report.parts import lighting_switch, section
 from siamloc.report.plan_data import Plan, error_classes
 from siamloc.tasks.columns import Columns
 
-_KNOWN_MEASURES = ("absolute", "room_retrieval", "room_pairs")
+_KNOWN_MEASURES = (
+    *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration"),
+    *(f"absolute_{name}" for name in FURTHER),
+)
 _PICTURES = ("query", "match", "nearest map frame")
 
 
-def section(title: str, *children: Content, name: str) -> Markup:
-    """Return a part with its heading."""
-    return tag("section", tag("h3", title), *children, class_=name)
-
-
-def key_figures(evaluation: Evaluation) -> Markup:
-    """Return the few numbers that one would say aloud."""
+def key_figures(evaluation: Evaluation) -> Markup | None:
+    """Return the few numbers that one would say aloud; None where nothing of the kind was measured."""
     tiles: list[tuple[str, str]] = []
     absolute, rooms, unit = evaluation.absolute, evaluation.rooms, evaluation.unit
     if absolute is not None:
@@ -34,13 +33,29 @@ def key_figures(evaluation: Evaluation) -> Markup:
         middle = tables.middle_recall(overall)
         if middle is not None:
             tiles.append((percent(middle["recall"]), f"of the queries within {middle['radius']:g} {unit}"))
+    if absolute is not None and "comparisons" in absolute["overall"]:
+        tiles.append((percent(absolute["overall"]["comparisons"]["share"]), "of the comparisons of a whole search"))
     if rooms is not None:
         tiles.append((percent(rooms["overall"]["accuracy"]), "of the rooms right"))
     if absolute is not None:
         tiles.append((count(absolute["overall"]["queries"]), f"queries, {count(absolute['map_frames'])} map frames"))
     elif rooms is not None:
         tiles.append((count(rooms["overall"]["queries"]), "queries"))
-    return tag("ul.figures", *(tag("li", tag("b", value), tag("span", text)) for value, text in tiles))
+    return (
+        tag("ul.figures", *(tag("li", tag("b", value), tag("span", text)) for value, text in tiles)) if tiles else None
+    )
+
+
+def unscored(evaluation: Evaluation) -> Markup | None:
+    """Say that queries were located whose true poses are unknown; None where there are none."""
+    if not evaluation.located:
+        return None
+    many = plural(evaluation.located, "query", "queries")
+    if evaluation.absolute is not None:
+        return tag("p.note", f"Of {many} the true position is unknown: located.csv says where they were found.")
+    none = "no error is known" if evaluation.rooms is not None else "none is scored"
+    text = f"No query has a true position to compare with: {many} were located, in located.csv, and {none}."
+    return tag("p.note", text)
 
 
 def summary(evaluation: Evaluation) -> Markup | None:
@@ -52,31 +67,24 @@ def summary(evaluation: Evaluation) -> Markup | None:
     skipped = evaluation.results.get("skipped") or {}
     notes = [tag("p.caption", f"{name.replace('_', ' ')} left out: {reason}") for name, reason in skipped.items()]
     floor = (
-        "The floor is the distance to the nearest map frame, which no retrieval can go below; the excess is the rest."
+        "The floor is the distance to the nearest map frame, which no retrieval can go below; the excess is the rest. "
+        "Bars show both, grey and orange, as parts of the mean."
+        + (" The smallest mean of each lighting is bold." if len(evaluation.methods) > 1 else "")
     )
     caption = tag("p.caption", floor) if evaluation.absolute else None
     return section("Summary", tables.summary(evaluation), caption, *notes, by_room, name="summary")
 
 
-def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: Sequence[str]) -> Markup:
-    """Return the frame of the interactive plan; the page's script fills it."""
+def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: Sequence[str]) -> Markup | None:
+    """Return the frame of the interactive plan, which the page's script fills; None where nothing was localized."""
     if plan is None:
-        text = "No query was localized, so that there is nothing to draw."
-        return section("Floor plan", tag("p.note", text), name="plan")
+        return None
     groups = {ALL: len(plan.rows)}
     if len(evaluation.rows_by_lighting) > 1:
         shown = plan.queries["lighting"]
         for label, rows in evaluation.rows_by_lighting.items():
             groups[label] = int((shown == evaluation.queries["lighting"][rows[0]]).sum())  # type: ignore[index]
-    radios = [
-        tag(
-            "label",
-            tag("input", type="radio", name=f"lighting-{number_}", value=label, checked=label == ALL),
-            tag("span", label, " ", tag("small", count(rows))),
-        )
-        for label, rows in groups.items()
-    ]
-    switch = tag("fieldset.switch", tag("legend", "lighting"), *radios) if len(groups) > 1 else None
+    switch = lighting_switch(f"lighting-{number_}", groups)
     buttons = [
         tag("button", text, type="button", data_zoom=what, title=title, aria_label=title)
         for what, text, title in (("in", "+", "zoom in"), ("out", "−", "zoom out"), ("reset", "whole", "whole plan"))
@@ -123,10 +131,10 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
     )
 
 
-def cumulative(evaluation: Evaluation) -> Markup:
-    """Return the cumulative error curves."""
+def cumulative(evaluation: Evaluation) -> Markup | None:
+    """Return the cumulative error curves; None where nothing was localized."""
     if evaluation.queries is None or not len(evaluation.queries["error"]):
-        return section("Cumulative errors", tag("p.note", "No query was localized."), name="curves")
+        return None
     return section("Cumulative errors", error_curves(evaluation), name="curves")
 
 
@@ -142,19 +150,6 @@ def worst(plan: Plan | None, uris: Mapping[str, str]) -> Markup | None:
     rows = plan.worst
     items = [_worst_item(plan, int(row), rank, uris) for rank, row in enumerate(rows, 1)]
     return section(f"Worst {plural(len(rows), 'query', 'queries')}", tag("ol.triples", *items), name="worst")
-
-
-def confusion(evaluation: Evaluation) -> Markup | None:
-    """Return the confusion matrix; None where rooms were not looked for."""
-    rooms = evaluation.rooms
-    if rooms is None:
-        return None
-    overall = rooms["overall"]
-    text = (
-        f"{count(overall['correct'])} of {count(overall['queries'])} queries ({percent(overall['accuracy'])}) in the "
-    )
-    caption = tag("p.caption", f"{text}right room. A row is a true room, shares are of its queries.")
-    return section("Rooms taken for each other", tables.confusion(rooms), caption, name="rooms")
 
 
 def further(evaluation: Evaluation) -> Markup | None:
@@ -185,11 +180,11 @@ def configuration(run: RunFiles) -> Markup:
         words = " ".join(["siamloc", "train", *run.overrides])
         parts.append(tag("details", tag("summary", "Trained by"), tag("pre", words)))
     for evaluation in run.evaluations:
-        results, which = evaluation.results, f", {evaluation.name}" if len(run.evaluations) > 1 else ""
-        parts.append(tag("details", tag("summary", f"Configuration{which}"), tag("pre", _yaml(results["config"]))))
+        results, which = evaluation.results, f", {evaluation.title}" if len(run.evaluations) > 1 else ""
         facts: list[tuple[str, Content]] = [("measured", results.get("created"))]
         facts += [(name, str(version)) for name, version in results.get("versions", {}).items()]
-        parts.append(tag("details", tag("summary", f"Versions{which}"), tables.key_values(facts)))
+        config = tag("pre", _yaml(results["config"]))
+        parts.append(tag("details", tag("summary", f"Measured with{which}"), config, tables.key_values(facts)))
     return section("Configuration and versions", *parts, name="configuration")
 
 

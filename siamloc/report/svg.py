@@ -12,6 +12,15 @@ from numpy.typing import NDArray
 from siamloc.report.markup import Markup, join, tag
 
 DASHES = (None, "7 3", "2 2.5", "7 2.5 2 2.5", "11 3")
+# Corners of a mark around its middle, so many times its size; a circle has none.
+MARKS: dict[str, tuple[tuple[float, float], ...]] = {
+    "circle": (),
+    "square": ((-0.95, -0.95), (0.95, -0.95), (0.95, 0.95), (-0.95, 0.95)),
+    "triangle": ((0, -1.3), (1.2, 0.9), (-1.2, 0.9)),
+    "diamond": ((0, -1.4), (1.4, 0), (0, 1.4), (-1.4, 0)),
+    "down": ((0, 1.3), (1.2, -0.9), (-1.2, -0.9)),
+    "bar": ((-0.3, -1.6), (0.3, -1.6), (0.3, 1.6), (-0.3, 1.6)),
+}
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46, 12, 10, 38
 
 
@@ -26,6 +35,8 @@ class Line:
         colour: name of a colour of the style sheet: "k0" ... "k7", "ink" or "soft".
         dash: of the stroke.
         note: stands behind the label.
+        mark: what stands at each point: one of `MARKS`, or nothing.
+        joined: whether a stroke joins the points.
     """
 
     label: str
@@ -34,27 +45,44 @@ class Line:
     colour: str
     dash: str | None = None
     note: str = ""
+    mark: str | None = None
+    joined: bool = True
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis: its text, limits, and whether it is logarithmic."""
+    """An axis.
+
+    Attributes:
+        label: its text.
+        low: lower limit.
+        high: upper limit.
+        log: whether it is logarithmic.
+        root: whether it goes with the square root; `low` is 0 then.
+        at: where its numbers stand; round ones are chosen if there are none.
+    """
 
     label: str
     low: float
     high: float
     log: bool = False
+    root: bool = False
+    at: tuple[float, ...] = ()
 
     def share(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where values lie between the limits, as shares of the axis."""
         if self.log:
             values, low, high = np.log(np.maximum(values, 1e-300)), math.log(self.low), math.log(self.high)
+        elif self.root:
+            values, low, high = np.sqrt(np.maximum(values, 0)), math.sqrt(self.low), math.sqrt(self.high)
         else:
             low, high = self.low, self.high
         return (values - low) / (high - low)
 
     def ticks(self) -> list[float]:
         """Return round numbers between the limits."""
+        if self.at:
+            return list(self.at)
         if self.log:
             found = [
                 v for v in series_1_2_5(self.low, self.high) if self.low * (1 - 1e-9) <= v <= self.high * (1 + 1e-9)
@@ -79,10 +107,33 @@ def series_1_2_5(low: float, high: float) -> list[float]:
     return found
 
 
-def chart(title: str, lines: Sequence[Line], x: Axis, y: Axis, width: int = 460, height: int = 280) -> Markup:
-    """Return a figure: a title, the chart, and a legend with a row per line."""
+def chart(
+    title: str,
+    lines: Sequence[Line],
+    x: Axis,
+    y: Axis,
+    width: int = 460,
+    height: int = 280,
+    legend: bool = True,
+    rule: float | None = None,
+) -> Markup:
+    """Return a figure: a title, the chart, and a legend with an entry per line unless that stands elsewhere.
+
+    Args:
+        title: stands above.
+        lines: the first lies lowest.
+        x: the axis across.
+        y: the axis upwards.
+        width: in units of the picture.
+        height: in units of the picture.
+        legend: whether the figure has one.
+        rule: where to draw a vertical line.
+    """
     inner = (width - _LEFT - _RIGHT, height - _TOP - _BOTTOM)
     parts = [*_frame(x, y, inner), *(_path(line, x, y, inner) for line in lines)]
+    if rule is not None:
+        at = f"{_LEFT + inner[0] * float(x.share(np.array(rule))):.1f}"
+        parts.insert(0, tag("line.rule", x1=at, x2=at, y1=_TOP, y2=_TOP + inner[1]))
     picture = tag(
         "svg.chart",
         *parts,
@@ -90,7 +141,29 @@ def chart(title: str, lines: Sequence[Line], x: Axis, y: Axis, width: int = 460,
         role="img",
         aria_label=f"{title}: {y.label} against {x.label}",
     )
-    return tag("figure.panel", tag("figcaption", title), picture, _legend(lines))
+    return tag("figure.panel", tag("figcaption", title), picture, legend_of(lines) if legend else None)
+
+
+def legend_of(lines: Sequence[Line]) -> Markup:
+    """Return what the lines mean."""
+
+    def sample(line: Line) -> Markup:
+        stroke = tag("path", d="M0 5H26", stroke_dasharray=line.dash, class_=f"line {line.colour}")
+        dot = mark(line.mark, 13, 5, line.colour) if line.mark else None
+        if not line.joined:
+            return tag("svg.sample", dot, viewBox="0 0 26 10", aria_hidden="true")
+        return tag("svg.sample", stroke, dot, viewBox="0 0 26 10", aria_hidden="true")
+
+    return tag("ul.legend", *(tag("li", sample(line), f" {line.label} ", tag("small", line.note)) for line in lines))
+
+
+def mark(kind: str, x: float, y: float, colour: str, size: float = 3.4) -> Markup:
+    """Return a mark of one of the `MARKS`, its middle at a place of the picture."""
+    corners = MARKS[kind]
+    if not corners:
+        return tag("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=f"{size:g}", class_=f"dot {colour}")
+    words = " ".join(f"{x + size * across:.1f},{y + size * down:.1f}" for across, down in corners)
+    return tag("polygon", points=words, class_=f"dot {colour}")
 
 
 def _frame(x: Axis, y: Axis, inner: tuple[int, int]) -> list[Markup]:
@@ -99,14 +172,14 @@ def _frame(x: Axis, y: Axis, inner: tuple[int, int]) -> list[Markup]:
     for value in x.ticks():
         at = _LEFT + columns * float(x.share(np.array(value)))
         parts.append(tag("line.grid", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=_TOP, y2=_TOP + rows))
-        parts.append(tag("text.tick", f"{value:.6g}", x=f"{at:.1f}", y=_TOP + rows + 14, text_anchor="middle"))
+        parts.append(tag("text.tick", f"{value:.6g}", x=f"{at:.1f}", y=_TOP + rows + 16, text_anchor="middle"))
     for value in y.ticks():
         at = _TOP + rows * (1 - float(y.share(np.array(value))))
         parts.append(tag("line.grid", x1=_LEFT, x2=_LEFT + columns, y1=f"{at:.1f}", y2=f"{at:.1f}"))
         parts.append(tag("text.tick", f"{value:.6g}", x=_LEFT - 6, y=f"{at + 3.5:.1f}", text_anchor="end"))
     middle = _TOP + rows / 2
     turned = f"rotate(-90 11 {middle:.1f})"
-    parts.append(tag("text.axis", x.label, x=_LEFT + columns / 2, y=_TOP + rows + 32, text_anchor="middle"))
+    parts.append(tag("text.axis", x.label, x=_LEFT + columns / 2, y=_TOP + rows + 34, text_anchor="middle"))
     parts.append(tag("text.axis", y.label, x=11, y=f"{middle:.1f}", text_anchor="middle", transform=turned))
     return parts
 
@@ -122,19 +195,11 @@ def _path(line: Line, x: Axis, y: Axis, inner: tuple[int, int]) -> Markup:
         words.append(f"{pen}{column:.1f} {row:.1f}")
         pen = "L"
     path = tag("path", d="".join(words), stroke_dasharray=line.dash, class_=f"line {line.colour}")
-    if np.isfinite(line.y).sum() > 1:
+    if line.mark is None and np.isfinite(line.y).sum() > 1:
         return path
-    dots = [
-        tag("circle", cx=f"{c:.1f}", cy=f"{r:.1f}", r=3, class_=f"dot {line.colour}")
+    marks = [
+        mark(line.mark or "circle", c, r, line.colour)
         for c, r in zip(across.tolist(), down.tolist(), strict=True)
         if not math.isnan(r)
     ]
-    return join(path, *dots)
-
-
-def _legend(lines: Sequence[Line]) -> Markup:
-    def sample(line: Line) -> Markup:
-        stroke = tag("path", d="M0 5H26", stroke_dasharray=line.dash, class_=f"line {line.colour}")
-        return tag("svg.sample", stroke, viewBox="0 0 26 10", aria_hidden="true")
-
-    return tag("ul.legend", *(tag("li", sample(line), f" {line.label} ", tag("small", line.note)) for line in lines))
+    return join(path if line.joined else None, *marks)

@@ -1,4 +1,4 @@
-"""The tables of a report: summaries, comparison, rooms."""
+"""The tables of a report: summaries, comparison, and plain grids of numbers."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from siamloc.report.gathered import ALL, Evaluation
-from siamloc.report.markup import NOTHING, Content, Markup, count, join, number, percent, plural, tag
-
-_MOST_CELLS = 40  # rooms; a matrix of more would be wider than any screen
+from siamloc.report.markup import NOTHING, Content, Markup, count, join, number, percent, tag
 
 
 def summary(evaluation: Evaluation, by: str = "lighting") -> Markup:
@@ -40,7 +38,7 @@ def summary(evaluation: Evaluation, by: str = "lighting") -> Markup:
                 tag("tr", method, tag("th", label, scope="row"), *cells, class_="all" if label == ALL else None)
             )
         bodies.append(tag("tbody", *rows, data_method=name))
-    return _scrolling(tag("table", tag("thead", head), *bodies, class_=f"summary by-{by}"))
+    return scrolling(tag("table", tag("thead", head), *bodies, class_=f"summary by-{by}"))
 
 
 def comparison(evaluations: Mapping[str, tuple[Evaluation, str]]) -> Markup:
@@ -79,7 +77,7 @@ def comparison(evaluations: Mapping[str, tuple[Evaluation, str]]) -> Markup:
         link = tag("a", title, href=f"#{anchor}")
         rows.append(tag("tr", tag("th", link, scope="row"), *(tag("td.n", cell) for cell in cells)))
     head = tag("tr", *(tag("th.n" if i else "th", name, scope="col") for i, name in enumerate(heads)))
-    return _scrolling(tag("table", tag("thead", head), tag("tbody", *rows), class_="comparison"))
+    return scrolling(tag("table", tag("thead", head), tag("tbody", *rows), class_="comparison"))
 
 
 def middle_recall(group: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
@@ -88,39 +86,53 @@ def middle_recall(group: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
     return first[len(first) // 2] if first else None
 
 
-def confusion(rooms: Mapping[str, Any]) -> Markup:
-    """Return the confusion matrix of room retrieval as a table; of very many rooms the most frequent mistakes."""
-    labels, counts = rooms["confusion"]["labels"], rooms["confusion"]["counts"]
-    missing = rooms.get("rooms_missing_in_map", [])
-    if len(labels) > _MOST_CELLS:
-        return _mistakes(labels, counts)
-    head = tag("tr", tag("td.corner", "true room ↓ taken for →"), *(tag("th", label, scope="col") for label in labels))
-    rows = []
-    for label, row in zip(labels, counts, strict=True):
-        total = sum(row)
-        note = tag("small", plural(total, "query", "queries") + (", not in the map" if label in missing else ""))
-        cells = []
-        for other, value in zip(labels, row, strict=True):
-            share = value / total if total else 0.0
-            text = [tag("b", _whole_percent(share)), tag("small", count(value))]
-            cells.append(
-                tag(
-                    "td",
-                    *(text if value else []),
-                    style=f"--s:{share:.3f}" if value else None,
-                    class_=" ".join(filter(None, ["deep" if share > 0.55 else "", "right" if other == label else ""]))
-                    or None,
-                    title=f"{label} taken for {other}: {value} of {total}" if value else None,
-                )
-            )
-        rows.append(tag("tr", tag("th", label, note, scope="row"), *cells))
-    return _scrolling(tag("table", tag("thead", head), tag("tbody", *rows), class_="confusion"))
-
-
 def key_values(pairs: Sequence[tuple[str, Content]]) -> Markup:
     """Return a table of two columns."""
     rows = (tag("tr", tag("th", key, scope="row"), tag("td", value)) for key, value in pairs)
     return tag("table.pairs", tag("tbody", *rows))
+
+
+def grid(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[Content]]], name: str) -> Markup:
+    """Return a table of numbers with a row for each label; that of all queries stands out.
+
+    Args:
+        heads: of the columns, that of the labels first.
+        rows: label, and the cells of the other columns.
+        name: class of the table.
+    """
+    head = tag("tr", *(tag("th.n" if i else "th", _unbroken(text), scope="col") for i, text in enumerate(heads)))
+    body = (
+        tag(
+            "tr",
+            tag("th", label, scope="row"),
+            *(tag("td.n", cell) for cell in cells),
+            class_="all" if label == ALL else None,
+        )
+        for label, cells in rows
+    )
+    return scrolling(tag("table", tag("thead", head), tag("tbody", *body), class_=f"grid {name}"))
+
+
+def mean_bar(mean: float | None, floor: float | None, longest: float, best: bool = False) -> Markup:
+    """Return a mean error with a bar below it: the part that the map's floor explains, and the rest."""
+    text = tag("b", number(mean)) if best else number(mean)
+    return parts_bar(text, floor or 0.0, mean or 0.0, longest)
+
+
+def parts_bar(text: Content, part: float, whole: float, longest: float) -> Markup:
+    """Return a number with a bar below it that shows a part of it, as shares of the longest bar."""
+    if not longest > 0:
+        return join(text)
+    bits = [
+        tag("i.floor", style=f"width:{100 * part / longest:.1f}%"),
+        tag("i.excess", style=f"width:{100 * max(whole - part, 0) / longest:.1f}%"),
+    ]
+    return join(text, tag("span.bar", *bits, aria_hidden="true"))
+
+
+def scrolling(table: Markup) -> Markup:
+    """Return a table that scrolls on its own where the page is too narrow for it."""
+    return tag("div.scroll", table, tabindex=0)
 
 
 def flattened(value: Any, prefix: str = "", most: int = 400) -> list[tuple[str, Content]]:
@@ -144,7 +156,7 @@ def _columns(methods: Mapping[str, Mapping[str, Any]], by: str) -> list[Content]
     if absolute is not None:
         unit = absolute["unit"]
         names += [f"{name} [{unit}]" for name in ("mean", "median", "95 %", "floor", "excess")]
-        names += [f"recall@1, {radius:g} {unit}" for radius in absolute["radii"]]
+        names += [f"recall@1, {radius:g}\u00a0{unit}" for radius in absolute["radii"]]
         if _has(methods, "heading_error"):
             names.append("heading [deg]")
     if any("room_retrieval" in measures for measures in methods.values()):
@@ -185,32 +197,15 @@ def _cells(
 
 
 def _mean_cell(group: Mapping[str, Any] | None, longest: float, best: bool) -> Markup:
-    """Return the mean error with a bar: the part that the map's floor explains, and the rest."""
     if group is None:
         return tag("td.n", NOTHING)
     mean, floor = _value(group, "error"), _value(group, "floor")
-    text = tag("b", number(mean)) if best else number(mean)
-    if not longest > 0:
-        return tag("td.n.mean", text)
-    parts = [
-        tag("i.floor", style=f"width:{100 * floor / longest:.1f}%"),
-        tag("i.excess", style=f"width:{100 * max(mean - floor, 0) / longest:.1f}%"),
-    ]
-    return tag("td.n.mean", text, tag("span.bar", *parts, aria_hidden="true"))
+    return tag("td.n.mean", mean_bar(mean, floor, longest, best))
 
 
-def _whole_percent(share: float) -> str:
-    """Return a share in percent, with a decimal where rounding would hide that it is not 0 or not 100."""
-    return f"{100 * share:.0f} %" if 0.01 <= share <= 0.99 or share == 1 else f"{100 * share:.1f} %"
-
-
-def _mistakes(labels: Sequence[str], counts: Sequence[Sequence[int]]) -> Markup:
-    wrong = [
-        (value, labels[i], labels[j]) for i, row in enumerate(counts) for j, value in enumerate(row) if i != j and value
-    ]
-    wrong.sort(key=lambda item: (-item[0], item[1], item[2]))
-    rows = [(f"{true} taken for {taken}", plural(value, "query", "queries")) for value, true, taken in wrong[:30]]
-    return key_values(rows or [(f"{len(labels)} rooms", "no mistakes")])
+def _unbroken(text: str) -> str:
+    """Return a text whose unit stays with its number or its name."""
+    return text.replace(" ", "\u00a0") if len(text) < 12 else text
 
 
 def _group(part: Mapping[str, Any] | None, label: str, by: str) -> Mapping[str, Any] | None:
@@ -250,7 +245,3 @@ def _has(methods: Mapping[str, Mapping[str, Any]], key: str) -> bool:
 
 def _plain_number(value: Any) -> str:
     return NOTHING if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _scrolling(table: Markup) -> Markup:
-    return tag("div.scroll", table, tabindex=0)

@@ -41,25 +41,27 @@ class PairResult:
         Returns:
             margin, threshold, and the groups "overall" and "lighting" (by label): `metrics.PairAccuracy` as
             dictionaries, with the `auc`. Then `auc` of all pairs, and `curve`: one dictionary of threshold, same,
-            different and overall for each threshold.
+            different and overall for each threshold. The groups by lighting hold a `curve` of their own.
         """
 
-        def accuracy(rows: NDArray) -> dict[str, Any]:
+        def accuracy(rows: NDArray) -> tuple[dict[str, Any], list[dict[str, float]]]:
             distance, same = self.columns["distance"][rows], self.columns["same"][rows]
+            curve = pair_threshold_curve(distance, same, self.margin)
+            parts = (curve.thresholds.tolist(), curve.same.tolist(), curve.different.tolist(), curve.overall.tolist())
+            points = [dict(zip(names, values, strict=True)) for values in zip(*parts, strict=True)]
             shares = asdict(pair_accuracy(distance, same, self.margin, self.threshold))
-            return {**shares, "auc": pair_threshold_curve(distance, same, self.margin).auc}
+            return {**shares, "auc": curve.auc}, points
 
-        curve = pair_threshold_curve(self.columns["distance"], self.columns["same"], self.margin)
         names = ("threshold", "same", "different", "overall")
-        parts = (curve.thresholds.tolist(), curve.same.tolist(), curve.different.tolist(), curve.overall.tolist())
-
+        overall, curve = accuracy(np.arange(len(self)))
+        by_lighting = {label: accuracy(rows) for label, rows in rows_by_label(self.columns["lighting"]).items()}
         return {
             "margin": self.margin,
             "threshold": self.threshold,
-            "overall": accuracy(np.arange(len(self))),
-            "lighting": {label: accuracy(rows) for label, rows in rows_by_label(self.columns["lighting"]).items()},
-            "auc": curve.auc,
-            "curve": [dict(zip(names, values, strict=True)) for values in zip(*parts, strict=True)],
+            "overall": overall,
+            "lighting": {label: {**shares, "curve": points} for label, (shares, points) in by_lighting.items()},
+            "auc": overall["auc"],
+            "curve": curve,
         }
 
 
@@ -81,20 +83,32 @@ class RoomResult:
         return len(self.columns["room"])
 
     def measures(self) -> dict[str, Any]:
-        """Return accuracy and counts overall, by room and by lighting, the confusion matrix and the missing rooms."""
+        """Return all measures.
+
+        Returns:
+            The groups "overall", "room" (by label) and "lighting" (by label), each with `accuracy`, `correct` and
+            `queries`; `confusion` with the `labels`, the `counts` of all queries (row = true room, column = room of the
+            match) and those by `lighting`; and `rooms_missing_in_map`.
+        """
         room, predicted, correct = (self.columns[name] for name in ("room", "predicted_room", "correct"))
 
         def accuracy(rows: NDArray) -> dict[str, Any]:
             hits = int(correct[rows].sum())
             return {"accuracy": hits / len(rows) if len(rows) else math.nan, "correct": hits, "queries": len(rows)}
 
+        def confused(rows: NDArray) -> list[list[int]]:
+            counts: list[list[int]] = confusion_matrix(room[rows], predicted[rows], self.labels).tolist()
+            return counts
+
+        by_lighting, every = rows_by_label(self.columns["lighting"]), np.arange(len(self))
         return {
-            "overall": accuracy(np.arange(len(self))),
+            "overall": accuracy(every),
             "room": {label: accuracy(rows) for label, rows in rows_by_label(room).items()},
-            "lighting": {label: accuracy(rows) for label, rows in rows_by_label(self.columns["lighting"]).items()},
+            "lighting": {label: accuracy(rows) for label, rows in by_lighting.items()},
             "confusion": {
                 "labels": list(self.labels),
-                "counts": confusion_matrix(room, predicted, self.labels).tolist(),
+                "counts": confused(every),
+                "lighting": {label: confused(rows) for label, rows in by_lighting.items()},
             },
             "rooms_missing_in_map": list(self.missing),
         }

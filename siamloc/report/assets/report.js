@@ -98,8 +98,6 @@
 
     listen() {
       const { article, canvas } = this;
-      article.querySelectorAll(".switch input").forEach((radio) =>
-        radio.addEventListener("change", () => this.light(radio.value)));
       article.querySelectorAll(".classes input").forEach((box) =>
         box.addEventListener("change", () => {
           this.hidden[box.checked ? "delete" : "add"](Number(box.value));
@@ -239,9 +237,8 @@
     show(i) {
       this.hidden.clear();
       this.article.querySelectorAll(".classes input").forEach((box) => { box.checked = true; });
-      const radio = this.article.querySelector(".switch input[value=all]");
-      if (radio) radio.checked = true;
       this.lighting = "all";
+      chooseLighting(this.article, "all");
       this.zoom = 1;
       this.centre = [...this.middle];
       this.select(i, true);
@@ -476,11 +473,28 @@
     }
   }
 
+  /** Turn every switch of an evaluation to a lighting, and show what belongs under it. */
+  function chooseLighting(article, lighting) {
+    for (const section of article.querySelectorAll("section")) {
+      const radios = [...section.querySelectorAll(".switch input")];
+      if (!radios.some((radio) => radio.value === lighting)) continue;
+      radios.forEach((radio) => { radio.checked = radio.value === lighting; });
+      section.querySelectorAll("[data-under]").forEach((part) => { part.hidden = part.dataset.under !== lighting; });
+    }
+  }
+
   const plans = [];
   for (const article of document.querySelectorAll("[data-evaluation]")) {
-    if (article.querySelector(".stage canvas")) {
-      plans.push(new Plan(article, read(`data-${article.dataset.evaluation}`)));
-    }
+    const plan = article.querySelector(".stage canvas")
+      ? new Plan(article, read(`data-${article.dataset.evaluation}`)) : null;
+    if (plan) plans.push(plan);
+    chooseLighting(article, "all");
+    article.querySelectorAll(".switch input").forEach((radio) => radio.addEventListener("change", () => {
+      chooseLighting(article, radio.value);
+      // The plan has no such lighting where its queries are not those whose rooms were looked for.
+      const own = [...article.querySelectorAll(".plan .switch input")];
+      if (plan && own.some((input) => input.value === radio.value)) plan.light(radio.value);
+    }));
   }
   const redraw = () => plans.forEach((plan) => plan.resize());
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);

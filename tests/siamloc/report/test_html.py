@@ -75,7 +75,7 @@ def test_the_plan_holds_every_query_and_its_right_answer(run: Path, page: pages.
     distance = np.hypot(*(queries[name][:, None] - known[name][None] for name in ("x", "y")))
     assert data["query"]["nearest"] == distance.argmin(axis=1).tolist()
     np.testing.assert_allclose(known["x"], data["map"]["x"], atol=0.0006)
-    radios = page.all("input", type="radio")
+    radios = page.one("section", class_="plan").all("input", type="radio")
     assert [radio.attributes["value"] for radio in radios] == ["all", "cloudy", "night", "sunny"]
 
 
@@ -117,7 +117,7 @@ def test_the_curves_are_those_of_the_errors(run: Path, page: pages.Element) -> N
     columns = columns_of(run)
     error = columns["error"]
     ticks = [
-        (float(t.attributes["x"]), float(t.text)) for t in svg.all("text", class_="tick") if t.attributes["y"] == "256"
+        (float(t.attributes["x"]), float(t.text)) for t in svg.all("text", class_="tick") if t.attributes["y"] == "258"
     ]
     (x0, v0), (x1, v1) = ticks[0], ticks[-1]
     path = svg.one("path", class_="ink")
@@ -134,7 +134,7 @@ def test_the_curves_are_those_of_the_errors(run: Path, page: pages.Element) -> N
 
 def test_the_confusion_matrix_is_that_of_the_results(run: Path, page: pages.Element) -> None:
     rooms = read_results(run / "evaluation" / "network")["measures"]["room_retrieval"]["confusion"]
-    table = page.one("table", class_="confusion")
+    table = page.all("table", class_="confusion")[0]
     for label, counts, row in zip(rooms["labels"], rooms["counts"], table.one("tbody").all("tr"), strict=True):
         assert row.one("th").text == f"{label}{sum(counts)} queries"
         found = [int(cell.one("small").text) if cell.children else 0 for cell in row.all("td")]

@@ -101,7 +101,7 @@ def test_tables_are_filled(run: Path, page: Browser) -> None:
     assert len(rows) == 8
     overall = read_results(run / "evaluation" / "network")["measures"]["absolute"]["overall"]
     assert f"{overall['error']['mean']:.3f}" in rows[3]
-    assert page.run("return document.querySelectorAll('.confusion tbody td').length") == 9
+    assert page.run("return document.querySelectorAll('[data-under=all] .confusion tbody td').length") == 9
     assert page.run("return [...document.images].every((image) => image.naturalWidth > 100)")
 
 

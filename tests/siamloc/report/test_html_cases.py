@@ -122,7 +122,8 @@ def test_rooms_alone(tmp_path: Path) -> None:
     write_results(tmp_path / "rooms", results, None, {"rooms": rooms.columns})
     page = report(tmp_path, tmp_path / "rooms")
     assert page.all("table", class_="confusion")
-    assert "No query was localized" in notes(page)
+    assert [s.attributes["class"] for s in page.all("section")] == ["summary", "rooms", "configuration"]
+    assert not notes(page)
 
 
 def test_measures_without_a_part_of_their_own_are_listed(tmp_path: Path) -> None:

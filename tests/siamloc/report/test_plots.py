@@ -18,7 +18,7 @@ from siamloc.tasks.results import write_results
 from siamloc.tasks.room_retrieval import evaluate_rooms
 from tests.siamloc.tasks import scenes
 
-ALL = ["floor_plan.png", "error_curve.png", "confusion.png"]
+ALL = ["floor_plan.png", "error_curve.png", "confusion.png", "confusion_by_lighting.png"]
 
 
 def write(folder: Path, known: VisualMap, queries: FrameTable, descriptors: np.ndarray, rooms: bool = True) -> None:

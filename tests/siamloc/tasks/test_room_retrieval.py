@@ -25,9 +25,14 @@ def test_pairs_by_lighting(tmp_path: Path) -> None:
     measures = result.measures()
     assert (measures["margin"], measures["threshold"]) == (2.5, 0.6)
     night = lighting == "night"
-    for group, rows in ((measures["overall"], slice(None)), (measures["lighting"]["night"], night)):
+    by_night = dict(measures["lighting"]["night"])
+    curve = by_night.pop("curve")
+    for group, rows in ((measures["overall"], slice(None)), (by_night, night)):
         accuracy = vars(metrics.pair_accuracy(distance[rows], same[rows], 2.5, 0.6))
         assert group == {**accuracy, "auc": metrics.pair_threshold_curve(distance[rows], same[rows], 2.5).auc}
+    at_threshold = {name: by_night[name] for name in ("same", "different", "overall")}
+    assert curve[60] == {"threshold": 0.6, **at_threshold}
+    assert len(curve) == 101
     assert measures["auc"] == measures["overall"]["auc"]
     assert len(measures["curve"]) == 101
     assert measures["curve"][60] == {
@@ -65,6 +70,15 @@ def test_rooms_by_the_nearest_frame() -> None:
     assert counts.sum() == 90
     assert np.trace(counts) == sum(correct)
     assert counts.sum(axis=1).tolist() == [measures["room"][label]["queries"] for label in result.labels]
+    by_lighting = {label: np.array(part) for label, part in measures["confusion"]["lighting"].items()}
+    assert list(by_lighting) == ["cloudy", "night", "sunny"]
+    assert (sum(by_lighting.values()) == counts).all()
+    taken = [
+        (truth, found)
+        for truth, found, lighting in zip(queries.room, result.columns["predicted_room"], queries.lighting, strict=True)
+        if lighting == "sunny"
+    ]
+    assert by_lighting["sunny"][0].tolist() == [taken.count(("CR-A", label)) for label in result.labels]
     assert measures["rooms_missing_in_map"] == []
     given = evaluate_rooms(known, descriptors, queries, known.search(descriptors, 5))
     assert given.measures() == measures

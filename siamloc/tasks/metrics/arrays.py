@@ -1,0 +1,52 @@
+"""Arrays as the measures need them: of the right shape, and finite."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import DataError
+
+
+def column_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Return values as float64 (n,).
+
+    Raises:
+        DataError: another shape, or a value that is not finite.
+    """
+    column = np.asarray(values, dtype=np.float64)
+    if column.ndim != 1:
+        raise DataError(f"{what} must have shape (n,), got {column.shape}")
+    if not np.isfinite(column).all():
+        raise DataError(f"{int((~np.isfinite(column)).sum())} of {len(column)} {what} are not finite")
+    return column
+
+
+def positions_of(xy: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Return positions as float64 (n, 2).
+
+    Raises:
+        DataError: another shape, or a position that is not finite.
+    """
+    positions = np.asarray(xy, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1] != 2:
+        raise DataError(f"{what} positions must have shape (n, 2), got {positions.shape}")
+    finite = np.isfinite(positions).all(axis=1)
+    if not finite.all():
+        raise DataError(
+            f"{int((~finite).sum())} of {len(positions)} {what} positions are unknown or not finite: "
+            "leave those frames out"
+        )
+    return positions
+
+
+def map_positions(xy: ArrayLike) -> NDArray[np.float64]:
+    """Return the positions of a map's frames as float64 (m, 2), m at least 1.
+
+    Raises:
+        DataError: another shape, a position that is not finite, or none at all.
+    """
+    positions = positions_of(xy, "map")
+    if not len(positions):
+        raise DataError("the map is empty: there is nothing to retrieve")
+    return positions

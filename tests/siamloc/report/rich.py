@@ -1,0 +1,129 @@
+"""A run that was measured in every way: further estimates, nodes first, disturbed queries, pairs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from siamloc.data.frames import FrameTable
+from siamloc.maps import VisualMap
+from siamloc.maps.coarse import CoarseLayer
+from siamloc.maps.hierarchy import HierarchicalSearch
+from siamloc.maps.node_ranking import rank_by_position, rank_by_representatives
+from siamloc.tasks import beside, calibration, robustness
+from siamloc.tasks.absolute import evaluate_absolute, neighbours
+from siamloc.tasks.hierarchical import evaluate_hierarchical
+from siamloc.tasks.results import write_results
+from siamloc.tasks.robustness import Disturbance
+from siamloc.tasks.room_retrieval import evaluate_pairs, evaluate_rooms
+from tests.siamloc.report import pages
+from tests.siamloc.tasks import scenes
+
+DISTURBANCES = [
+    Disturbance("noise", (0.0, 0.01, 0.05), "noise"),
+    Disturbance("occlusion", (0.0, 0.05, 0.4), "occlusion"),
+    Disturbance("turn", (0.0, 45.0, 180.0), "turn"),
+    Disturbance("bulb", (0.0, 0.5, 1.0), "effect"),
+]
+
+
+def write_run(folder: Path, pictures: Path | None = None, n: int = 60, m: int = 40) -> Path:
+    """Write a run with localization and all estimates beside it, hierarchical localization, and robustness."""
+    queries, known = scenes.frames(2, n), scenes.frames(1, m)
+    if pictures is not None:
+        queries, known = pages.drawn(pictures, queries, 2), pages.drawn(pictures, known, 1)
+    visual_map = VisualMap(scenes.describe(known, seed=1), known, {"name": "positions"})
+    write_localization(folder / "evaluation" / "network", visual_map, queries)
+    write_hierarchical(folder / "evaluation" / "hierarchical-network-rooms", visual_map, queries)
+    write_robustness(folder / "evaluation" / "robustness-network", queries, known)
+    return folder
+
+
+def write_localization(folder: Path, known: VisualMap, queries: FrameTable) -> None:
+    """Write localization with a filter, interpolation and expected errors, room retrieval, and pairs of rooms."""
+    descriptors = scenes.describe(queries, noise=0.6)
+    result = evaluate_absolute(known, descriptors, queries)
+    estimates = {
+        "filtered": queries.xy
+        + 0.5 * (np.column_stack([result.columns["est_x"], result.columns["est_y"]]) - queries.xy),
+        "interpolated": queries.xy + 0.1,
+    }
+    columns = dict(result.columns)
+    for name, xy in estimates.items():
+        columns |= beside.estimate_columns(name, xy, queries)
+    columns |= {"error_m": 0.1 + 0.8 * columns["error"], "lost": columns["error"] > 0.8}
+    result = replace(result, columns=columns)
+    measures: dict[str, Any] = {"absolute": result.measures()}
+    for name in estimates:
+        measures[f"absolute_{name}"] = beside.measures_of(columns, name, result.radii, len(known), result.unit)
+    measures["calibration"] = calibration.measures_of(columns, 1.0)
+    measures["room_retrieval"] = evaluate_rooms(known, descriptors, queries).measures()
+    measures["room_pairs"] = pairs(queries)
+    details = {
+        "filter": {"temperature": 0.02, "kidnapping": 0.001, "step": 0.5, "spacing": 0.8, "tuned": None},
+        "interpolation": {"neighbours": 3, "radius": 1.0},
+        "error_model": {"file": "error_model.json", "sequences": ["run3"], "queries": 10},
+    }
+    _write(folder, measures, result.columns, {"map": result.map_columns}, estimates=details)
+
+
+def pairs(queries: FrameTable) -> dict[str, Any]:
+    rng = np.random.default_rng(5)
+    first, second = rng.integers(0, len(queries), (2, 400))
+    same = queries.room[first] == queries.room[second]
+    lighting = rng.choice(["cloudy", "cloudy and night", "night"], 400)
+    vectors = scenes.describe(queries, noise=0.4) / 3
+    return evaluate_pairs(vectors[first], vectors[second], same, 2.0, 0.5, lighting).measures()
+
+
+def write_hierarchical(folder: Path, known: VisualMap, queries: FrameTable) -> None:
+    labels = np.unique(np.floor(known.frames.xy / 1.5) @ [10, 1], return_inverse=True)[1].reshape(-1)
+    layer = CoarseLayer.of_labels(known, labels)
+    vectors = scenes.describe(queries, noise=0.8)
+    search = HierarchicalSearch(known, layer)
+    found = search.search(vectors, rank_by_representatives(vectors, layer.representatives, 2), neighbours((1,), 40))
+    perfect = search.search(vectors, rank_by_position(queries.xy, known.frames.xy, layer.labels))
+    result = evaluate_hierarchical(known, layer, queries, found, perfect, known.search(vectors), (0.5, 1.0), (1,))
+    more = {"layer": {"name": "spectral", "nodes": len(layer)}, "coarse_descriptor": {"name": "hog"}}
+    config = {**pages.CONFIG, "task": {"candidates": 2}}
+    _write(
+        folder,
+        {"hierarchical": result.measures()},
+        result.columns,
+        {"map": result.map_columns, "nodes": result.node_columns},
+        denominators={**result.denominators(), "nodes": len(layer)},
+        config=config,
+        descriptor={"name": "network"},
+        **more,
+    )
+
+
+def write_robustness(folder: Path, queries: FrameTable, known: FrameTable, worse: float = 1.0) -> None:
+    rng = np.random.default_rng(7)
+    tables = []
+    for i, method in enumerate(("network", "thumb_nail")):
+        found = {}
+        for one in DISTURBANCES:
+            for rank, level in enumerate(one.levels):
+                vectors = scenes.describe(queries, seed=3, noise=0.3 + worse * rank + i) + 0.01 * rng.normal()
+                distance = np.linalg.norm(vectors[:, None, :2] - known.xy[None], axis=2)
+                found[one.name, level] = distance.argmin(axis=1)
+        tables.append(robustness.curves(robustness.answers(method, known, queries, found), 0.5, len(known)))
+    table = robustness.concatenated(tables)
+    measures = {"robustness": robustness.measures(table, DISTURBANCES, "m", 5)}
+    _write(folder, measures, None, {"robustness": table})
+
+
+def write_located(folder: Path, queries: int = 7) -> None:
+    """Write what there is where no query has a pose."""
+    columns = {"query": np.arange(queries), "est_x": np.zeros(queries), "est_y": np.ones(queries)}
+    skipped = {"absolute": f"{queries} of {queries} queries have no position"}
+    _write(folder, {}, None, {"located": columns}, denominators={}, skipped=skipped)
+
+
+def _write(folder: Path, measures: dict[str, Any], rows: Any, tables: dict[str, Any], **more: Any) -> None:
+    head = {"protocol": "cross_run", "config": pages.CONFIG, "baselines": {}, "denominators": {}, "skipped": {}}
+    write_results(folder, {**head, "measures": measures, **more}, rows, tables)
