@@ -5,8 +5,10 @@ smooth random functions of position (256 numbers) and of position and azimuth (2
 their own in every frame, as long as those of HOG. First the robot repeats its rounds in one building, so that the
 number of nodes does not grow, and then it drives through all buildings. Times are those of the processor.
 
-Targets: the last frames take at most twice as long per node as those about frame 2,000; at most 10 ms per frame; memory
-at most three times what the descriptors of all frames take.
+Targets: the last frames of the rounds take at most twice as long as the frames up to 2,000 that had as many nodes; at
+most 10 ms per frame; memory at most three times what the descriptors of all frames take. `growth_per_node` divides both
+times by the number of nodes instead, although much of a frame's time does not depend on it: where nodes merge, as in
+the rounds, it makes the growth look larger.
 """
 
 from __future__ import annotations
@@ -95,9 +97,9 @@ def run(places: Path, out: Path, quick: bool = False) -> None:
     ]
     for row in [*drives, *bounded]:
         print(row)
-    growth = drives[0]["growth_per_node"]
-    report.target(f"rounds: time per node at the end at most {MOST_GROWTH:g} times that about frame {early} ({growth})",
-                  growth <= MOST_GROWTH)  # fmt: skip
+    growth, alike = drives[0]["growth"], drives[0]["early_alike"]
+    what = f"rounds: time per frame at the end at most {MOST_GROWTH:g} times that of frames up to {early}"
+    report.target(f"{what} with as many nodes (about {alike['nodes']}; {growth})", growth <= MOST_GROWTH)
     for row in drives:
         ms = row["late_ms"]
         report.target(f"{row['what']}: at most {LONGEST_MS:g} ms per frame at the end ({ms})", ms <= LONGEST_MS)
@@ -137,6 +139,7 @@ def driven(what: str, frames: FrameTable, early: int) -> dict[str, Any]:
     used = resident() - before
     taken = 4 * (WIDTH + STEPS * BINS) * len(frames)
     first, last = slice(early - WINDOW // 2, early + WINDOW // 2), slice(len(frames) - WINDOW, None)
+    alike = with_as_many(nodes, float(nodes[last].mean()), early)
     labels = mapper.labels()
     per_node = [float(ms[part].mean() / nodes[part].mean()) for part in (first, last)]
     return {
@@ -147,6 +150,12 @@ def driven(what: str, frames: FrameTable, early: int) -> dict[str, Any]:
         "early_ms": round(float(ms[first].mean()), 2),
         "late_ms": round(float(ms[last].mean()), 2),
         "p99_ms": round(float(np.percentile(ms, 99)), 2),
+        "early_alike": {
+            "frames": [alike.start, alike.stop],
+            "nodes": round(float(nodes[alike].mean()), 1),
+            "ms": round(float(ms[alike].mean()), 2),
+        },
+        "growth": round(float(ms[last].mean() / ms[alike].mean()), 2),
         "growth_per_node": round(per_node[1] / per_node[0], 2),
         "memory_mb": round(used / 2**20),
         "descriptors_mb": round(taken / 2**20),
@@ -154,6 +163,14 @@ def driven(what: str, frames: FrameTable, early: int) -> dict[str, Any]:
         "unassigned": round(100 * float((labels < 0).mean()), 1),
         **quality(frames, labels),
     }
+
+
+def with_as_many(nodes: NDArray[np.int64], count: float, early: int) -> slice:
+    """The window of early frames whose mean number of nodes is nearest to a count; of equals the latest."""
+    sums = np.concatenate([[0], np.cumsum(nodes[: early + WINDOW // 2])])
+    apart = np.abs((sums[WINDOW:] - sums[:-WINDOW]) / WINDOW - count)
+    start = int(np.flatnonzero(apart == apart.min())[-1])
+    return slice(start, start + WINDOW)
 
 
 def cost_of_bound(frames: FrameTable, limit: int | None) -> dict[str, Any]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description, Descriptor
-from analytic.mapper.node import Mode, Node
+from analytic.mapper.node import Node
 
 _NEAREST = 1e-6  # of the largest distance: what an equal image counts as, since its similarity would be infinite
 
@@ -41,23 +42,100 @@ class Closure:
     @property
     def ratio(self) -> float:
         """Return the x with which the node would just close."""
-        if self.std == 0:
-            return 0.0 if self.deviation == 0 else float("inf")
-        return self.deviation / self.std
+        return _ratio(self.deviation, self.std)
+
+
+@dataclass(frozen=True)
+class Closures:
+    """How a frame stands to several nodes, each by the mode that it fits best; in the order of the nodes given.
+
+    Attributes:
+        nodes: (n,) ids.
+        modes: (n,) and the others as of `Closure`.
+    """
+
+    nodes: NDArray[np.int64]
+    modes: NDArray[np.int64]
+    distances: NDArray[np.float64]
+    means: NDArray[np.float64]
+    stds: NDArray[np.float64]
+    deviations: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def row(self, row: int) -> Closure:
+        """Return how the frame stands to one of the nodes."""
+        parts = (self.nodes, self.modes, self.distances, self.means, self.stds, self.deviations)
+        return Closure(*(part[row].item() for part in parts))
+
+    def of(self, node: int) -> Closure:
+        """Return how the frame stands to the node of that id."""
+        return self.row(int(np.flatnonzero(self.nodes == node)[0]))
+
+    def closing(self, x: float) -> NDArray[np.int64]:
+        """Return the rows of the nodes that close, eq. 4."""
+        return np.flatnonzero(self.deviations <= x * self.stds)
+
+    def nearest(self) -> Closure:
+        """Return how the frame stands to the node that would close with the smallest x; of equals the oldest."""
+        rows = [self.row(row) for row in range(len(self))]
+        return min(rows, key=lambda closure: (closure.ratio, closure.node))
+
+    def scores(self) -> dict[str, list[float]]:
+        """Return distance, mean and std for each id."""
+        values = np.column_stack([self.distances, self.means, self.stds]).tolist()
+        return dict(zip(map(str, self.nodes.tolist()), values, strict=True))
+
+
+def point_of(description: Description) -> NDArray[np.float64]:
+    """Return the position descriptor (D,) of one frame."""
+    return description.position[0].astype(np.float64)
 
 
 def node_level(point: NDArray[np.float64], node: Node, two_sided: bool) -> Closure:
     """Return how a position descriptor (D,) stands to a node (eq. 3); of equal modes, the older counts."""
-    closures = [_to_mode(point, node.id, index, mode, two_sided) for index, mode in enumerate(node.modes)]
-    return min(closures, key=lambda closure: (closure.ratio, closure.mode))
+    return node_levels(point, [node], two_sided).row(0)
 
 
-def _to_mode(point: NDArray[np.float64], node: int, index: int, mode: Mode, two_sided: bool) -> Closure:
-    distance = float(mode.model.distances(point[None])[0])
-    gaussian = mode.gaussian
-    above = distance - gaussian.mean
-    deviation = abs(above) if two_sided else max(above, 0.0)
-    return Closure(node, index, distance, gaussian.mean, gaussian.std, deviation)
+def node_levels(point: NDArray[np.float64], nodes: Sequence[Node], two_sided: bool) -> Closures:
+    """Return how a position descriptor (D,) stands to each of some nodes (eq. 3).
+
+    What a mode needs for it, it keeps from frame to frame, so that only a mode that has changed is prepared anew. The
+    distance to one mode is computed apart from all others: it is the same whichever nodes there are, in any order.
+    """
+    distances = np.array([mode.metric.distance(point) for node in nodes for mode in node.modes])
+    return _closures(distances, nodes, two_sided)
+
+
+def node_levels_of(points: NDArray[np.float64], nodes: Sequence[Node], two_sided: bool) -> list[Closures]:
+    """Return how each position descriptor (n, D) stands to each of some nodes (eq. 3), all frames at once."""
+    distances = np.array([mode.metric.distances(points) for node in nodes for mode in node.modes])
+    return [_closures(column, nodes, two_sided) for column in distances.T]
+
+
+def _closures(distances: NDArray[np.float64], nodes: Sequence[Node], two_sided: bool) -> Closures:
+    """Return the closures of nodes from the distances of all their modes, one mode after the other."""
+    modes = [mode for node in nodes for mode in node.modes]
+    means = np.array([mode.gaussian.mean for mode in modes])
+    stds = np.array([mode.gaussian.std for mode in modes])
+    deviations = distances - means
+    deviations = np.abs(deviations) if two_sided else np.maximum(deviations, 0.0)
+    ids = np.array([node.id for node in nodes])
+    best = np.zeros(len(nodes), dtype=np.int64)
+    if len(modes) > len(nodes):
+        starts = np.cumsum([0, *(len(node.modes) for node in nodes)])
+        ratios = [_ratio(*pair) for pair in zip(deviations.tolist(), stds.tolist(), strict=True)]
+        best = np.array([int(np.argmin(ratios[start:end])) for start, end in pairwise(starts)])
+        rows = starts[:-1] + best
+        distances, means, stds, deviations = distances[rows], means[rows], stds[rows], deviations[rows]
+    return Closures(ids, best, distances, means, stds, deviations)
+
+
+def _ratio(deviation: float, std: float) -> float:
+    if std == 0:
+        return 0.0 if deviation == 0 else float("inf")
+    return deviation / std
 
 
 @dataclass(frozen=True)
@@ -84,14 +162,14 @@ class Similarity:
 
     def means(self) -> dict[int, float]:
         """Return the mean similarity of each node ([T] 4.6): that of its best mode."""
+        order = np.lexsort((self.modes, self.nodes))  # keeps the order of the frames within each mode
+        nodes, modes, values = self.nodes[order], self.modes[order], self.values[order]
+        starts = np.flatnonzero((np.diff(nodes, prepend=-1) != 0) | (np.diff(modes, prepend=-1) != 0))
         means: dict[int, float] = {}
-        for node in np.unique(self.nodes):
-            modes = [self.values[(self.nodes == node) & (self.modes == mode)] for mode in self._modes(node)]
-            means[int(node)] = max(float(values.mean()) for values in modes)
+        for start, end in pairwise([*starts.tolist(), len(nodes)]):
+            node, mean = int(nodes[start]), float(values[start:end].mean())
+            means[node] = max(means.get(node, mean), mean)
         return means
-
-    def _modes(self, node: int) -> NDArray[np.int64]:
-        return np.unique(self.modes[self.nodes == node])
 
 
 def image_level(
@@ -185,18 +263,3 @@ def similarity_curve(
     where = np.empty(len(frames), dtype=np.int64)
     where[order] = places
     return curve, where
-
-
-def mean_distance(point: NDArray[np.float64], representatives: Sequence[Sequence[NDArray[np.float64]]]) -> float:
-    """Return the mean Euclidean distance of a point (D,) to places, each the nearest of its representatives."""
-    return float(np.mean([min(np.linalg.norm(point - other) for other in place) for place in representatives]))
-
-
-def mean_distance_among(representatives: Sequence[Sequence[NDArray[np.float64]]]) -> float:
-    """Return the mean Euclidean distance between places, by the nearest pair of representatives; 0 for fewer than 2."""
-    apart = [
-        min(np.linalg.norm(a - b) for a in first for b in second)
-        for index, first in enumerate(representatives)
-        for second in representatives[index + 1 :]
-    ]
-    return float(np.mean(apart)) if apart else 0.0

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description
-from analytic.mapper.closure import mean_distance, mean_distance_among, node_level
+from analytic.mapper.closure import node_level, point_of
 from analytic.mapper.decision import Reason
 from analytic.mapper.node import Node
+from analytic.mapper.spacing import mean_distance
 from analytic.mapper.state import NONE, State
 
 
@@ -46,7 +47,7 @@ def join_parked(state: State, frame: int, description: Description) -> tuple[int
         The candidate's id, with its node if the frame made it different enough from the map; None if none fits.
     """
     x = state.rules.x(len(state.nodes))
-    point = description.position[0].astype(np.float64)
+    point = point_of(description)
     closures = [node_level(point, node, state.rules.two_sided) for node in state.parked]
     fitting = [closure for closure in closures if closure.closes(x)]
     if not fitting:
@@ -98,7 +99,7 @@ def _create_if_distinct(state: State, frames: Sequence[int], trigger: str) -> No
     taken = draft.leave(frames)
     if len(taken) < state.rules.smallest_node:
         return None
-    points = [description.position[0].astype(np.float64) for description in state.descriptions(taken)]
+    points = [point_of(description) for description in state.descriptions(taken)]
     away, among = _distinctness(draft, np.mean(points, axis=0))
     if away < among:
         return None
@@ -116,4 +117,4 @@ def _create(state: State, node: Node, **scores: float | str) -> Node:
 def _distinctness(state: State, centre: NDArray[np.float64]) -> tuple[float, float]:
     """Return the mean distance of a representative to those of the nodes, and the mean among these ([I] 4.5)."""
     representatives = state.representatives()
-    return mean_distance(centre, representatives), mean_distance_among(representatives)
+    return mean_distance(centre, representatives), state.spacing.among(representatives)

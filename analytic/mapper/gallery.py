@@ -1,4 +1,4 @@
-"""The frames of a node that an image is compared with, in blocks that grow without being copied.
+"""The frames of a node that an image is compared with, in blocks of bounded size that fill up one after the other.
 
 A gallery is a value: adding a frame gives another gallery, and the first stays as it was. Both may share a block, whose
 further rows the shorter one does not see.
@@ -17,16 +17,18 @@ from numpy.typing import NDArray
 from analytic.descriptors import circular
 from analytic.descriptors.base import Description
 
-BLOCK = 128  # frames: the unused rows of a last block must weigh little beside the descriptors
+BLOCK = 128  # frames
+_FIRST = 16  # frames that a block has room for at first: room that is not used must weigh little
 
 
 class _Buffers:
     """Room for the frames of one block; the spectra are computed when a descriptor asks for them."""
 
-    def __init__(self, like: Description) -> None:
-        self.position = np.empty((BLOCK, *like.position.shape[1:]), dtype=like.position.dtype)
+    def __init__(self, like: Description, room: int) -> None:
+        self.room = room
+        self.position = np.empty((room, *like.position.shape[1:]), dtype=like.position.dtype)
         turned = like.orientation
-        self.orientation = None if turned is None else np.empty((BLOCK, *turned.shape[1:]), dtype=turned.dtype)
+        self.orientation = None if turned is None else np.empty((room, *turned.shape[1:]), dtype=turned.dtype)
         self.spectra: NDArray[np.complex64] | None = None
         self.transformed = 0
 
@@ -36,14 +38,27 @@ class _Buffers:
             self.orientation[row] = description.orientation[0]
         self.transformed = min(self.transformed, row)
 
+    def copy_row(self, row: int, other: _Buffers, source: int) -> None:
+        """Take over a row of other buffers, with its spectrum if that and those before it are there."""
+        self.position[row] = other.position[source]
+        if self.orientation is not None and other.orientation is not None:
+            self.orientation[row] = other.orientation[source]
+        self.transformed = min(self.transformed, row)
+        if other.spectra is not None and source < other.transformed and self.transformed == row:
+            self._spectra(other.spectra)[:, row] = other.spectra[:, source]
+            self.transformed = row + 1
+
+    def _spectra(self, like: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        if self.spectra is None:
+            self.spectra = np.empty((like.shape[0], self.room, like.shape[2]), dtype=like.dtype)
+        return self.spectra
+
     def spectrum(self, rows: int) -> NDArray[np.complex64]:
         assert self.orientation is not None
         # Row by row, so that the values do not depend on when a map was stored.
         for row in range(self.transformed, rows):
             column = circular.spectrum(self.orientation[row : row + 1])
-            if self.spectra is None:
-                self.spectra = np.empty((column.shape[0], BLOCK, column.shape[2]), dtype=column.dtype)
-            self.spectra[:, row] = column[:, 0]
+            self._spectra(column)[:, row] = column[:, 0]
         self.transformed = max(self.transformed, rows)
         assert self.spectra is not None
         return self.spectra[:, :rows]
@@ -74,15 +89,17 @@ class Gallery:
     Attributes:
         frames: (n,) in the order in which they came in.
         blocks: their descriptions, all but the last full.
+        size: frames of a full block.
     """
 
     frames: NDArray[np.int64]
     blocks: tuple[Description, ...]
+    size: int = BLOCK
 
     @staticmethod
-    def of(frames: Iterable[int], descriptions: Iterable[Description]) -> Gallery:
-        """Return the gallery of frames and as many descriptions of one frame each."""
-        gallery = Gallery(np.empty(0, dtype=np.int64), ())
+    def of(frames: Iterable[int], descriptions: Iterable[Description], limit: int | None = None) -> Gallery:
+        """Return the gallery of frames and as many descriptions of one frame each, in blocks of that many at most."""
+        gallery = Gallery(np.empty(0, dtype=np.int64), (), min(limit or BLOCK, BLOCK))
         for frame, description in zip(frames, descriptions, strict=True):
             gallery = gallery.add(frame, description)
         return gallery
@@ -92,16 +109,25 @@ class Gallery:
 
     def add(self, frame: int, description: Description) -> Gallery:
         """Return the gallery with one frame more; of two galleries made from this one, only the later may be used."""
-        rows = len(self.frames) % BLOCK
-        last = self.blocks[-1] if rows else None
-        buffers = last.__dict__["buffers"] if last is not None else _Buffers(description)
-        buffers.write(rows, description)
+        rows = len(self.frames) % self.size
         full = self.blocks[:-1] if rows else self.blocks
-        return Gallery(np.append(self.frames, frame), (*full, _Block.of(buffers, rows + 1)))
+        buffers = self._buffers(len(full)) if rows else _Buffers(description, min(_FIRST, self.size))
+        if rows == buffers.room:
+            buffers = _grown(buffers, description, min(2 * rows, self.size))
+        buffers.write(rows, description)
+        return Gallery(np.append(self.frames, frame), (*full, _Block.of(buffers, rows + 1)), self.size)
 
     def keep(self, rows: NDArray[Any] | Sequence[int]) -> Gallery:
         """Return the gallery of some rows, in that order, in blocks of its own."""
-        return Gallery.of(self.frames[rows].tolist(), (self.row(int(row)) for row in np.arange(len(self))[rows]))
+        kept = np.arange(len(self))[rows].tolist()
+        blocks = []
+        for start in range(0, len(kept), self.size):
+            part = kept[start : start + self.size]
+            buffers = _Buffers(self.row(part[0]), min(max(_FIRST, len(part)), self.size))
+            for place, row in enumerate(part):
+                buffers.copy_row(place, self._buffers(row // self.size), row % self.size)
+            blocks.append(_Block.of(buffers, len(part)))
+        return Gallery(self.frames[rows], tuple(blocks), self.size)
 
     def without(self, frames: Iterable[int]) -> Gallery:
         """Return the gallery without some frames, which need not be in it."""
@@ -110,11 +136,15 @@ class Gallery:
 
     def row(self, row: int) -> Description:
         """Return the description of one row."""
-        return self.blocks[row // BLOCK].take(slice(row % BLOCK, row % BLOCK + 1))
+        return self.blocks[row // self.size].take(slice(row % self.size, row % self.size + 1))
 
     def descriptions(self) -> list[Description]:
         """Return the description of each row."""
         return [self.row(row) for row in range(len(self))]
+
+    def _buffers(self, block: int) -> _Buffers:
+        buffers: _Buffers = self.blocks[block].__dict__["buffers"]
+        return buffers
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -130,6 +160,14 @@ class Gallery:
         apart[np.tril_indices(len(self))] = np.inf
         first, second = np.unravel_index(np.argmin(apart), apart.shape)
         return float(apart[first, second]), int(second)
+
+
+def _grown(buffers: _Buffers, like: Description, room: int) -> _Buffers:
+    """Return a copy of full buffers with more room."""
+    larger = _Buffers(like, room)
+    for row in range(buffers.room):
+        larger.copy_row(row, buffers, row)
+    return larger
 
 
 def spread(gallery: Gallery, frame: int, description: Description, limit: int) -> Gallery:

@@ -22,6 +22,7 @@ from analytic.mapper.parameters import parameters
 from analytic.mapper.placing import closures_of
 from analytic.mapper.state import State
 from analytic.mapper.steps import maintain, step
+from analytic.mapper.threads import one_thread
 
 LARGEST_POSITION = 4096  # numbers: beyond, the covariance of a single node takes more than 128 MiB
 
@@ -112,7 +113,8 @@ class IncrementalMapper:
         description = self._checked(description, 1)
         pose = _plain(frame)
         draft = self._state.copy()
-        decision = step(draft, self.descriptor, description, self._orientation(description))
+        with one_thread():
+            decision = step(draft, self.descriptor, description, self._orientation(description))
         self._commit(draft, description, decision, [pose])
         return decision
 
@@ -141,7 +143,8 @@ class IncrementalMapper:
         if len(poses) != count:
             raise AnalyticError(f"{count} images need as many frames, got {len(poses)}")
         draft = self._state.copy()
-        decision = maintain(draft, node, [descriptions.take(slice(row, row + 1)) for row in range(count)])
+        with one_thread():
+            decision = maintain(draft, node, [descriptions.take(slice(row, row + 1)) for row in range(count)])
         self._commit(draft, descriptions, decision, poses)
         return decision
 
@@ -153,31 +156,8 @@ class IncrementalMapper:
         Raises:
             AnalyticError: a map without nodes, and what `add` raises for descriptions.
         """
-        description = self._checked(description, 1)
-        state, rules = self._state, self.parameters
-        if not state.nodes:
-            raise AnalyticError(f"the map has no node yet after {len(self)} frames: add more before asking it")
-        closures = closures_of(state, description)
-        closing = [key for key, closure in closures.items() if closure.closes(rules.x(len(closures)))]
-        nearest = min(closures, key=lambda key: (closures[key].ratio, key))
-        orientation = self._orientation(description)
-        candidates = [state.nodes[key] for key in closing or [nearest]]
-        similarity = image_level(self.descriptor, description, candidates, rules.distance, orientation)
-        means = similarity.means()
-        node = min(means, key=lambda key: (-means[key], key))
-        if rules.version == 1:
-            node = int(similarity.nodes[similarity.best()])
-        row = similarity.best(node)
-        frame = int(similarity.frames[row])
-        scores = {
-            "x": rules.x(len(closures)),
-            "nodes": {str(c.node): [c.distance, c.mean, c.std] for c in closures.values()},
-            "candidates": closing,
-            "mean_similarity": {str(key): value for key, value in means.items()},
-            "similarity": float(similarity.values[row]),
-        }
-        heading = self._heading(description, node, frame) if orientation else None
-        return Location(node, frame, self._poses[frame], heading, bool(closing), scores)
+        with one_thread():
+            return self._located(self._checked(description, 1))
 
     def save(self, path: str | Path) -> None:
         """Write the map to one file: arrays without pickles, under a temporary name that is then renamed.
@@ -222,6 +202,32 @@ class IncrementalMapper:
         mapper._template = stored.state.recent[-1][1] if stored.state.recent else None
         mapper._log = EventLog(stored.lines, log)
         return mapper
+
+    def _located(self, description: Description) -> Location:
+        state, rules = self._state, self.parameters
+        if not state.nodes:
+            raise AnalyticError(f"the map has no node yet after {len(self)} frames: add more before asking it")
+        closures = closures_of(state, description)
+        x = rules.x(len(closures))
+        closing = closures.nodes[closures.closing(x)].tolist()
+        orientation = self._orientation(description)
+        candidates = [state.nodes[key] for key in closing or [closures.nearest().node]]
+        similarity = image_level(self.descriptor, description, candidates, rules.distance, orientation)
+        means = similarity.means()
+        node = min(means, key=lambda key: (-means[key], key))
+        if rules.version == 1:
+            node = int(similarity.nodes[similarity.best()])
+        row = similarity.best(node)
+        frame = int(similarity.frames[row])
+        scores = {
+            "x": x,
+            "nodes": closures.scores(),
+            "candidates": closing,
+            "mean_similarity": {str(key): value for key, value in means.items()},
+            "similarity": float(similarity.values[row]),
+        }
+        heading = self._heading(description, node, frame) if orientation else None
+        return Location(node, frame, self._poses[frame], heading, bool(closing), scores)
 
     def _commit(self, draft: State, description: Description, decision: Decision, poses: list[Any]) -> None:
         line = line_of(decision, poses)

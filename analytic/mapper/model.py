@@ -1,4 +1,4 @@
-"""Mahalanobis distances to a shrunk covariance ([I] eq. 3 and 10).
+"""The covariance of the frames that model a node, shrunk so that it has an inverse ([I] eq. 3 and 10).
 
 A node has fewer frames than its descriptor has dimensions, so that its covariance has no inverse. It is shrunk towards
 a multiple of the identity: (1 - a) S + a (trace S / D) I, with the intensity of Ledoit and Wolf by default.
@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.errors import AnalyticError
+from analytic.mapper.metric import Factored, LowRank, Metric
 from analytic.mapper.moments import Moments, Vector
 
 _LEAST_SHRINKAGE = 1e-6  # two frames, or frames on one line, have intensity 0 and a covariance without inverse
@@ -22,7 +22,7 @@ _NO_VARIANCE = 1e-30  # of frames that are all zero
 
 @dataclass(frozen=True)
 class Model:
-    """The frames that model a node: their moments, and the factor of the covariance once it is asked for.
+    """The frames that model a node: their moments, and how far points are from them once that is asked for.
 
     Attributes:
         moments: of those frames.
@@ -44,7 +44,7 @@ class Model:
         """Return the model of the frames of both."""
         return Model(self.moments.merge(other.moments), self.shrinkage)
 
-    @property
+    @cached_property
     def intensity(self) -> float:
         """Return the share of the identity in the covariance."""
         if isinstance(self.shrinkage, str):
@@ -52,35 +52,41 @@ class Model:
         return float(self.shrinkage)
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
-        """Return the shrunk covariance (D, D)."""
-        moments, a = self.moments, self.intensity
+    def least(self) -> float:
+        """Return the variance that shrinking adds to every direction: intensity times mean variance."""
+        moments = self.moments
         variance = float(np.trace(moments.scatter)) / (moments.count * len(moments.mean))
         least = _LEAST_VARIANCE * float(np.mean(np.square(moments.mean)))
-        variance = max(variance, least, _NO_VARIANCE)
-        covariance = moments.scatter * ((1 - a) / moments.count)
-        covariance[np.diag_indices(len(covariance))] += a * variance
+        return self.intensity * max(variance, least, _NO_VARIANCE)
+
+    @property
+    def weight(self) -> float:
+        """Return what the scatter is multiplied by in the covariance."""
+        return (1 - self.intensity) / self.moments.count
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Return the shrunk covariance (D, D)."""
+        covariance = self.moments.scatter * self.weight
+        covariance[np.diag_indices(len(covariance))] += self.least
         return covariance
 
-    def distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the squared Mahalanobis distances (n,) of points (n, D): (d - mean)^T covariance^-1 (d - mean)."""
-        from scipy.linalg import blas
-
-        away = np.asfortranarray((points - self.moments.mean).T)
-        if len(points) == 1:
-            one = blas.dtrsv(self._factor, away[:, 0], lower=1)
-            return np.array([one @ one])
-        solved = blas.dtrsm(1.0, self._factor, away, lower=1)
-        return np.einsum("dn,dn->n", solved, solved)
-
     @cached_property
-    def _factor(self) -> NDArray[np.float64]:
-        from scipy.linalg import lapack
+    def factored(self) -> Factored:
+        """Return the squared Mahalanobis distances (d - mean)^T covariance^-1 (d - mean) as they are defined."""
+        return Factored.of(self.moments.mean, self.covariance, self.least)
 
-        factor, failed = lapack.dpotrf(np.asfortranarray(self.covariance), lower=1, clean=0, overwrite_a=1)
-        if failed:
-            raise AnalyticError(
-                "the covariance of a node cannot be inverted: its descriptors differ by too little against their "
-                "size, so that a larger fixed shrinkage is needed"
-            )
-        return factor
+    @property
+    def few(self) -> bool:
+        """Return whether there are so few frames that distances cost less without the covariance."""
+        return 2 * self.moments.count <= len(self.moments.mean)
+
+    def metric(self, rows: NDArray[np.float64] | None) -> Metric:
+        """Return the same distances in the form that costs less.
+
+        Args:
+            rows: (n, D) the frames that model the node; asked for only if they are few.
+        """
+        if rows is None or not self.few:
+            return self.factored
+        return LowRank.of(self.moments.mean, rows, self.weight, self.least)

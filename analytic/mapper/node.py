@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description
 from analytic.mapper.gallery import Gallery, spread, thin
+from analytic.mapper.metric import Metric
 from analytic.mapper.model import Model
 from analytic.mapper.moments import Moments
 from analytic.mapper.parameters import Parameters
@@ -69,7 +70,7 @@ class Mode:
             np.empty(0),
             np.zeros(size),
             Model(Moments.none(size), rules.shrinkage),
-            Gallery.of([], []),
+            Gallery.of([], [], rules.exemplars),
         )
         for frame, description in zip(frames, descriptions, strict=True):
             mode = mode.add(frame, description)
@@ -151,9 +152,14 @@ class Mode:
         return rows[::step]
 
     @cached_property
+    def metric(self) -> Metric:
+        """Return how squared Mahalanobis distances to the mean of the frames that model the mode are computed."""
+        return self.model.metric(self.rows.array[~self.held] if self.model.few else None)
+
+    @cached_property
     def gaussian(self) -> Gaussian:
         """Return mean and standard deviation of the distances of the held-out frames."""
-        distances = self.model.distances(self.rows.array[self.sample])
+        distances = self.metric.distances(self.rows.array[self.sample])
         if len(distances) < 2:
             return Gaussian(float(distances.sum()), 0.0)
         return Gaussian(float(distances.mean()), float(distances.std(ddof=1)))

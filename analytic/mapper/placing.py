@@ -5,10 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from analytic.descriptors.base import Description, Descriptor
-from analytic.mapper.closure import Closure, Similarity, image_level, node_level, prominences, similarity_curve
+from analytic.mapper.closure import (
+    Closures,
+    Similarity,
+    image_level,
+    node_levels,
+    point_of,
+    prominences,
+    similarity_curve,
+)
 from analytic.mapper.decision import Reason
 from analytic.mapper.node import Mode
 from analytic.mapper.state import NONE, State
@@ -24,6 +30,7 @@ class Placement:
         mode: index in the node.
         match: the most similar frame, or -1.
         scores: what was measured.
+        closures: how it stands to every node.
     """
 
     reason: Reason
@@ -31,6 +38,7 @@ class Placement:
     mode: int = 0
     match: int = NONE
     scores: dict[str, Any] = field(default_factory=dict)
+    closures: Closures | None = None
 
 
 def place(state: State, descriptor: Descriptor, description: Description, orientation: bool) -> Placement:
@@ -45,11 +53,12 @@ def place(state: State, descriptor: Descriptor, description: Description, orient
     rules = state.rules
     x = rules.x(len(state.nodes))
     closures = closures_of(state, description)
-    scores: dict[str, Any] = {"x": x, "nodes": {str(c.node): [c.distance, c.mean, c.std] for c in closures.values()}}
-    candidates = [node for node in state.ordered() if closures[node.id].closes(x)]
-    scores["candidates"] = [node.id for node in candidates]
-    if not candidates:
+    scores: dict[str, Any] = {"x": x, "nodes": closures.scores()}
+    closing = closures.nodes[closures.closing(x)].tolist()
+    scores["candidates"] = closing
+    if not closing:
         return Placement(Reason.NO_CANDIDATE_NODE, scores=scores)
+    candidates = [state.nodes[node] for node in closing]
     similarity = image_level(descriptor, description, candidates, rules.distance, orientation)
     if rules.version == 1:
         row = similarity.best()
@@ -61,20 +70,20 @@ def place(state: State, descriptor: Descriptor, description: Description, orient
         scores["mean_similarity"] = {str(key): value for key, value in means.items()}
     match = int(similarity.frames[row])
     scores |= {"node": node, "match": match, "similarity": float(similarity.values[row])}
-    found = Placement(Reason.ASSIGNED, match=match, scores=scores)
+    mode = closures.of(node).mode
+    found = Placement(Reason.ASSIGNED, match=match, scores=scores, closures=closures)
     if rules.version == 1 and not _stands_out(similarity, row, state, found):
         found.reason = Reason.NOT_PROMINENT
-    elif not _keeps_centroid(state.nodes[node].modes[closures[node].mode], description, scores):
+    elif not _keeps_centroid(state.nodes[node].modes[mode], description, scores):
         found.reason = Reason.MOVES_CENTROID
     else:
-        found.node, found.mode = node, closures[node].mode
+        found.node, found.mode = node, mode
     return found
 
 
-def closures_of(state: State, description: Description) -> dict[int, Closure]:
-    """Return how a frame stands to every node at node level, by id."""
-    point = description.position[0].astype(np.float64)
-    return {node.id: node_level(point, node, state.rules.two_sided) for node in state.ordered()}
+def closures_of(state: State, description: Description) -> Closures:
+    """Return how a frame stands to every node at node level, the oldest first."""
+    return node_levels(point_of(description), state.ordered(), state.rules.two_sided)
 
 
 def _stands_out(similarity: Similarity, row: int, state: State, found: Placement) -> bool:
@@ -89,6 +98,6 @@ def _stands_out(similarity: Similarity, row: int, state: State, found: Placement
 
 def _keeps_centroid(mode: Mode, description: Description, scores: dict[str, Any]) -> bool:
     """Return whether eq. 9 holds."""
-    shift, reach = mode.shift(description.position[0].astype(np.float64)), mode.reach
+    shift, reach = mode.shift(point_of(description)), mode.reach
     scores |= {"centroid_shift": shift, "most_centroid_shift": reach}
     return shift <= reach

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description, Descriptor
-from analytic.mapper.closure import image_level
+from analytic.mapper.closure import Closures, image_level, node_level, node_levels_of, point_of
 from analytic.mapper.decision import Reason
-from analytic.mapper.placing import closures_of
 from analytic.mapper.state import NONE, State
 
 
@@ -21,36 +21,47 @@ def reconsider(state: State, descriptor: Descriptor, created: int, orientation: 
     """
     known = dict(state.recent)
     first = min(state.nodes[created].frames)
+    again = [frame for frame in sorted(known) if frame >= first - state.rules.window]
+    open_to = _open_to(state, {frame: known[frame] for frame in again if state.labels[frame] == created})
     moves: dict[tuple[int, int], list[int]] = {}
-    for frame in sorted(known):
-        if frame >= first - state.rules.window:
-            own = int(state.labels[frame])
-            goal = _best(state, descriptor, frame, known[frame], created, orientation)
-            if goal != own:
-                moves.setdefault((own, goal), []).append(frame)
+    for frame in again:
+        own = int(state.labels[frame])
+        options = set(state.nodes) if own == NONE else {own, created} | open_to.get(frame, set())
+        goal = _best(state, descriptor, frame, known[frame], sorted(options), orientation)
+        if goal != own:
+            moves.setdefault((own, goal), []).append(frame)
     _move(state, moves)
 
 
 def _best(
-    state: State, descriptor: Descriptor, frame: int, description: Description, created: int, orientation: bool
+    state: State, descriptor: Descriptor, frame: int, description: Description, options: list[int], orientation: bool
 ) -> int:
+    """Return the node with the highest mean similarity to a frame, of equals its own, or else the oldest."""
     own = int(state.labels[frame])
-    options = set(state.nodes) if own == NONE else {own, created}
-    if own == created:
-        options |= _open_to(state, description)
     if len(options) < 2:
-        return next(iter(options))
-    nodes = [state.nodes[option] for option in sorted(options)]
+        return options[0]
+    nodes = [state.nodes[option] for option in options]
     means = image_level(descriptor, description, nodes, state.rules.distance, orientation, leave_out=frame).means()
     return min(means, key=lambda node: (-means[node], node != own, node))
 
 
-def _open_to(state: State, description: Description) -> set[int]:
-    """Return the nodes whose node-level and centroid condition a frame passes."""
-    point = description.position[0].astype(np.float64)
+def _open_to(state: State, descriptions: dict[int, Description]) -> dict[int, set[int]]:
+    """Return, for each of some frames, the nodes whose node-level and centroid condition it passes."""
+    if not descriptions:
+        return {}
     x = state.rules.x(len(state.nodes))
-    closures = [closure for closure in closures_of(state, description).values() if closure.closes(x)]
-    modes = [(closure.node, state.nodes[closure.node].modes[closure.mode]) for closure in closures]
+    points = np.concatenate([description.position for description in descriptions.values()]).astype(np.float64)
+    closures = node_levels_of(points, state.ordered(), state.rules.two_sided)
+    return {
+        frame: _keeping_centroid(state, point, found, x)
+        for frame, point, found in zip(descriptions, points, closures, strict=True)
+    }
+
+
+def _keeping_centroid(state: State, point: NDArray[np.float64], closures: Closures, x: float) -> set[int]:
+    closing = closures.closing(x)
+    pairs = zip(closures.nodes[closing].tolist(), closures.modes[closing].tolist(), strict=True)
+    modes = [(node, state.nodes[node].modes[mode]) for node, mode in pairs]
     return {node for node, mode in modes if mode.shift(point) <= mode.reach}
 
 
@@ -69,6 +80,7 @@ def _move(state: State, moves: dict[tuple[int, int], list[int]]) -> None:
 def join(state: State, frame: int, description: Description, goal: int, mode: int | None = None) -> None:
     """Put a frame into a node: into the mode given, or the one that it fits best."""
     node = state.nodes[goal]
-    index = closures_of(state, description)[goal].mode if mode is None else mode
-    state.nodes[goal] = node.with_mode(index, node.modes[index].add(frame, description))
+    if mode is None:
+        mode = node_level(point_of(description), node, state.rules.two_sided).mode
+    state.nodes[goal] = node.with_mode(mode, node.modes[mode].add(frame, description))
     state.labels[frame] = goal

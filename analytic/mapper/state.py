@@ -12,6 +12,7 @@ from analytic.descriptors.base import Description
 from analytic.mapper.decision import Change, Reason
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters
+from analytic.mapper.spacing import Spacing
 
 NONE = -1  # the label of a frame without a node
 
@@ -30,6 +31,7 @@ class State:
         pending: consecutive frames up to the last one that belong to nothing.
         next_id: id of the next node.
         changes: made while working in a frame.
+        spacing: distances between nodes that were computed before, for all copies; it has no effect on what they are.
     """
 
     rules: Parameters
@@ -41,6 +43,7 @@ class State:
     pending: tuple[int, ...] = ()
     next_id: int = 0
     changes: tuple[Change, ...] = ()
+    spacing: Spacing = field(default_factory=Spacing, repr=False, compare=False)
 
     def copy(self) -> State:
         """Return a state to work in; nodes and descriptions are values and are shared."""

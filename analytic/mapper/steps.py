@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from analytic.descriptors.base import Description, Descriptor
+from analytic.mapper.closure import point_of
 from analytic.mapper.creation import first_node, grow_version_1, grow_version_2, join_parked
 from analytic.mapper.decision import Decision, Reason
-from analytic.mapper.merging import merge_alike
+from analytic.mapper.merging import Known, merge_alike
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.placing import Placement, place
 from analytic.mapper.reconsidering import join, reconsider
@@ -32,7 +33,9 @@ def step(state: State, descriptor: Descriptor, description: Description, orienta
     changed = placement.node if created is None else created.id
     wanted = {"changed": changed != NONE, "created": created is not None}
     if wanted.get(state.rules.merge, False):
-        merge_alike(state, changed)
+        # What is known of the frame's distances holds for nodes that are as they were when it was placed.
+        known = Known(point_of(description), placement.closures) if created is None and placement.closures else None
+        merge_alike(state, changed, known)
     label = int(state.labels[frame])
     return Decision(
         None if label == NONE else label,

@@ -168,7 +168,7 @@ def _mode(rules: Parameters, arrays: Arrays, name: str) -> Mode:
         return arrays[f"{name}.{part}"]
 
     moments = Moments(int(of("count")), of("mean"), of("scatter"), of("third"), float(of("fourth")))
-    gallery = Gallery.of(of("gallery.frames").tolist(), _rows(f"{name}.gallery", arrays))
+    gallery = Gallery.of(of("gallery.frames").tolist(), _rows(f"{name}.gallery", arrays), rules.exemplars)
     model = Model(moments, rules.shrinkage)
     return Mode(rules, of("frames"), of("held"), Rows.of(of("rows")), of("squares"), of("centre"), model, gallery)
 

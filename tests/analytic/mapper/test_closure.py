@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analytic.mapper.closure import image_level, mean_distance, mean_distance_among, prominences, similarity_curve
+from analytic.mapper.closure import Similarity, image_level, prominences, similarity_curve
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters
 from tests.analytic.mapper.world import World, corridor_drive, rows
@@ -12,6 +12,7 @@ from tests.oracles.mapper import SlowMapper, walk
 RULES = Parameters()
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 6), min_size=1, max_size=30))
 def test_prominence_is_a_walk_down_from_each_peak(heights):
     curve = np.array(heights, dtype=np.float64)
@@ -78,8 +79,11 @@ def test_the_curve_falls_to_zero_between_frames_of_other_nodes():
     assert curve[where].tolist() == found.values.tolist()
 
 
-def test_a_place_is_as_far_as_the_nearest_of_its_modes():
-    place, other = [np.zeros(2), np.array([10.0, 0])], [np.array([4.0, 0])]
-    assert mean_distance(np.array([9.0, 0]), [place, other]) == 3
-    assert mean_distance_among([place, other]) == 4
-    assert mean_distance_among([place]) == 0
+def test_the_mean_similarity_of_a_node_is_that_of_its_best_mode():
+    generator = np.random.default_rng(3)
+    nodes, modes, values = generator.integers(0, 9, 80), generator.integers(0, 3, 80), generator.random(80)
+    found = Similarity(np.arange(80), values, nodes, modes).means()
+    assert list(found) == np.unique(nodes).tolist()
+    for node, mean in found.items():
+        parts = [values[(nodes == node) & (modes == mode)] for mode in np.unique(modes[nodes == node])]
+        assert mean == max(part.mean() for part in parts)

@@ -8,6 +8,7 @@ from sklearn.covariance import ledoit_wolf
 from analytic.descriptors.base import Description
 from analytic.mapper import IncrementalMapper, Reason, replay, steps
 from analytic.mapper import mapper as mapper_module
+from analytic.mapper.metric import LowRank
 from analytic.mapper.node import Mode
 from analytic.mapper.state import State
 from tests.analytic.mapper.world import World, cold_drive, corridor_drive, rows
@@ -51,6 +52,23 @@ SYNTHETIC = [
     (1, {"two_sided": False, "y": 0.5}, {"NODE_PARKED"}),
     (2, {"y": 1.5}, {"NODES_MERGED", "REASSIGNED"}),
 ]
+
+# With more numbers than frames in a node, as images have.
+WIDE = [
+    (1, {}, {"NODE_PARKED"}),
+    (2, {"y": 2.5}, {"NODES_MERGED", "REASSIGNED"}),
+    (2, {"y": 2.5, "two_sided": False}, set()),
+]
+
+
+@pytest.mark.parametrize(("version", "parameters", "happens"), WIDE)
+def test_every_decision_on_wide_descriptors_is_that_of_the_oracle(version, parameters, happens):
+    world = World(size=96, steps=0, reach=6.0, seed=2)
+    frames = rows(world.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
+    mapper, slow = IncrementalMapper(world, version, **parameters), SlowMapper(version, **parameters)
+    seen = compare(mapper, slow, frames)
+    assert happens | {"ASSIGNED", "NO_CANDIDATE_NODE"} <= set(seen)
+    assert any(isinstance(mode.metric, LowRank) for node in mapper.nodes for mode in node.modes)
 
 
 @pytest.mark.parametrize(("version", "parameters", "happens"), SYNTHETIC)

@@ -77,7 +77,7 @@ def test_mahalanobis_distances_are_those_of_the_shrunk_covariance():
     assert model.intensity == pytest.approx(intensity)
     away = queries - points.mean(axis=0)
     expected = np.einsum("nd,de,ne->n", away, np.linalg.inv(covariance), away)
-    np.testing.assert_allclose(model.distances(queries), expected, rtol=1e-8)
+    np.testing.assert_allclose(model.factored.distances(queries), expected, rtol=1e-8)
 
 
 def test_a_fixed_shrinkage_is_taken_as_it_is():
@@ -90,7 +90,7 @@ def test_a_fixed_shrinkage_is_taken_as_it_is():
 @pytest.mark.parametrize("points", [np.ones((6, 5)), np.zeros((6, 5)), np.tile([[1.0, 2, 3], [2, 2, 3]], (3, 1))])
 def test_frames_that_hardly_differ_still_give_finite_distances(points):
     model = Model(added(points), "ledoit_wolf")
-    at, off = model.distances(np.stack([points.mean(axis=0), points.mean(axis=0) + 1]))
+    at, off = model.factored.distances(np.stack([points.mean(axis=0), points.mean(axis=0) + 1]))
     assert at == pytest.approx(0, abs=1e-9)
     assert np.isfinite(off)
     assert off > 1

@@ -34,11 +34,29 @@ def test_going_on_after_loading_is_never_having_stopped(tmp_path, parameters, or
             parts.save(tmp_path / "map")
             parts = IncrementalMapper.load(tmp_path / "map", WORLD, extend=True)
         assert whole.add(frame, pose) == parts.add(frame, pose)
-    for name, mapper in (("whole", whole), ("parts", parts)):
-        mapper.save(tmp_path / name)
-    assert (tmp_path / "whole").read_bytes() == (tmp_path / "parts").read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["map", "parts", "whole"]
+    check_equal_files(tmp_path, whole, parts)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "1", "map"]
     assert np.array_equal(replay(parts.events), whole.labels())
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_going_on_with_wide_descriptors(tmp_path, version):
+    world = World(size=96, steps=8, reach=6.0, seed=2)
+    frames = rows(world.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
+    whole, parts = (IncrementalMapper(world, version, y=2.5, exemplars=12) for _ in range(2))
+    for index, frame in enumerate(frames):
+        if index % 37 == 0:
+            parts.save(tmp_path / "map")
+            parts = IncrementalMapper.load(tmp_path / "map", world, extend=True)
+        assert whole.add(frame) == parts.add(frame)
+    assert len(whole.nodes) > 1
+    check_equal_files(tmp_path, whole, parts)
+
+
+def check_equal_files(folder, *mappers):
+    for number, mapper in enumerate(mappers):
+        mapper.save(folder / f"{number}")
+    assert len({(folder / f"{number}").read_bytes() for number in range(len(mappers))}) == 1
 
 
 def test_a_map_with_parked_candidates_and_modes_goes_on_too(tmp_path):
