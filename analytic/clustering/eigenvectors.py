@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic.clustering import krylov
+
 # Below this a normalized similarity counts as none. A Lanczos solver finds one copy of an eigenvalue, so that the
 # equal ones of separate parts are sought separately; in float64 it tells parts apart down to about 1e-13.
 _NOTHING = 1e-11
 _SMALL = 500  # frames up to which the full decomposition is as fast as Lanczos
-_SHIFT = 1e-3  # beyond the largest eigenvalue, 1: near enough to spread those close to 1, far enough to solve well
+_FLAT = 1200  # the same where no eigenvalue but the first stands out
 
 
 def normalized(similarity: Any) -> Any:
@@ -90,34 +92,20 @@ def _largest(matrix: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.f
         return _full(matrix, count)
     from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
+    if isinstance(matrix, np.ndarray):
+        # The squares of all eigenvalues add up to that of the entries: a large sum means that many are near 1, one of
+        # hardly more than the first eigenvalue's own that none stands out, which takes Lanczos long.
+        squares = float(np.vdot(matrix, matrix))
+        if squares > count:
+            found = krylov.inverted(matrix, count)
+            return _full(matrix, count) if found is None else found
+        if squares < 2 and n <= _FLAT:
+            return _full(matrix, count)
     start = np.random.default_rng(0).uniform(0.5, 1, n)
     try:
-        # The squares of all eigenvalues add up to that of the entries: a large sum means that many are near 1.
-        if isinstance(matrix, np.ndarray) and np.vdot(matrix, matrix) > count:
-            return _inverted(matrix, count, start)
         return eigsh(matrix, k=count, which="LA", v0=start)
     except ArpackNoConvergence:
         return _full(matrix, count)
-
-
-def _inverted(
-    matrix: NDArray[np.float64], count: int, start: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the largest eigenvalues and their vectors by Lanczos on ((1 + shift) I - N)^-1, which spreads them."""
-    from scipy.linalg import cho_factor, cho_solve
-    from scipy.sparse.linalg import LinearOperator, eigsh
-
-    n = len(matrix)
-    definite = -matrix
-    definite[np.diag_indices(n)] += 1 + _SHIFT
-    factor = cho_factor(definite, lower=True, overwrite_a=True, check_finite=False)
-
-    def solve(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        return cho_solve(factor, vector, check_finite=False)
-
-    inverse = LinearOperator((n, n), matvec=solve, dtype=np.float64)
-    values, vectors = eigsh(inverse, k=count, which="LM", v0=start)
-    return 1 + _SHIFT - 1 / values, vectors
 
 
 def _full(matrix: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -125,7 +113,7 @@ def _full(matrix: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.floa
 
     n = matrix.shape[0]
     dense = matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
-    return eigh(dense, subset_by_index=(n - count, n - 1))
+    return eigh(dense, subset_by_index=(n - count, n - 1), check_finite=False)
 
 
 def _inverse_root(degree: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.clustering import checks, eigenvectors, self_organizing, similarity
+from analytic.clustering.rows import kmeans
 from analytic.errors import AnalyticError
 
 ASSIGNMENTS = ("kmeans", "som")
-_STARTS = 9
+_CACHED = 256  # rows and columns of a block
 
 
 def spectral(
@@ -77,7 +77,8 @@ def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: str 
     """Return the clusters of frames whose similarities are given, whatever they were computed from (n,).
 
     As `spectral` from the normalization on. "kmeans" takes the best of 10 starts: 9 by k-means++ drawn from the seed,
-    and one from rows that are as nearly orthogonal as possible, as Ng, Jordan and Weiss propose.
+    and one from rows that are as nearly orthogonal as possible, as Ng, Jordan and Weiss propose. Where the clusters of
+    the latter are so far apart that there can be no better ones, the others are left out.
 
     Args:
         similarities: symmetric, finite, not negative (n, n), an array or scipy.sparse; the diagonal does not count.
@@ -108,34 +109,10 @@ def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: str 
 def _clustered(matrix: Any, part: NDArray[np.int64], count: int, seed: int, assign: str) -> NDArray[np.int64]:
     rows = eigenvectors.leading(matrix, part, count)
     length = np.linalg.norm(rows, axis=1, keepdims=True)
-    rows = np.divide(rows, length, out=np.zeros_like(rows), where=length > 0)
+    np.divide(rows, length, out=rows, where=length > 0)
     if assign == "som":
         return self_organizing.winners(rows, np.ones(len(rows)), _squarest(count), seed)
-    return _kmeans(rows, count, seed)
-
-
-def _kmeans(rows: NDArray[np.float64], count: int, seed: int) -> NDArray[np.int64]:
-    from sklearn.cluster import KMeans
-    from sklearn.exceptions import ConvergenceWarning
-
-    with warnings.catch_warnings():
-        # Rows that coincide give fewer clusters; the labels show it.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        runs = [
-            KMeans(count, n_init=_STARTS, random_state=seed).fit(rows),
-            KMeans(count, n_init=1, init=_orthogonal(rows, count), random_state=seed).fit(rows),
-        ]
-    return min(runs, key=lambda run: run.inertia_).labels_.astype(np.int64)
-
-
-def _orthogonal(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return rows each as nearly at right angles as can be to those before; the first is the one most like the mean."""
-    chosen = [int((rows @ rows.mean(axis=0)).argmax())]
-    closeness = np.abs(rows @ rows[chosen[0]])
-    while len(chosen) < count:
-        chosen.append(int(closeness.argmin()))
-        closeness = np.maximum(closeness, np.abs(rows @ rows[chosen[-1]]))
-    return rows[chosen]
+    return kmeans(rows, count, seed)
 
 
 def _squarest(units: int) -> tuple[int, int]:
@@ -161,7 +138,20 @@ def _checked_similarities(similarities: Any) -> Any:
     values = graph if isinstance(graph, np.ndarray) else graph.data
     if not np.isfinite(values).all() or (values < 0).any():
         raise AnalyticError("similarities must be finite and not negative, such as those of `affinity`")
-    difference = abs(graph - graph.T).max()
+    difference = _asymmetry(graph)
     if difference > 1e-8 * values.max(initial=0):
         raise AnalyticError(f"similarities must be symmetric, but two of a pair differ by {difference:.3g}")
     return graph
+
+
+def _asymmetry(graph: Any) -> float:
+    """Return the largest difference between the two similarities of a pair."""
+    if not isinstance(graph, np.ndarray):
+        return float(abs(graph - graph.T).max())
+    # Block by block: a transposed matrix is read against the grain, and only what fits the cache is read once.
+    slices = [slice(start, start + _CACHED) for start in range(0, len(graph), _CACHED)]
+    return max(
+        float(np.abs(graph[rows, columns] - graph[columns, rows].T).max())
+        for place, rows in enumerate(slices)
+        for columns in slices[place:]
+    )
