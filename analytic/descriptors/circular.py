@@ -8,6 +8,7 @@ which costs one small product per frequency in place of one comparison per turn.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,7 @@ _VALUES = 1 << 23  # of correlations held at once: 32 MiB
 
 def spectrum(columns: NDArray[Any]) -> NDArray[np.complex64]:
     """Return the transform (K // 2 + 1, B, F) along the turn of real values (B, K, F), frequency first."""
-    from scipy import fft
-
-    transformed = fft.rfft(np.asarray(columns, dtype=np.float32), axis=1)
+    transformed = _fft().rfft(np.asarray(columns, dtype=np.float32), axis=1)
     return np.ascontiguousarray(transformed.transpose(1, 0, 2)).astype(np.complex64, copy=False)
 
 
@@ -32,11 +31,9 @@ def correlate(queries: NDArray[np.complex64], references: NDArray[np.complex64],
         references: spectra (steps // 2 + 1, m, F).
         steps: K, steps of a full turn.
     """
-    from scipy import fft
-
     # Conjugating the few queries and the result is Q conj(R) again, and leaves the map's spectra as they lie.
     crossed = (queries.conj() @ references.transpose(0, 2, 1)).conj()
-    return fft.irfft(crossed.transpose(1, 2, 0), n=steps, axis=2)
+    return _fft().irfft(crossed.transpose(1, 2, 0), n=steps, axis=2)
 
 
 def heading(step: NDArray[Any], steps: int) -> NDArray[np.float64]:
@@ -53,3 +50,12 @@ def blocks(n: int, m: int, steps: int) -> Iterator[tuple[slice, slice]]:
     for top in range(0, n, height):
         for left in range(0, m, width):
             yield slice(top, top + height), slice(left, left + width)
+
+
+def _fft() -> ModuleType:
+    """Return scipy's transforms, or numpy's where scipy is not installed, as on a robot."""
+    try:
+        from scipy import fft
+    except ImportError:
+        from numpy import fft
+    return fft

@@ -69,9 +69,21 @@ def coarse_map(config: DictConfig, run: Run, coarse: CoarseDescriptor, known: Vi
 def _options(config: DictConfig, name: str) -> tuple[DictConfig, dict[str, Any]]:
     """Return the options of a named descriptor, or of the network of a run, with the configuration it is made by."""
     if (Path(name) / "run.json").is_file():
-        model = OmegaConf.create(Run(Path(name)).load_record()["config"]["model"])
+        trained = Run(Path(name)).load_record()["config"]
+        _check_size(name, list(trained["data"]["image_size"]), list(config.data.image_size))
+        model = OmegaConf.create(trained["model"])
         return OmegaConf.merge({**config, "model": model}), {"name": "network", "run": name}  # type: ignore[return-value]
     return config, descriptor_options(name)
+
+
+def _check_size(run: str, trained: list[int], read: list[int]) -> None:
+    """Raise ConfigError if a network of another run does not take the panoramas that the fine layer reads."""
+    if trained != read:
+        there, here = (f"{rows} x {columns}" for rows, columns in (trained, read))
+        raise ConfigError(
+            f"the network of {run} was trained on panoramas of {there}, and the fine layer reads {here}: both layers "
+            f"read the same panoramas, say data.image_size=[{trained[0]},{trained[1]}]"
+        )
 
 
 def _label(options: dict[str, Any]) -> str:

@@ -195,10 +195,10 @@ def _expect_errors(config: DictConfig, search: Search, validation: _Validation, 
     """Learn on the validation frames how far off an estimate is, and tell it of the queries."""
     found, xy = validation.search.retrieval, search.known.frames.xy
     errors = localization_error(xy[found.indices[:, 0]], validation.frames.xy)
-    added.model = ErrorModel.fit(found, xy, errors, radius=config.task.place_radius, neighbours=_MATCHES)
+    model = ErrorModel.fit(found, xy, errors, radius=config.task.place_radius, neighbours=_MATCHES)
+    added.model = replace(model, lost_above=float(config.task.lost_above), map_digest=search.known.digest)
     expected = added.model.predict(search.retrieval, xy)
-    lost = expected > config.task.lost_above
-    _extend(added, {"error_m": expected, "lost": lost})
+    _extend(added, {"error_m": expected, "lost": added.model.lost(expected)})
     added.measures["calibration"] = calibration.measures_of(added.result.columns, config.task.lost_above)
     added.details["error_model"] = {
         "file": "error_model.json",

@@ -10,17 +10,18 @@ import numpy as np
 from omegaconf import DictConfig
 
 from analytic import Descriptor
-from siamloc.cli import hierarchical, mapping, robustness
+from siamloc.cli import buildings, hierarchical, mapping, robustness
+from siamloc.cli.baselines import baseline_descriptors
 from siamloc.cli.compose import plain
 from siamloc.cli.estimates import Estimates, check_validation, estimate, needs_validation, prepare_search
+from siamloc.cli.headings import heading_descriptor, with_headings
 from siamloc.cli.searching import Search, Vectors, check_apart, lacking, run_searches, saved_map
-from siamloc.cli.steps import Roles, build_map, descriptor_options, finished_run, label_of, make_descriptor
+from siamloc.cli.steps import Roles, build_map, finished_run, label_of, make_descriptor
 from siamloc.cli.tables import print_calibration, print_summary
 from siamloc.data.frames import FrameTable
 from siamloc.data.pairs import PairSampler
 from siamloc.errors import ConfigError, DataError, SiamlocError, nearest
-from siamloc.maps import VisualMap
-from siamloc.runs import Run
+from siamloc.maps import VisualMap, WithHeading
 from siamloc.tasks.absolute import AbsoluteResult, evaluate_absolute, neighbours
 from siamloc.tasks.beside import located_columns
 from siamloc.tasks.columns import Columns
@@ -39,6 +40,9 @@ def main(config: DictConfig) -> None:
     if names == ["robustness"]:
         robustness.measure(config)
         return
+    if names == ["buildings"]:
+        buildings.measure(config)
+        return
     for name in names:
         if name not in TASKS:
             raise ConfigError(f"unknown task {name!r}: {nearest(name, TASKS)}")
@@ -55,8 +59,11 @@ def _measure(config: DictConfig) -> None:
     descriptor = make_descriptor(config, run, options)
     skipped: dict[str, str] = {}
     label = label_of(options)
-    others = _baseline_descriptors(config, run, label, skipped)
+    others = baseline_descriptors(config, run, label, skipped)
+    heading = heading_descriptor(config)
     known = saved_map(config, run, descriptor)
+    if known is not None:
+        known = with_headings(known, heading)
     validated = needs_validation(config)
     wanted = ("query", "validation") if validated else ("query",)
     if known is not None:
@@ -65,15 +72,18 @@ def _measure(config: DictConfig) -> None:
     else:
         roles = Roles(config, ("map", *wanted))
         map_frames = roles["map"]
-        known = build_map(config, descriptor, roles.library, map_frames, "describing the map")
+        built = build_map(config, descriptor, roles.library, map_frames, "describing the map", heading)
+        known = with_headings(built, heading)
     check_apart(roles.protocol.kind, known.frames, roles["query"])
     if validated:
         check_validation(known.frames, roles["validation"])
-    main_result = _evaluate(config, descriptor, known, roles, label, alone=False)
+    main_result = _evaluate(config, descriptor, known, roles, label, alone=False, heading=heading)
     main_result.skipped.update(skipped)
+    # Where no query can be scored there is nothing that a baseline could stand beside.
     baselines = {
         name: _evaluate(config, other, _map_like(config, other, map_frames, roles, name), roles, name)
         for name, other in others.items()
+        if main_result.scored
     }
     folder = run.evaluation(label)
     measures = _write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
@@ -83,7 +93,8 @@ def _measure(config: DictConfig) -> None:
 
         for path in plots.draw_all(folder):
             print(f"picture: {path}")
-    print(f"results: {folder / 'results.json'}, one row per query in {folder / 'queries.csv'}")
+    table = "queries.csv" if main_result.absolute else "rooms.csv" if main_result.rooms else "located.csv"
+    print(f"results: {folder / 'results.json'}, one row per query in {folder / table}")
 
 
 def _print(label: str, measures: Mapping[str, Any], result: Evaluation, known: FrameTable, queries: FrameTable) -> None:
@@ -116,6 +127,11 @@ class Evaluation:
     located: Columns | None = None
     skipped: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def scored(self) -> bool:
+        """Whether anything was measured, and not located alone."""
+        return self.absolute is not None or self.rooms is not None
+
     def measures(self) -> dict[str, Any]:
         """Return the measures of what was measured."""
         parts = {"absolute": self.absolute, "room_retrieval": self.rooms, "room_pairs": self.pairs}
@@ -128,26 +144,18 @@ class Evaluation:
         return {name + suffix: part.columns for name, part in parts.items() if part is not None}
 
 
-def _baseline_descriptors(config: DictConfig, run: Run, main: str, skipped: dict[str, str]) -> dict[str, Descriptor]:
-    """Return the baselines by name; "untrained" is left out where there is no trained network to begin with."""
-    found: dict[str, Descriptor] = {}
-    for name in config.task.baselines:
-        options = descriptor_options(name)
-        if name == main:
-            continue
-        if name in ("network", "untrained") and not run.record.is_file():
-            skipped[f"baseline {name}"] = f"{run.folder} holds no trained network"
-            continue
-        found[name] = make_descriptor(config, run, options)
-    return found
-
-
 def _map_like(config: DictConfig, descriptor: Descriptor, frames: FrameTable, roles: Roles, name: str) -> VisualMap:
     return build_map(config, descriptor, roles.library, frames, f"describing the map, {name}")
 
 
 def _evaluate(
-    config: DictConfig, descriptor: Descriptor, known: VisualMap, roles: Roles, name: str, alone: bool = True
+    config: DictConfig,
+    descriptor: Descriptor,
+    known: VisualMap,
+    roles: Roles,
+    name: str,
+    alone: bool = True,
+    heading: Descriptor | None = None,
 ) -> Evaluation:
     """Measure one descriptor; with the estimates beside the single-frame one unless that is wanted alone."""
     result = Evaluation()
@@ -166,7 +174,8 @@ def _evaluate(
         searches["located"] = Search(known if placed.all() else known.take(placed), bare, 1)
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(result.skipped.values())}")
-    vectors = run_searches(descriptor, roles.library, queries, searches, f"describing the queries, {name}")
+    both = descriptor if heading is None else WithHeading(descriptor, heading)
+    vectors = run_searches(both, roles.library, queries, searches, f"describing the queries, {name}")
     if "absolute" in searches:
         search = searches["absolute"]
         radii, ks = list(config.task.radii), list(config.task.ks)
@@ -230,7 +239,8 @@ def _pairs(
         skipped["room_pairs"] = str(error)
         return None
     pairs = sampler.epoch(0)
-    first, second = queries.lighting[pairs.first], queries.lighting[pairs.second]
+    one, other = queries.lighting[pairs.first], queries.lighting[pairs.second]
+    first, second = np.where(one <= other, one, other), np.where(one <= other, other, one)
     lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))
     labels = {"first": queries.path[pairs.first], "second": queries.path[pairs.second]}
     return evaluate_pairs(vectors[pairs.first], vectors[pairs.second], pairs.same, margin, 0.5, lighting, labels)

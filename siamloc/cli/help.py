@@ -88,6 +88,8 @@ COMMANDS = {
         protocol.map.sequences=[...]    the training sequences if not given
         protocol.map.every=5            or protocol.map.spacing=0.5
         descriptor=hog|gist|wisurf|...  something else than the trained network
+        heading=hog|fs|gist|radon_fourier
+                                        what tells headings for a network; heading.step=4 halves its part of the map
         build=incremental|spectral|som|sample|rooms
                                         group the frames into nodes as well, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` shows them
@@ -104,7 +106,7 @@ COMMANDS = {
 
         run=FOLDER                        the run; the newest one if not given
         protocol.query.sequences=[...]    the frames to be located
-        task=localization|absolute|room_retrieval|hierarchical|mapping|robustness
+        task=localization|absolute|room_retrieval|hierarchical|mapping|robustness|buildings
         task.radii=[0.5,1.0]              recall: how near a map frame must be
         task.baselines=[hog,thumbnail,untrained]
         descriptor=hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
@@ -112,7 +114,10 @@ COMMANDS = {
         task.filter=true                  beside each frame's own estimate, that of a robot followed on its way;
                                           task.filter_tune=true learns from protocol.validation
         task.interpolate=3                a pose between the three nearest map frames
-        task.error_model=true             the expected error of each query, learned from protocol.validation
+        task.error_model=true             the expected error of each query, learned from protocol.validation, and
+                                          whether it is lost, above task.lost_above=1.0
+        heading=hog|fs|gist|radon_fourier
+                                          what tells headings for a network; the map's own if not given
         task=hierarchical build=incremental|spectral|som|sample|rooms
                                           search the nodes of a map first, then the frames inside the nearest
         task.candidates=3                 that many nodes
@@ -120,6 +125,8 @@ COMMANDS = {
                                           how nodes are ranked
         task=mapping build=incremental    measure the nodes of a map instead: see `siamloc map --help`
         task=robustness                   error against noise, occlusion, turns and effects
+        task=buildings task.maps=[runs/a,runs/b]
+                                          which building a query is in, by the maps of several
         """,
         "siamloc evaluate run=runs/vgg16 protocol.query.sequences=['*cloudy2','*night2','*sunny2']",
         inherits=True,
@@ -129,7 +136,8 @@ COMMANDS = {
         "write the model file for the robot",
         """
         Writes a bundle: the network as ONNX (any batch size), the map, and how images are prepared; and compares its
-        output with the network's.
+        output with the network's. With a map made with heading=hog the robot tells its heading, and after an
+        evaluation with task.error_model=true its expected error and whether it is lost.
 
         run=FOLDER      the run; the newest one if not given
         bundle=FOLDER   where to; the run's own folder if not given
@@ -141,7 +149,8 @@ COMMANDS = {
         "localize",
         "locate image files with an exported bundle",
         """
-        Works without torch. Prints a line per image and writes locations.csv.
+        Works without torch. Prints a line per image and writes locations.csv: position and room, and heading in rad,
+        expected error and verdict where the bundle tells them.
 
         images=[a.jpeg,folder]   files or folders
         run=FOLDER               the run whose bundle is used; the newest one if not given

@@ -11,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 from omegaconf import DictConfig
 
-from analytic import Descriptor
+from analytic import Description, Descriptor
 from siamloc.cli.coarse import Coarse, coarse_descriptor, coarse_map, rank
 from siamloc.cli.compose import plain
+from siamloc.cli.headings import heading_descriptor, with_headings
 from siamloc.cli.mapping import layer_over
 from siamloc.cli.searching import check_apart, headings_by, joined, lacking, parts_of, saved_map
 from siamloc.cli.steps import Roles, build_map, finished_run, label_of, make_descriptor
 from siamloc.cli.tables import print_hierarchical
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import CoarseLayer, Retrieval, VisualMap, match
+from siamloc.maps import CoarseLayer, Retrieval, VisualMap, WithHeading, match
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
 from siamloc.maps.layers import BUILDS
 from siamloc.maps.node_ranking import NodeRanking, rank_by_position
@@ -39,7 +40,8 @@ def measure(config: DictConfig) -> None:
     options = plain(config.descriptor)
     descriptor, label = make_descriptor(config, run, options), label_of(options)
     chosen = coarse_descriptor(config, run, descriptor, label)
-    known, roles = _map(config, run, descriptor)
+    heading = heading_descriptor(config)
+    known, roles = _map(config, run, descriptor, heading)
     queries = roles["query"]
     check_apart(roles.protocol.kind, known.frames, queries)
     coarse_known = known if chosen.descriptor is descriptor else coarse_map(config, run, chosen, known, roles)
@@ -57,7 +59,7 @@ def measure(config: DictConfig) -> None:
     coarse = Coarse(chosen, coarse_known, layer)
     if text := missing_rooms(known.frames, queries):
         skipped["rooms"] = text
-    found = _run(config, descriptor, known, coarse, roles, label)
+    found = _run(config, descriptor, known, coarse, roles, label, heading)
     name = "-".join(dict.fromkeys([label, chosen.label, config.build.name]))
     folder = run.evaluation(f"hierarchical-{name}")
     result = _evaluated(config, known, layer, queries.take(scored), found, scored) if scored.any() else None
@@ -108,16 +110,23 @@ def _check(config: DictConfig) -> None:
         raise ConfigError(f"task=hierarchical searches a coarse layer first: choose one with build={'|'.join(BUILDS)}")
 
 
-def _map(config: DictConfig, run: Run, descriptor: Descriptor) -> tuple[VisualMap, Roles]:
+def _map(config: DictConfig, run: Run, descriptor: Descriptor, heading: Descriptor | None) -> tuple[VisualMap, Roles]:
     known = saved_map(config, run, descriptor)
     if known is None:
         roles = Roles(config, ("map", "query"))
-        return build_map(config, descriptor, roles.library, roles["map"], "describing the map"), roles
+        return build_map(config, descriptor, roles.library, roles["map"], "describing the map", heading), roles
+    with_headings(known, heading)  # one that does not fit is an error before any work
     return known, Roles(config, ("query",), known.frames)
 
 
 def _run(
-    config: DictConfig, descriptor: Descriptor, known: VisualMap, coarse: Coarse, roles: Roles, label: str
+    config: DictConfig,
+    descriptor: Descriptor,
+    known: VisualMap,
+    coarse: Coarse,
+    roles: Roles,
+    label: str,
+    heading: Descriptor | None,
 ) -> _Found:
     """Look for all queries, batch by batch where the descriptions are large."""
     queries, scored = roles["query"], roles["query"].has_position
@@ -128,13 +137,16 @@ def _run(
         rankings = _joined_rankings([rank(config, coarse, part) for part in parts])
     search = HierarchicalSearch(known, coarse.layer, descriptor)
     k = neighbours(list(config.task.ks), len(known))
+    seeing = descriptor if heading is None else WithHeading(descriptor, heading)
+    turning = with_headings(known, heading)
     both, perfect, whole, turned, start = [], [], [], [], 0
-    for part in parts_of(descriptor, roles.library, queries, f"describing the queries, {label}"):
+    for seen in parts_of(seeing, roles.library, queries, f"describing the queries, {label}"):
+        part = seen if heading is None else Description(seen.position)
         rows = np.arange(start, start + len(part))
         ranking = rank(config, coarse, part) if rankings is None else _take(rankings, rows)
         both.append(search.search(part, ranking, k))
         whole.append(match(known, part, descriptor, 1))
-        turned.append(headings_by(known, part, descriptor, both[-1].found))
+        turned.append(headings_by(turning, seen, seeing, both[-1].found))
         inside = np.flatnonzero(scored[rows])
         if len(inside):
             true = rank_by_position(queries.xy[rows[inside]], known.frames.xy, coarse.layer.labels)

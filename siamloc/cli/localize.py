@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -50,14 +51,27 @@ def _row(path: Path, location: Location) -> dict[str, object]:
         "image": str(path),
         "x": location.x,
         "y": location.y,
+        "theta": _cell(location.theta),
         "room": location.room,
+        "error_m": _cell(location.error_m),
+        "lost": "" if location.lost is None else location.lost,
         "match": best.image,
         "distance": best.distance,
         "ms": round(location.ms, 2),
     }
 
 
+def _cell(value: float) -> object:
+    return "" if math.isnan(value) else value
+
+
 def _line(path: Path, location: Location, unit: str) -> str:
+    heading = "" if math.isnan(location.theta) else f", heading {math.degrees(location.theta):.0f} deg"
     room = f" in {location.room}" if location.room else ""
+    expected = "" if math.isnan(location.error_m) else f"; expected error {location.error_m:.2f} {unit}"
+    lost = ", lost" if location.lost else ""
     others = ", ".join(f"{Path(c.image).name} ({c.distance:.3g})" for c in location.candidates)
-    return f"{path}: x {location.x:.2f} {unit}, y {location.y:.2f} {unit}{room}; nearest {others}; {location.ms:.1f} ms"
+    return (
+        f"{path}: x {location.x:.2f} {unit}, y {location.y:.2f} {unit}{heading}{room}{expected}{lost}; nearest "
+        f"{others}; {location.ms:.1f} ms"
+    )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +49,7 @@ def build_and_save(
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     built.layer.save(folder / "layer.npz")
-    write_json(folder / "placing.json", {**_placing(built), "map": _digest(known)})
+    write_json(folder / "placing.json", {**_placing(built), "map": known.digest})
     if built.mapper is not None:
         built.mapper.save(folder / "mapper.npz")
         write_text(folder / "events.jsonl", "".join(f"{line}\n" for line in built.mapper.events))
@@ -62,7 +60,7 @@ def build_and_save(
     lost = f", {unassigned} frames in none" if unassigned else ""
     seconds = built.seconds.sum()
     print(f"layer: {folder}, {len(built.layer)} nodes over {len(known)} frames{lost}, built in {seconds:.1f} s")
-    if list(config.task.names) not in (["mapping"], ["hierarchical"]):
+    if list(config.task.names) not in (["mapping"], ["hierarchical"], ["buildings"]):
         print(f"next: siamloc evaluate task=mapping|hierarchical build={options['name']} ... with the same settings")
     return built.layer, folder
 
@@ -143,16 +141,7 @@ def _saved_layer(config: DictConfig, folder: Path, known: VisualMap) -> CoarseLa
     wanted = plain(config.build)
     same = all(layer.made.get(key) == value for key, value in wanted.items())
     seeded = layer.made.get("seed", config.seed) == config.seed
-    return layer if same and seeded and digest == _digest(known) else None
-
-
-def _digest(known: VisualMap) -> str:
-    """Return what changes with a map's descriptors, frames or descriptor."""
-    digest = hashlib.sha256(json.dumps(known.identity, sort_keys=True).encode())
-    digest.update("\0".join([*known.frames.path.tolist(), *known.frames.place.tolist()]).encode())
-    for array in (known.descriptors, known.frames.xy):
-        digest.update(array.tobytes())
-    return digest.hexdigest()
+    return layer if same and seeded and digest == known.digest else None
 
 
 def _placing(built: Built) -> dict[str, Any]:

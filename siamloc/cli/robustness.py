@@ -9,22 +9,14 @@ import numpy as np
 from omegaconf import DictConfig
 
 from analytic import Descriptor
+from siamloc.cli.baselines import baseline_descriptors
 from siamloc.cli.compose import plain
 from siamloc.cli.searching import check_apart, saved_map
-from siamloc.cli.steps import (
-    Roles,
-    build_map,
-    descriptor_options,
-    finished_run,
-    label_of,
-    make_descriptor,
-    usable,
-)
+from siamloc.cli.steps import Roles, build_map, finished_run, label_of, make_descriptor, usable
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError
 from siamloc.maps import Retrieval, VisualMap, match
 from siamloc.progress import track
-from siamloc.runs import Run
 from siamloc.tasks.columns import Columns
 from siamloc.tasks.results import write_results
 from siamloc.tasks.robustness import Disturbance, answers, concatenated, curves, locate_disturbed, measures
@@ -38,7 +30,7 @@ def measure(config: DictConfig) -> None:
     chosen = plain(config.descriptor)
     descriptor, label = make_descriptor(config, run, chosen), label_of(chosen)
     skipped: dict[str, str] = {}
-    others = _baselines(config, run, label, skipped)
+    others = baseline_descriptors(config, run, label, skipped)
     known = saved_map(config, run, descriptor)
     roles = Roles(config, ("map", "query")) if known is None else Roles(config, ("query",), known.frames)
     map_frames = roles["map" if known is None else "known"]
@@ -115,19 +107,6 @@ def _list(options: Mapping[str, Any], key: str) -> list[Any]:
     if not isinstance(value, list):
         raise ConfigError(f"task.robustness.{key} must be a list, got {value!r}")
     return value
-
-
-def _baselines(config: DictConfig, run: Run, main: str, skipped: dict[str, str]) -> dict[str, Descriptor]:
-    found: dict[str, Descriptor] = {}
-    for name in config.task.baselines:
-        options = descriptor_options(name)
-        if name == main:
-            continue
-        if name in ("network", "untrained") and not run.record.is_file():
-            skipped[f"baseline {name}"] = f"{run.folder} holds no trained network"
-            continue
-        found[name] = make_descriptor(config, run, options)
-    return found
 
 
 def _placed(config: DictConfig, known: VisualMap) -> VisualMap:

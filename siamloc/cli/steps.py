@@ -18,7 +18,7 @@ from siamloc.data.panorama import camera_from_config
 from siamloc.data.roles import Protocol
 from siamloc.errors import ConfigError, DataError, nearest
 from siamloc.files import read_json
-from siamloc.maps import VisualMap
+from siamloc.maps import HeadingPart, VisualMap, WithHeading
 from siamloc.progress import track
 from siamloc.runs import Run
 
@@ -279,10 +279,19 @@ def described(descriptor: Descriptor, library: PanoramaLibrary, frames: FrameTab
 
 
 def build_map(
-    config: DictConfig, descriptor: Descriptor, library: PanoramaLibrary, frames: FrameTable, what: str
+    config: DictConfig,
+    descriptor: Descriptor,
+    library: PanoramaLibrary,
+    frames: FrameTable,
+    what: str,
+    heading: Descriptor | None = None,
 ) -> VisualMap:
-    """Describe map frames and return their map."""
-    description = describe_frames(descriptor, library, frames, what)
+    """Describe map frames and return their map, with what another descriptor tells headings by if one is given."""
+    both = descriptor if heading is None else WithHeading(descriptor, heading)
+    description = describe_frames(both, library, frames, what)
+    part = None
+    if heading is not None and description.orientation is not None:
+        part = HeadingPart.of(heading, description.orientation)
     return VisualMap(
         description.position,
         frames,
@@ -290,7 +299,8 @@ def build_map(
         descriptor.default_distance,
         unit=config.data.unit,
         made={"role": plain(config.protocol.map), "overrides": _map_overrides()},
-        orientation=description.orientation,
+        orientation=description.orientation if heading is None else None,
+        heading=part,
     )
 
 
@@ -300,8 +310,8 @@ def identity_of(config: DictConfig, descriptor: Descriptor) -> dict[str, Any]:
 
 
 def _map_overrides() -> list[str]:
-    """Return the overrides that chose the map's frames, for the commands that use the map later."""
-    return [word for word in task_overrides() if word.partition("=")[0].startswith("protocol")]
+    """Return the overrides that chose the map's frames and its headings, for the commands that use the map later."""
+    return [word for word in task_overrides() if word.startswith(("protocol", "heading"))]
 
 
 def _check_architecture(config: DictConfig, network: SiameseModule, run: Run) -> None:

@@ -5,10 +5,22 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-__all__ = ["CoarseLayer", "Retrieval", "VisualMap", "build_layer", "estimated_headings", "match", "nearest"]
+__all__ = [
+    "CoarseLayer",
+    "HeadingPart",
+    "Retrieval",
+    "VisualMap",
+    "WithHeading",
+    "build_layer",
+    "estimated_headings",
+    "match",
+    "nearest",
+]
 
 _HOME = {
     "CoarseLayer": "coarse",
+    "HeadingPart": "heading",
+    "WithHeading": "heading",
     "build_layer": "layers",
     "Retrieval": "search",
     "nearest": "search",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import zipfile
 import zlib
@@ -20,6 +21,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.errors import nearest as nearest_name
 from siamloc.files import atomic_path, plain
+from siamloc.maps.heading import HeadingPart
 from siamloc.maps.search import Retrieval, nearest
 
 _FORMAT = "siamloc-map"
@@ -38,9 +40,10 @@ class VisualMap:
         unit: what x and y count, "m" if nothing else is known.
         made: how its frames were chosen, as plain values; for the record only.
         orientation: (n, K, F) what tells headings, read-only; None for a descriptor that has no such part.
+        heading: what another descriptor tells headings by, where this one cannot; None if that is not wanted.
 
     Raises:
-        DataError: no frames, not as many descriptors as frames, or values that are not finite.
+        DataError: no frames, not as many descriptors or heading parts as frames, or values that are not finite.
         ConfigError: an unknown distance.
     """
 
@@ -51,6 +54,7 @@ class VisualMap:
     unit: str = "m"
     made: dict[str, Any] = field(default_factory=dict)
     orientation: NDArray[Any] | None = None
+    heading: HeadingPart | None = None
 
     def __post_init__(self) -> None:
         descriptors = np.array(self.descriptors, dtype=np.float32)
@@ -75,6 +79,10 @@ class VisualMap:
             if _in_one_line(orientation, descriptors):
                 orientation = descriptors.reshape(orientation.shape)
             object.__setattr__(self, "orientation", orientation)
+        if self.heading is not None and len(self.heading) != len(self.frames):
+            raise DataError(
+                f"a map needs one heading part per frame, got {len(self.heading)} for {len(self.frames)} frames"
+            )
         object.__setattr__(self, "identity", plain(dict(self.identity)))
 
     def __len__(self) -> int:
@@ -90,10 +98,34 @@ class VisualMap:
         """The map as what its descriptor compares; its spectrum is computed once for all queries."""
         return Description(self.descriptors, self.orientation)
 
+    @cached_property
+    def digest(self) -> str:
+        """What changes with the map's descriptors, frames or descriptor; what tells headings does not count."""
+        digest = hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode())
+        digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
+        for array in (self.descriptors, self.frames.xy):
+            digest.update(array.tobytes())
+        return digest.hexdigest()
+
     def take(self, rows: NDArray) -> VisualMap:
         """Return the map of the rows given by positions or by a mask."""
-        orientation = None if self.orientation is None else self.orientation[rows]
-        return replace(self, descriptors=self.descriptors[rows], frames=self.frames.take(rows), orientation=orientation)
+        return replace(
+            self,
+            descriptors=self.descriptors[rows],
+            frames=self.frames.take(rows),
+            orientation=None if self.orientation is None else self.orientation[rows],
+            heading=None if self.heading is None else self.heading.take(rows),
+        )
+
+    def oriented(self) -> VisualMap:
+        """Return the map with its heading part as the orientation part, to compare with what told the headings.
+
+        Raises:
+            DataError: it has no heading part.
+        """
+        if self.heading is None:
+            raise DataError("the map holds nothing to tell headings by: build it anew with `siamloc map heading=hog`")
+        return replace(self, orientation=self.heading.orientation)
 
     def search(self, descriptors: ArrayLike, k: int = 1) -> Retrieval:
         """Return the k nearest map frames of each descriptor (n, D), exactly; min(k, len(map)) of them.
@@ -139,6 +171,9 @@ class VisualMap:
             header["orientation"] = list(self.orientation.shape)
             if not np.shares_memory(self.orientation, self.descriptors):
                 arrays["orientation"] = self.orientation
+        if self.heading is not None:
+            header["heading"] = self.heading.identity
+            arrays["heading"] = self.heading.values
         arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
         arrays.update({f"frame_{name}": column for name, column in self.frames.columns().items()})
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
@@ -176,6 +211,7 @@ class VisualMap:
                 unit=header["unit"],
                 made=header.get("made", {}),
                 orientation=_stored_orientation(header, arrays),
+                heading=HeadingPart(header["heading"], arrays["heading"]) if "heading" in header else None,
             )
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(f"{path} is not a whole siamloc map ({error}): build it anew") from error

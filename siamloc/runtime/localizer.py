@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import VisualMap
+from siamloc.maps import Retrieval, VisualMap, estimated_headings
 from siamloc.runtime.bundle import Bundle
+from siamloc.tasks.error_model import ErrorModel
 
 
 @dataclass(frozen=True)
@@ -42,11 +45,14 @@ class Location:
     Attributes:
         x: position of the nearest map frame, in the unit of the map.
         y: position of the nearest map frame.
-        theta: heading in rad, counter-clockwise; NaN where the descriptor does not tell it.
+        theta: heading in rad in (-pi, pi], counter-clockwise; NaN where the bundle tells no headings, or that of the
+            nearest map frame is unknown.
         room: room of the nearest map frame, or "".
-        error_m: expected error in metres; NaN where the bundle holds no calibration.
+        error_m: expected error of x and y in their unit, metres by default; NaN where the bundle holds no error model.
+        lost: whether the expected error is above the threshold that the error model was learned with; None where there
+            is none.
         candidates: the map frames that resemble the image most, the nearest first.
-        ms: time that preparing, describing and searching took, in milliseconds.
+        ms: time that preparing, describing, searching and all estimates took, in milliseconds.
     """
 
     x: float
@@ -54,6 +60,7 @@ class Location:
     theta: float
     room: str
     error_m: float
+    lost: bool | None
     candidates: tuple[Candidate, ...]
     ms: float
 
@@ -88,9 +95,17 @@ class Localizer:
         options.log_severity_level = 3
         if threads is not None:
             options.intra_op_num_threads = threads
-        self._session = onnxruntime.InferenceSession(
-            str(self.bundle.model), options, providers=["CPUExecutionProvider"]
-        )
+
+        def session(path: Path) -> Any:
+            return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+        self._session = session(self.bundle.model)
+        self._heading = None
+        if self.bundle.has_heading and self.map.heading is not None:
+            self._heading = (session(self.bundle.heading), self.map.heading.descriptor())
+        self._errors = ErrorModel.load(self.bundle.errors) if self.bundle.has_errors else None
+        placed = self.map.frames.has_position
+        self._placed = self.map if placed.all() else self.map.take(placed) if placed.any() else None
 
     @property
     def unit(self) -> str:
@@ -105,8 +120,9 @@ class Localizer:
         """
         start = time.perf_counter()
         panorama = self._panorama(image)
-        descriptor = self._session.run(None, {"panorama": panorama[None].astype(np.float32) / np.float32(255)})[0]
-        found = self.map.search(descriptor, self._top)
+        pixels = panorama[None].astype(np.float32) / np.float32(255)
+        descriptor = self._session.run(None, {"panorama": pixels})[0]
+        found = self.map.search(descriptor, max(self._top, self._errors.neighbours if self._errors else 1))
         frames = self.map.frames
         candidates = tuple(
             Candidate(
@@ -116,18 +132,39 @@ class Localizer:
                 room=str(frames.room[row]),
                 distance=float(distance),
             )
-            for row, distance in zip(found.indices[0], found.distances[0], strict=True)
+            for row, distance in zip(found.indices[0, : self._top], found.distances[0, : self._top], strict=True)
         )
         best = candidates[0]
+        error, lost = self._expected_error(descriptor, found)
         return Location(
             x=best.x,
             y=best.y,
-            theta=float("nan"),
+            theta=self._theta(pixels, descriptor, found),
             room=best.room,
-            error_m=float("nan"),
+            error_m=error,
+            lost=lost,
             candidates=candidates,
             ms=1000 * (time.perf_counter() - start),
         )
+
+    def _theta(self, pixels: NDArray[np.float32], descriptor: NDArray[np.float32], found: Retrieval) -> float:
+        """Return the heading that the nearest map frame tells, NaN if it tells none."""
+        if self._heading is None:
+            return math.nan
+        session, teller = self._heading
+        nearest = self.map.take(found.indices[0, :1]).oriented()
+        seen = Description(descriptor, session.run(None, {"panorama": pixels})[0])
+        told = estimated_headings(nearest, seen, teller, Retrieval(np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1))))
+        return math.nan if told is None else float(told[0])
+
+    def _expected_error(self, descriptor: NDArray[np.float32], found: Retrieval) -> tuple[float, bool | None]:
+        """Return the expected error and whether it means lost, by the map frames that have a position."""
+        if self._errors is None or self._placed is None or not self.map.frames.has_position[found.indices[0, 0]]:
+            return math.nan, None
+        if self._placed is not self.map:
+            found = self._placed.search(descriptor, self._errors.neighbours)
+        expected = self._errors.predict(found, self._placed.frames.xy)
+        return float(expected[0]), None if self._errors.lost_above is None else bool(self._errors.lost(expected)[0])
 
     def _panorama(self, image: Any) -> NDArray[np.uint8]:
         if isinstance(image, (str, Path)):

@@ -17,7 +17,7 @@ from siamloc.files import read_json, write_json
 from siamloc.maps.search import Retrieval
 
 _FORMAT = "siamloc-error-model"
-_VERSION = 1
+_VERSION = 2
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 
@@ -69,6 +69,8 @@ class ErrorModel:
         knots: scores, increasing.
         errors: the expected error at each, not decreasing; linear between them and constant beyond.
         queries: how many it was learned from.
+        lost_above: the expected error above which the robot counts as lost; None if none was chosen.
+        map_digest: of the map it was learned on; "" if unknown.
     """
 
     score: str
@@ -77,6 +79,8 @@ class ErrorModel:
     knots: tuple[float, ...]
     errors: tuple[float, ...]
     queries: int
+    lost_above: float | None = None
+    map_digest: str = ""
 
     def __post_init__(self) -> None:
         if self.score not in SCORES:
@@ -85,6 +89,8 @@ class ErrorModel:
             raise ConfigError(
                 f"an error model needs radius >= 0 and neighbours >= 1, got {self.radius} and {self.neighbours}"
             )
+        if self.lost_above is not None and not 0 < self.lost_above < math.inf:
+            raise ConfigError(f"the threshold of being lost must be a positive error, got {self.lost_above}")
         knots, errors = np.asarray(self.knots, dtype=float), np.asarray(self.errors, dtype=float)
         fits = knots.ndim == 1 and knots.shape == errors.shape and len(knots) > 0
         if not fits or not (np.diff(knots) > 0).all() or not (np.diff(errors) >= 0).all() or not errors[0] >= 0:
@@ -161,6 +167,16 @@ class ErrorModel:
             DataError: too few neighbours, or a map frame without a position.
         """
         return np.interp(self.scores(found, map_xy), self.knots, self.errors)
+
+    def lost(self, expected: ArrayLike) -> NDArray[np.bool_]:
+        """Return for which expected errors (n,) the robot counts as lost.
+
+        Raises:
+            ConfigError: no threshold was chosen.
+        """
+        if self.lost_above is None:
+            raise ConfigError("the error model has no threshold of being lost: learn it anew with task.lost_above")
+        return np.asarray(expected) > self.lost_above
 
     def as_dict(self) -> dict[str, Any]:
         """Return the model as plain values."""

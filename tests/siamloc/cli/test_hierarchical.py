@@ -140,7 +140,7 @@ def test_layers_of_two_descriptors(manifest, tmp_path, fine, coarse, by):
     np.testing.assert_array_equal(inside, tried)
 
 
-def test_rooms_by_a_network_and_frames_by_another_descriptor(manifest, tmp_path):
+def test_rooms_by_a_network_and_frames_by_another_descriptor(manifest, tmp_path, capsys):
     run = tmp_path / "rooms"
     data = [f"data.manifest={manifest}", "data.image_size=[32,128]", f"data.cache={manifest.parent / 'store'}"]
     model = ["model/branch=simple1", "model/head=fc500_500_5", "pairs=room", "epochs=2", "batch_size=8"]
@@ -150,6 +150,8 @@ def test_rooms_by_a_network_and_frames_by_another_descriptor(manifest, tmp_path)
     results = read_results(tmp_path / "hog" / "evaluation" / "hierarchical-hog-network-rooms-rooms")
     assert results["coarse_descriptor"]["branch"] == "simple1"
     assert results["measures"]["hierarchical"]["overall"]["coarse"]["accuracy"] == 1
+    wanted = [*HIERARCHICAL, "build=rooms", f"task.coarse.descriptor={run}", "data.image_size=[64,128]"]
+    assert "say data.image_size=[32,128]" in refused(capsys, *words(manifest, tmp_path / "hog", "hog", *wanted))
 
 
 def test_a_layer_is_built_once_and_anew_for_another_map(manifest, tmp_path, capsys):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,24 @@ def test_the_file_holds_plain_numbers_and_gives_the_model_back(tmp_path: Path) -
     assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
 
 
+def test_the_first_version_has_neither_threshold_nor_map() -> None:
+    older = {key: value for key, value in MODEL.as_dict().items() if key not in ("lost_above", "map_digest")}
+    model = ErrorModel.from_dict({**older, "version": 1})
+    assert model == MODEL
+    assert (model.lost_above, model.map_digest) == (None, "")
+
+
+def test_lost_is_an_expected_error_above_the_threshold() -> None:
+    model = replace(MODEL, lost_above=0.5, map_digest="abc")
+    assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
+    assert model.lost([0.4, 0.5, 0.51]).tolist() == [False, False, True]
+    with pytest.raises(ConfigError, match=r"no threshold of being lost: learn it anew with task\.lost_above"):
+        MODEL.lost([1.0])
+    for threshold in (0.0, -1.0, float("inf"), float("nan")):
+        with pytest.raises(ConfigError, match="threshold of being lost must be a positive error"):
+            replace(MODEL, lost_above=threshold)
+
+
 def test_the_prediction_needs_numpy_only() -> None:
     code = (
         "import sys, numpy as np\n"
@@ -122,7 +141,7 @@ def test_the_prediction_needs_numpy_only() -> None:
     [
         ({"format": "other"}, "this is not an error model"),
         ([], "this is not an error model"),
-        ({**MODEL.as_dict(), "version": 2}, "format version 2, this siamloc reads up to 1"),
+        ({**MODEL.as_dict(), "version": 3}, "format version 3, this siamloc reads up to 2"),
         ({**MODEL.as_dict(), "version": "1"}, "format version 1"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),
         ({**MODEL.as_dict(), "errors": [3, 2, 1]}, "not a whole error model"),

@@ -1,0 +1,132 @@
+"""Headings in a map whose own descriptor tells none: an analytic descriptor stands beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.descriptors.base import Description, Descriptor
+from siamloc.errors import ConfigError, DataError
+from siamloc.files import plain
+
+_EXPONENT = 14
+
+
+@dataclass(frozen=True, eq=False)
+class HeadingPart:
+    """What an analytic descriptor keeps of a map's frames to tell headings by.
+
+    Values are in half precision, those of each frame scaled by a power of two that brings the largest one to
+    2^13 ... 2^14: a heading is the turn of the largest correlation, which no scale changes.
+
+    Attributes:
+        identity: name and parameters of the descriptor, as plain values.
+        values: (n, K, F) float16, or (n, K, F, 2) for complex ones; read-only.
+
+    Raises:
+        DataError: another shape or type, or values that are not finite.
+    """
+
+    identity: dict[str, Any]
+    values: NDArray[np.float16]
+
+    def __post_init__(self) -> None:
+        values = np.array(self.values)
+        if values.dtype != np.float16 or 0 in values.shape or not (values.ndim == 3 or values.shape[3:] == (2,)):
+            raise DataError(
+                f"a map's heading part must be float16 of shape (n, K, F) or (n, K, F, 2), got {values.dtype} "
+                f"{values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise DataError("a map's heading part holds values that are not finite: look at the images")
+        values.flags.writeable = False
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "identity", plain(dict(self.identity)))
+
+    @classmethod
+    def of(cls, descriptor: Descriptor, orientation: NDArray[Any]) -> HeadingPart:
+        """Return what is kept of the orientation parts (n, K, F) that a descriptor made.
+
+        Raises:
+            DataError: values that are not finite.
+        """
+        if np.iscomplexobj(orientation):
+            orientation = np.stack([orientation.real, orientation.imag], axis=-1)
+        if not np.isfinite(orientation).all():
+            raise DataError(f"the orientation parts of {descriptor.name} hold values that are not finite")
+        largest = np.abs(orientation).reshape(len(orientation), -1).max(axis=1)
+        scale = np.ldexp(1.0, _EXPONENT - np.frexp(largest.astype(np.float64))[1])
+        scaled = orientation * scale.reshape(-1, *[1] * (orientation.ndim - 1))
+        return cls(descriptor.identity, scaled.astype(np.float16))
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def orientation(self) -> NDArray[Any]:
+        """The orientation parts (n, K, F) up to their scale, float32 or complex64."""
+        full = self.values.astype(np.float32)
+        return full if full.ndim == 3 else full.view(np.complex64)[..., 0]
+
+    def take(self, rows: Any) -> HeadingPart:
+        """Return the rows given by positions or by a mask."""
+        return HeadingPart(self.identity, self.values[rows])
+
+    def descriptor(self) -> Descriptor:
+        """Return the descriptor; it loads torch only when it describes an image.
+
+        Raises:
+            AnalyticError: a descriptor or a parameter that this version does not know.
+        """
+        from analytic.descriptors.registry import descriptor
+
+        options = dict(self.identity)
+        return descriptor(options.pop("name"), **options)
+
+
+class WithHeading(Descriptor):
+    """The position part of one descriptor with the orientation part of another, in one pass over the images.
+
+    Args:
+        position: what tells places, such as a trained network.
+        heading: what tells headings, an analytic descriptor.
+
+    Raises:
+        ConfigError: a pair that cannot stand together.
+    """
+
+    name: ClassVar[str] = "with_heading"
+
+    def __init__(self, position: Descriptor, heading: Descriptor) -> None:
+        if position.aligned or heading.aligned:
+            found = position if position.aligned else heading
+            raise ConfigError(
+                f"{found.name} compares whole images after turning them and tells headings by itself: use it as the "
+                "descriptor, and one such as hog for the heading of others"
+            )
+        if not heading.tells_heading:
+            raise ConfigError("headings need columns that wrap around: leave heading out, or set data.circular=true")
+        self.position = position
+        self.heading = heading
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Names and parameters of both."""
+        return {**self.position.identity, "heading": self.heading.identity}
+
+    def describe(self, batch: ArrayLike) -> Description:
+        """Describe images; the position part is that of one descriptor, the orientation part that of the other."""
+        return Description(self.position.describe(batch).position, self.heading.describe(batch).orientation)
+
+    def pairwise(
+        self, queries: Description, references: Description, distance: str | None = None
+    ) -> NDArray[np.float64]:
+        """Return the distances (n, m) between position parts."""
+        return self.position.pairwise(queries, references, distance or self.position.default_distance)
+
+    def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
+        """Return the relative heading by the orientation parts; see `Descriptor.relative_heading`."""
+        return self.heading.relative_heading(query, reference)

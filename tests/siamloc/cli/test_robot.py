@@ -1,0 +1,226 @@
+"""Headings and expected errors of a trained network, from the map through the evaluation to the robot."""
+
+import csv
+import json
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from siamloc.cli import main
+from siamloc.files import read_json
+from siamloc.maps import VisualMap
+from siamloc.runtime.bundle import learned_on
+from siamloc.tasks.error_model import ErrorModel
+from tests.drawn import write_manifest
+
+QUICK = ["protocol.query.sequences=[cloudy2]", "task.baselines=[]", "task.plots=false"]
+
+
+def siamloc(*words):
+    status = main([str(word) for word in words])
+    assert status == 0, f"siamloc {' '.join(map(str, words))} returned {status}"
+
+
+def table(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flat")
+    return write_manifest(folder, {"cloudy1": "cloudy", "cloudy2": "cloudy", "night1": "night"}, frames_per_room=8)
+
+
+@pytest.fixture(scope="module")
+def trained(flat, tmp_path_factory):
+    run = tmp_path_factory.mktemp("job") / "run"
+    siamloc(
+        *["train", "data=manifest", f"data.manifest={flat}", f"data.cache={flat.parent / 'cache'}", f"run={run}"],
+        *["model/branch=simple1", "model/head=fc500_500_5", "data.image_size=[32,128]", "pairs=room", "epochs=3"],
+        *["protocol.train.sequences=[cloudy1]", "protocol.validation.sequences=[night1]", "batch_size=8"],
+        "trainer.accelerator=cpu",
+    )
+    siamloc("map", f"run={run}")
+    return run
+
+
+@pytest.fixture(scope="module")
+def finished(flat, trained, tmp_path_factory):
+    """Map with headings, evaluate with an error model, export and locate all queries."""
+    run = Path(shutil.copytree(trained, tmp_path_factory.mktemp("robot") / "run"))
+    siamloc("map", f"run={run}", "heading=hog", "heading.step=4")
+    siamloc("evaluate", f"run={run}", *QUICK, "task.error_model=true", "task.lost_above=1.5")
+    siamloc("export", f"run={run}")
+    siamloc("localize", f"run={run}", f"images=[{flat.parent / 'cloudy2'}]")
+    return run
+
+
+def test_a_network_tells_headings_as_an_analytic_method_does(finished):
+    results = json.loads((finished / "evaluation/network/results.json").read_text())
+    assert results["config"]["heading"]["name"] == "hog"
+    assert results["config"]["heading"]["step"] == 4
+    overall = results["measures"]["absolute"]["overall"]
+    assert overall["heading_error"]["count"] == overall["queries"] == 24
+    known = VisualMap.load(finished / "map.npz")
+    hog = known.heading.descriptor()
+    for row in table(finished / "evaluation/network/queries.csv"):
+        turn = float(row["est_theta"]) - known.frames.theta[int(row["match"])]
+        steps = turn / hog.resolution(128)
+        assert steps == pytest.approx(round(steps), abs=1e-6)
+        off = math.remainder(float(row["est_theta"]) - float(row["theta"]), math.tau)
+        assert abs(math.degrees(off)) == pytest.approx(float(row["heading_error"]), abs=1e-6)
+        assert -math.pi < float(row["est_theta"]) <= math.pi
+    assert overall["heading_error"]["median"] < 20
+
+
+def test_the_robot_says_what_the_evaluation_says(finished):
+    queries = {Path(row["path"]).name: row for row in table(finished / "evaluation/network/queries.csv")}
+    rows = table(finished / "locations.csv")
+    pairs = [(row, queries[Path(row["image"]).name]) for row in rows]
+    assert len(pairs) == 24
+    same = [(here, there) for here, there in pairs if here["match"] == there["match_path"]]
+    assert len(same) >= 23, "the exported network differs by rounding only"
+    for here, there in same:
+        assert float(here["theta"]) == pytest.approx(float(there["est_theta"]), abs=1e-9)
+        assert float(here["error_m"]) == pytest.approx(float(there["error_m"]), rel=1e-3)
+        assert here["lost"] == there["lost"]
+
+
+def test_export_and_localize_say_what_they_tell(finished, flat, capsys):
+    siamloc("export", f"run={finished}")
+    assert "the robot is told: position, heading (by hog), expected error (lost above 1.5 m)" in capsys.readouterr().out
+    siamloc("localize", f"run={finished}", f"images=[{flat.parent / 'cloudy2/0003.png'}]", "top=1")
+    line = capsys.readouterr().out.split("\n")[0]
+    row = table(finished / "locations.csv")[0]
+    assert f"heading {math.degrees(float(row['theta'])):.0f} deg" in line
+    assert f"expected error {float(row['error_m']):.2f} m" in line
+    assert (", lost" in line) == (row["lost"] == "True")
+
+
+def test_lost_stands_in_the_line_and_the_table(finished, flat, tmp_path, capsys):
+    run = Path(shutil.copytree(finished, tmp_path / "run"))
+    siamloc("evaluate", f"run={run}", *QUICK, "task.error_model=true", "task.lost_above=1e-6")
+    siamloc("export", f"run={run}")
+    capsys.readouterr()
+    siamloc("localize", f"run={run}", f"images=[{flat.parent / 'cloudy2'}]")
+    lines = [line for line in capsys.readouterr().out.split("\n") if "nearest" in line]
+    rows = table(run / "locations.csv")
+    assert [", lost; nearest" in line for line in lines] == [row["lost"] == "True" for row in rows]
+    assert any(row["lost"] == "True" for row in rows)
+
+
+def test_the_map_hands_its_headings_on_and_they_can_be_left_out(finished, tmp_path):
+    run = Path(shutil.copytree(finished, tmp_path / "run"))
+    siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]", "task.interpolate=3")
+    told = json.loads((run / "evaluation/network/results.json").read_text())["measures"]
+    assert "heading_error" in told["absolute"]["overall"]
+    assert "heading_error" in told["absolute_interpolated"]["overall"]
+    siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]", "heading=none")
+    bare = json.loads((run / "evaluation/network/results.json").read_text())["measures"]
+    assert "heading_error" not in bare["absolute"]["overall"]
+    assert bare["absolute"]["overall"]["error"] == told["absolute"]["overall"]["error"]
+
+
+def test_hierarchical_localization_tells_headings_too(finished, tmp_path):
+    run = Path(shutil.copytree(finished, tmp_path / "run"))
+    words = [f"run={run}", *QUICK, "task=hierarchical", "build=sample", "build.nodes=3"]
+    siamloc("evaluate", *words, "task.candidates=3")
+    whole = {row["path"]: row for row in table(run / "evaluation/network/queries.csv")}
+    rows = table(run / "evaluation/hierarchical-network-sample/queries.csv")
+    assert [row["est_theta"] for row in rows] == [whole[row["path"]]["est_theta"] for row in rows]
+    siamloc("evaluate", *words, "heading=none")
+    assert "est_theta" not in table(run / "evaluation/hierarchical-network-sample/queries.csv")[0]
+
+
+@pytest.mark.parametrize("heading", ["hog", "fs", "gist", "radon_fourier"])
+def test_headings_without_a_saved_map(flat, tmp_path, heading):
+    data = [f"data.manifest={flat}", f"data.cache={flat.parent / 'cache'}", "data.image_size=[32,128]"]
+    size = {"fs": ["heading.turns=128", "heading.orientation_columns=32"]}.get(heading, [])
+    siamloc(
+        *["evaluate", f"run={tmp_path / 'run'}", "descriptor=thumbnail", *data, *QUICK, f"heading={heading}", *size],
+        "protocol.map.sequences=[cloudy1]",
+    )
+    results = json.loads((tmp_path / "run/evaluation/thumbnail/results.json").read_text())
+    assert results["measures"]["absolute"]["overall"]["heading_error"]["median"] < 30
+
+
+def test_an_older_map_asks_for_its_headings_in_one_sentence(trained, capsys):
+    assert VisualMap.load(trained / "map.npz").heading is None
+    assert main(["evaluate", f"run={trained}", *QUICK, "heading=hog"]) == 2
+    error = capsys.readouterr().err
+    assert "holds nothing to tell headings by: make it anew with `siamloc map heading=hog`" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["heading=fs"], "the map tells headings by hog, not by fs: make it anew with `siamloc map heading=fs`"),
+        (["heading.step=2"], "tells headings by hog with step=4 instead of 2"),
+        (["heading=hug"], "unknown option heading=hug: did you mean 'hog'"),
+        (["heading=wisurf"], "unknown option heading=wisurf"),
+        (["heading=hog", "data.circular=false"], "needs columns that are a full turn"),
+    ],
+)
+def test_headings_that_do_not_fit_get_one_sentence(finished, words, says, capsys):
+    assert main(["evaluate", f"run={finished}", *QUICK, *words]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_an_analytic_descriptor_keeps_its_own_heading(finished, capsys):
+    siamloc("evaluate", f"run={finished}", *QUICK, "descriptor=hog", "heading=fs")
+    assert "heading=fs left out: hog tells headings itself" in capsys.readouterr().out
+
+
+def test_an_export_without_headings_and_errors_says_how_to_add_them(trained, flat, tmp_path, capsys):
+    run = Path(shutil.copytree(trained, tmp_path / "run"))
+    siamloc("export", f"run={run}")
+    said = capsys.readouterr().out
+    assert "the robot is told: position\n" in said
+    assert f"siamloc map run={run} heading=hog" in said
+    assert f"siamloc evaluate run={run} task.error_model=true" in said
+    siamloc("localize", f"run={run}", f"images=[{flat.parent / 'cloudy2/0003.png'}]")
+    row = table(run / "locations.csv")[0]
+    assert (row["theta"], row["error_m"], row["lost"]) == ("", "", "")
+    line = capsys.readouterr().out.split("\n")[0]
+    assert "heading" not in line
+    assert "expected error" not in line
+
+
+def test_an_error_model_of_another_map_is_left_out(finished, tmp_path, capsys):
+    run = Path(shutil.copytree(finished, tmp_path / "run"))
+    siamloc("map", f"run={run}", "protocol.map.every=2")
+    capsys.readouterr()
+    siamloc("export", f"run={run}")
+    said = capsys.readouterr().out
+    assert (
+        "error_model.json left out, it was learned on another map: run `siamloc evaluate task.error_model=true`" in said
+    )
+    assert "the robot is told: position\n" in said
+    assert set(read_json(run / "bundle/bundle.json")["sha256"]) == {"model.onnx", "map.npz"}
+
+
+def test_headings_leave_the_error_model_valid(finished, tmp_path):
+    run = Path(shutil.copytree(finished, tmp_path / "run"))
+    siamloc("map", f"run={run}", "heading=hog")
+    errors = ErrorModel.load(run / "evaluation/network/error_model.json")
+    assert errors.lost_above == 1.5
+    assert learned_on(errors, VisualMap.load(run / "map.npz"))
+    before, after = (VisualMap.load(folder / "map.npz").heading for folder in (finished, run))
+    assert np.prod(after.values.shape) == 2 * np.prod(before.values.shape)
+
+
+def test_a_heading_that_cannot_be_exported_is_said_at_the_export(finished, tmp_path, capsys):
+    run = Path(shutil.copytree(finished, tmp_path / "run"))
+    siamloc("map", f"run={run}", "heading=gist")
+    before = (run / "bundle/bundle.json").read_text()
+    capsys.readouterr()
+    assert main(["export", f"run={run}"]) == 2
+    error = capsys.readouterr().err
+    assert "heading=gist with these parameters cannot be exported for the robot" in error
+    assert error.count("\n") == 1
+    assert (run / "bundle/bundle.json").read_text() == before

@@ -1,0 +1,171 @@
+"""The heading part of a map: kept small, written and read, and comparable with an analytic descriptor's."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analytic
+from analytic import Description, Thumbnail
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.maps import HeadingPart, Retrieval, VisualMap, WithHeading, estimated_headings
+from tests.drawn import draw_panorama
+
+SIZE = (32, 128)
+SMALL = {
+    "hog": {},
+    "fs": {"turns": 128, "orientation_columns": 32},
+    "gist": {"orientations": 16},
+    "radon_fourier": {"size": 64},
+}
+
+
+def views(thetas, room: str = "office") -> np.ndarray:
+    drawn = [draw_panorama(0.3, -0.2, theta, room, size=SIZE) for theta in thetas]
+    return np.stack(drawn)[..., ::-1].transpose(0, 3, 1, 2)
+
+
+def map_with_headings(thetas, heading) -> VisualMap:
+    frames = FrameTable(
+        path=np.array([f"{number}.png" for number in range(len(thetas))]),
+        x=np.zeros(len(thetas)),
+        y=np.zeros(len(thetas)),
+        theta=np.array(thetas),
+    )
+    both = WithHeading(Thumbnail(), heading).describe(views(thetas))
+    part = HeadingPart.of(heading, both.orientation)
+    return VisualMap(both.position, frames, Thumbnail().identity, "correlation", heading=part)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_half_precision_tells_the_headings_that_the_descriptor_tells(name: str) -> None:
+    heading = analytic.descriptor(name, **SMALL[name])
+    seen = heading.describe(views(np.linspace(-3, 3, 8)))
+    part = HeadingPart.of(heading, seen.orientation)
+    assert part.orientation.dtype == seen.orientation.dtype
+    assert part.values.nbytes * 2 == seen.orientation.nbytes
+    kept = replace(seen, orientation=part.orientation)
+    for row in range(8):
+        expected = heading.relative_heading(seen, seen.take([row]))
+        np.testing.assert_array_equal(part.descriptor().relative_heading(seen, kept.take([row])), expected)
+
+
+def test_frames_are_scaled_one_by_one_and_to_full_use() -> None:
+    hog = analytic.descriptor("hog")
+    faint, strong, empty = np.full((8, 2), 1e-20), np.full((8, 2), 7e18), np.zeros((8, 2))
+    part = HeadingPart.of(hog, np.stack([faint, strong, empty]).astype(np.float32))
+    largest = part.values.max(axis=(1, 2))
+    assert ((largest[:2] >= 2**13) & (largest[:2] < 2**14)).all()
+    assert largest[2] == 0
+    np.testing.assert_array_equal(part.take([1]).values, part.values[1:2])
+    assert part.identity == hog.identity
+
+
+@pytest.mark.parametrize("name", ["hog", "fs"])
+def test_round_trip_through_the_file(tmp_path: Path, name: str) -> None:
+    heading = analytic.descriptor(name, **SMALL[name])
+    saved = map_with_headings([0.0, 1.0, 2.0], heading)
+    saved.save(tmp_path / "map.npz")
+    loaded = VisualMap.load(tmp_path / "map.npz")
+    assert loaded.orientation is None
+    assert loaded.heading.identity == heading.identity == loaded.heading.descriptor().identity
+    np.testing.assert_array_equal(loaded.heading.values, saved.heading.values)
+    np.testing.assert_array_equal(loaded.oriented().orientation, saved.heading.orientation)
+    part = loaded.take(np.array([2, 0]))
+    np.testing.assert_array_equal(part.heading.values, saved.heading.values[[2, 0]])
+
+
+def test_the_map_frames_own_heading_is_added() -> None:
+    hog = analytic.descriptor("hog")
+    known = map_with_headings([0.5, -2.0], hog)
+    seen = WithHeading(Thumbnail(), hog).describe(views([3.1, -1.0]))
+    found = Retrieval(np.array([[0], [1]]), np.zeros((2, 1)))
+    told = estimated_headings(known.oriented(), seen, hog, found)
+    step = hog.resolution(SIZE[1])
+    assert ((told > -np.pi) & (told <= np.pi)).all()
+    np.testing.assert_allclose(np.angle(np.exp(1j * (told - [3.1, -1.0]))), 0, atol=1.01 * step)
+
+
+def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
+    known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
+    bare = replace(known, heading=None)
+    assert known.digest == bare.digest
+    known.check_describer(Thumbnail().identity)
+    others = [
+        replace(bare, descriptors=bare.descriptors + 1),
+        replace(bare, frames=replace(bare.frames, x=bare.frames.x + 1)),
+        replace(bare, identity={"name": "other"}),
+        bare.take(np.array([0])),
+    ]
+    assert len({bare.digest, *(other.digest for other in others)}) == 5
+
+
+def test_older_maps_have_no_heading_part(tmp_path: Path) -> None:
+    known = replace(map_with_headings([0.5, -2.0], analytic.descriptor("hog")), heading=None)
+    known.save(tmp_path / "map.npz")
+    with zipfile.ZipFile(tmp_path / "map.npz") as archive:
+        assert not [name for name in archive.namelist() if "heading" in name]
+    loaded = VisualMap.load(tmp_path / "map.npz")
+    assert loaded.heading is None
+    with pytest.raises(DataError, match="nothing to tell headings by: build it anew with `siamloc map heading=hog`"):
+        loaded.oriented()
+
+
+def test_both_parts_come_from_one_pass() -> None:
+    hog, thumbnail = analytic.descriptor("hog"), Thumbnail()
+    both, images = WithHeading(thumbnail, hog), views([0.0, 1.0])
+    seen = both.describe(images)
+    np.testing.assert_array_equal(seen.position, thumbnail.describe(images).position)
+    np.testing.assert_array_equal(seen.orientation, hog.describe(images).orientation)
+    expected = thumbnail.pairwise(thumbnail.describe(images), thumbnail.describe(images))
+    np.testing.assert_allclose(both.pairwise(seen, seen), expected, atol=1e-12)
+    np.testing.assert_allclose(both.pairwise(seen, seen, "cosine"), thumbnail.pairwise(seen, seen, "cosine"))
+    np.testing.assert_array_equal(both.relative_heading(seen, seen), [0, 0])
+    assert both.identity == {**thumbnail.identity, "heading": hog.identity}
+
+
+def test_pairs_that_cannot_stand_together() -> None:
+    hog, aligned = analytic.descriptor("hog"), analytic.descriptor("briefgist", rows=8)
+    for first, second in ((aligned, hog), (Thumbnail(), aligned)):
+        with pytest.raises(ConfigError, match="briefgist compares whole images after turning them"):
+            WithHeading(first, second)
+    with pytest.raises(ConfigError, match=r"leave heading out, or set data\.circular=true"):
+        WithHeading(Thumbnail(), analytic.descriptor("hog", circular=False))
+
+
+def test_parts_that_are_no_heading_parts() -> None:
+    values = np.ones((2, 4, 3), dtype=np.float16)
+    for bad in (values.astype(np.float32), values[0], values[:0], np.ones((2, 4, 3, 3), dtype=np.float16)):
+        with pytest.raises(DataError, match=r"must be float16 of shape \(n, K, F\) or \(n, K, F, 2\), got"):
+            HeadingPart({}, bad)
+    with pytest.raises(DataError, match="not finite"):
+        HeadingPart({}, values * np.float16("nan"))
+    with pytest.raises(DataError, match="the orientation parts of hog hold values that are not finite"):
+        HeadingPart.of(analytic.descriptor("hog"), np.full((1, 4, 2), np.inf))
+    known = map_with_headings([0.0, 1.0, 2.0], analytic.descriptor("hog"))
+    with pytest.raises(DataError, match="one heading part per frame, got 2 for 3 frames"):
+        replace(known, heading=HeadingPart({}, values))
+
+
+def test_a_file_whose_heading_part_is_missing_is_refused(tmp_path: Path) -> None:
+    map_with_headings([0.0, 1.0], analytic.descriptor("hog")).save(tmp_path / "map.npz")
+    with np.load(tmp_path / "map.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files if name != "heading"}
+    assert "heading" in json.loads(str(arrays["header"]))
+    np.savez(tmp_path / "cut.npz", **arrays)
+    with pytest.raises(FormatError, match="not a whole siamloc map"):
+        VisualMap.load(tmp_path / "cut.npz")
+
+
+def test_descriptions_of_another_size_are_not_compared() -> None:
+    hog = analytic.descriptor("hog")
+    known = map_with_headings([0.0], hog).oriented()
+    seen = Description(known.descriptors, np.zeros((1, 7, 16), dtype=np.float32))
+    with pytest.raises(analytic.AnalyticError, match="different sizes"):
+        estimated_headings(known, seen, hog, Retrieval(np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1))))
