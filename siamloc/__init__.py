@@ -5,18 +5,15 @@ Importing the package loads neither torch nor lightning; each subpackage loads w
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from typing import TYPE_CHECKING
 
 from siamloc.errors import SiamlocError
+from siamloc.lazy import lazy
+
+if TYPE_CHECKING:
+    from siamloc import data, maps, models, report, runtime, tasks
 
 __version__ = "0.1.0"
 __all__ = ["SiamlocError", "__version__", "data", "maps", "models", "report", "runtime", "tasks"]
 
-_SUBPACKAGES = frozenset({"data", "maps", "models", "report", "runtime", "tasks"})
-
-
-def __getattr__(name: str) -> Any:
-    if name in _SUBPACKAGES:
-        return importlib.import_module(f"siamloc.{name}")
-    raise AttributeError(f"module 'siamloc' has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, dict.fromkeys(("data", "maps", "models", "report", "runtime", "tasks"), ""))

@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from typing import TYPE_CHECKING
+
+from siamloc.lazy import lazy
+
+if TYPE_CHECKING:
+    from siamloc.maps.coarse import CoarseLayer
+    from siamloc.maps.heading import HeadingPart, WithHeading
+    from siamloc.maps.layers import build_layer
+    from siamloc.maps.matching import estimated_headings, match
+    from siamloc.maps.search import Retrieval, nearest
+    from siamloc.maps.visual_map import VisualMap
 
 __all__ = [
     "CoarseLayer",
@@ -17,7 +26,7 @@ __all__ = [
     "nearest",
 ]
 
-_HOME = {
+_HOMES = {
     "CoarseLayer": "coarse",
     "HeadingPart": "heading",
     "WithHeading": "heading",
@@ -29,8 +38,4 @@ _HOME = {
     "estimated_headings": "matching",
 }
 
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(importlib.import_module(f"siamloc.maps.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'siamloc.maps' has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, _HOMES)

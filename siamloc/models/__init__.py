@@ -5,9 +5,9 @@ Importing this package loads no torch; each name is loaded when it is first used
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from siamloc.lazy import lazy
 from siamloc.models.registry import BRANCHES, HEADS
 
 if TYPE_CHECKING:
@@ -26,8 +26,4 @@ _HOMES = {
     "read_hyperparameters": "checkpoint",
 }
 
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(f"siamloc.models.{_HOMES[name]}"), name)
-    raise AttributeError(f"module 'siamloc.models' has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
     from siamloc.runtime.bundle import Bundle, write_bundle
@@ -33,8 +34,4 @@ _HOMES = {
     "write_bundle": "bundle",
 }
 
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(f"siamloc.runtime.{_HOMES[name]}"), name)
-    raise AttributeError(f"module 'siamloc.runtime' has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, _HOMES)

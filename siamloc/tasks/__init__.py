@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from typing import TYPE_CHECKING
+
+from siamloc.lazy import lazy
+
+if TYPE_CHECKING:
+    from siamloc.tasks import absolute, metrics, results, room_retrieval
 
 __all__ = ["absolute", "metrics", "results", "room_retrieval"]
 
-
-def __getattr__(name: str) -> Any:
-    if name in __all__:
-        return importlib.import_module(f"siamloc.tasks.{name}")
-    raise AttributeError(f"module 'siamloc.tasks' has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, ""))

@@ -1,0 +1,24 @@
+"""Names that are loaded when they are first used."""
+
+from __future__ import annotations
+
+import importlib
+
+import pytest
+
+PACKAGES = ["siamloc", "siamloc.maps", "siamloc.models", "siamloc.report", "siamloc.runtime", "siamloc.tasks"]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_public_name_is_there_and_listed(package):
+    module = importlib.import_module(package)
+    for name in module.__all__:
+        assert getattr(module, name) is not None
+        assert name in dir(module)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_an_unknown_name_is_an_attribute_error(package):
+    module = importlib.import_module(package)
+    with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nothing'"):
+        _ = module.nothing
