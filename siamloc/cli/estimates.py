@@ -24,7 +24,7 @@ from siamloc.tasks.error_model import ErrorModel
 from siamloc.tasks.interpolation import interpolate_poses
 from siamloc.tasks.metrics import localization_error
 
-_MATCHES = 20  # that an error model looks at
+MATCHES = 20  # that an error model looks at
 
 
 @dataclass
@@ -51,6 +51,22 @@ def needs_validation(config: DictConfig) -> bool:
     )
 
 
+def check_asked(config: DictConfig) -> None:
+    """Make sure that what is asked for beside the single-frame estimate has one to stand beside.
+
+    Raises:
+        ConfigError: it has not.
+    """
+    asked = [key for key in ("filter", "interpolate", "error_model") if config.task.get(key)]
+    if asked and "absolute" not in config.task.names:
+        raise ConfigError(
+            f"task.{asked[0]} stands beside absolute localization, which {', '.join(config.task.names)} leaves out: "
+            f"use task=absolute, or leave task.{asked[0]} out"
+        )
+    if config.task.get("filter_tune") and not config.task.filter:
+        raise ConfigError("task.filter_tune=true chooses the settings of the sequence filter: set task.filter=true too")
+
+
 def check_validation(known: FrameTable, validation: FrameTable) -> None:
     """Make sure that the validation frames come from another run than the map.
 
@@ -67,7 +83,7 @@ def check_validation(known: FrameTable, validation: FrameTable) -> None:
 def prepare_search(config: DictConfig, search: Search) -> Search:
     """Return a search with all that the further estimates need."""
     interpolated = config.task.interpolate or 0
-    wanted = max(search.k, interpolated, _MATCHES if config.task.error_model else 0)
+    wanted = max(search.k, interpolated, MATCHES if config.task.error_model else 0)
     return replace(
         search,
         k=min(wanted, len(search.known)),
@@ -125,7 +141,7 @@ def _search_validation(config: DictConfig, descriptor: Descriptor, roles: Roles,
         if not has.any():
             raise DataError(f"{text}: the error model and the filter's settings are learned from known positions")
         print(f"{text}: left out")
-    k = min(max(neighbours(list(config.task.ks), len(known)), _MATCHES), len(known))
+    k = min(max(neighbours(list(config.task.ks), len(known)), MATCHES), len(known))
     tuned = bool(config.task.filter and config.task.filter_tune)
     search = Search(known, np.flatnonzero(has), k, with_distances=tuned)
     run_searches(descriptor, roles.library, frames, {"validation": search}, "describing the validation frames")
@@ -191,20 +207,41 @@ def _interpolate(config: DictConfig, search: Search, queries: FrameTable, added:
     added.details["interpolation"] = {"neighbours": k, "radius": radius}
 
 
-def _expect_errors(config: DictConfig, search: Search, validation: _Validation, added: Estimates) -> None:
-    """Learn on the validation frames how far off an estimate is, and tell it of the queries."""
-    found, xy = validation.search.retrieval, search.known.frames.xy
+def learned_errors(
+    config: DictConfig, descriptor: Descriptor, roles: Roles, known: VisualMap
+) -> tuple[ErrorModel, dict[str, Any]]:
+    """Return the error model of a map, learned on the validation frames, and what it was learned from.
+
+    Args:
+        config: the configuration.
+        descriptor: what made the map.
+        roles: with "validation".
+        known: map frames, all with positions.
+
+    Raises:
+        DataError: validation frames without positions, or too few.
+    """
+    return _learned(config, known, _search_validation(config, descriptor, roles, known))
+
+
+def _learned(config: DictConfig, known: VisualMap, validation: _Validation) -> tuple[ErrorModel, dict[str, Any]]:
+    found, xy = validation.search.retrieval, known.frames.xy
     errors = localization_error(xy[found.indices[:, 0]], validation.frames.xy)
-    model = ErrorModel.fit(found, xy, errors, radius=config.task.place_radius, neighbours=_MATCHES)
-    added.model = replace(model, lost_above=float(config.task.lost_above), map_digest=search.known.digest)
-    expected = added.model.predict(search.retrieval, xy)
-    _extend(added, {"error_m": expected, "lost": added.model.lost(expected)})
-    added.measures["calibration"] = calibration.measures_of(added.result.columns, config.task.lost_above)
-    added.details["error_model"] = {
+    model = ErrorModel.fit(found, xy, errors, radius=config.task.place_radius, neighbours=MATCHES)
+    details = {
         "file": "error_model.json",
         "sequences": list(validation.frames.rows_by("sequence")),
         "queries": len(validation.frames),
     }
+    return replace(model, lost_above=float(config.task.lost_above), map_digest=known.digest), details
+
+
+def _expect_errors(config: DictConfig, search: Search, validation: _Validation, added: Estimates) -> None:
+    """Learn on the validation frames how far off an estimate is, and tell it of the queries."""
+    added.model, added.details["error_model"] = _learned(config, search.known, validation)
+    expected = added.model.predict(search.retrieval, search.known.frames.xy)
+    _extend(added, {"error_m": expected, "lost": added.model.lost(expected)})
+    added.measures["calibration"] = calibration.measures_of(added.result.columns, config.task.lost_above)
 
 
 def _add(added: Estimates, name: str, columns: Columns) -> None:

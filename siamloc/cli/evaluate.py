@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,16 @@ from analytic import Descriptor
 from siamloc.cli import buildings, hierarchical, mapping, robustness
 from siamloc.cli.baselines import baseline_descriptors
 from siamloc.cli.compose import plain
-from siamloc.cli.estimates import Estimates, check_validation, estimate, needs_validation, prepare_search
+from siamloc.cli.estimates import (
+    MATCHES,
+    check_asked,
+    check_validation,
+    estimate,
+    learned_errors,
+    needs_validation,
+    prepare_search,
+)
+from siamloc.cli.evaluation import Evaluation, write
 from siamloc.cli.headings import heading_descriptor, with_headings
 from siamloc.cli.searching import Search, Vectors, check_apart, lacking, run_searches, saved_map
 from siamloc.cli.steps import Roles, build_map, finished_run, label_of, make_descriptor
@@ -22,11 +30,9 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.pairs import PairSampler
 from siamloc.errors import ConfigError, DataError, SiamlocError, nearest
 from siamloc.maps import VisualMap, WithHeading
-from siamloc.tasks.absolute import AbsoluteResult, evaluate_absolute, neighbours
+from siamloc.tasks.absolute import evaluate_absolute, neighbours
 from siamloc.tasks.beside import located_columns
-from siamloc.tasks.columns import Columns
-from siamloc.tasks.results import write_results
-from siamloc.tasks.room_retrieval import PairResult, RoomResult, evaluate_pairs, evaluate_rooms
+from siamloc.tasks.room_retrieval import PairResult, evaluate_pairs, evaluate_rooms
 
 TASKS = ("absolute", "room_retrieval", "hierarchical")
 
@@ -34,6 +40,7 @@ TASKS = ("absolute", "room_retrieval", "hierarchical")
 def main(config: DictConfig) -> None:
     """Measure the tasks that are asked for; each kind of result has a folder of its own."""
     names = list(config.task.names)
+    check_asked(config)
     if names == ["mapping"]:
         mapping.measure(config)
         return
@@ -86,7 +93,7 @@ def _measure(config: DictConfig) -> None:
         if main_result.scored
     }
     folder = run.evaluation(label)
-    measures = _write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
+    measures = write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
     _print(label, measures, main_result, known.frames, roles["query"])
     if config.task.plots:
         from siamloc.report import plots
@@ -116,34 +123,6 @@ def _print(label: str, measures: Mapping[str, Any], result: Evaluation, known: F
         print(text)
 
 
-@dataclass
-class Evaluation:
-    """The results of one descriptor by task; what could not be measured, with the reason."""
-
-    absolute: AbsoluteResult | None = None
-    rooms: RoomResult | None = None
-    pairs: PairResult | None = None
-    estimates: Estimates | None = None
-    located: Columns | None = None
-    skipped: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def scored(self) -> bool:
-        """Whether anything was measured, and not located alone."""
-        return self.absolute is not None or self.rooms is not None
-
-    def measures(self) -> dict[str, Any]:
-        """Return the measures of what was measured."""
-        parts = {"absolute": self.absolute, "room_retrieval": self.rooms, "room_pairs": self.pairs}
-        further = {} if self.estimates is None else self.estimates.measures
-        return {**{name: part.measures() for name, part in parts.items() if part is not None}, **further}
-
-    def tables(self, suffix: str = "") -> dict[str, dict[str, Any]]:
-        """Return the columns of what was measured by table name."""
-        parts = {"queries": self.absolute, "rooms": self.rooms, "pairs": self.pairs}
-        return {name + suffix: part.columns for name, part in parts.items() if part is not None}
-
-
 def _map_like(config: DictConfig, descriptor: Descriptor, frames: FrameTable, roles: Roles, name: str) -> VisualMap:
     return build_map(config, descriptor, roles.library, frames, f"describing the map, {name}")
 
@@ -171,7 +150,8 @@ def _evaluate(
     placed = known.frames.has_position
     bare = np.flatnonzero(~queries.has_position)
     if len(bare) and placed.any() and not alone:
-        searches["located"] = Search(known if placed.all() else known.take(placed), bare, 1)
+        matches = MATCHES if config.task.error_model else 1
+        searches["located"] = Search(known if placed.all() else known.take(placed), bare, matches)
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(result.skipped.values())}")
     both = descriptor if heading is None else WithHeading(descriptor, heading)
@@ -183,12 +163,16 @@ def _evaluate(
         headings = None if search.headings is None else search.headings[:, 0]
         result.absolute = evaluate_absolute(search.known, None, placed_queries, radii, ks, search.retrieval, headings)
         if not alone:
-            result.estimates = estimate(config, descriptor, roles, search, placed_queries, result.absolute)
-            result.absolute = result.estimates.result
+            added = estimate(config, descriptor, roles, search, placed_queries, result.absolute)
+            result.absolute, result.errors = added.result, added.model
+            result.further, result.details = added.measures, added.details
     if "located" in searches:
         search = searches["located"]
         headings = None if search.headings is None else search.headings[:, 0]
-        result.located = located_columns(search.known, queries.take(bare), search.retrieval, headings)
+        if config.task.error_model and result.errors is None:
+            result.errors, result.details["error_model"] = learned_errors(config, descriptor, roles, search.known)
+        bare_queries = queries.take(bare)
+        result.located = located_columns(search.known, bare_queries, search.retrieval, headings, result.errors)
     if "room_retrieval" in searches:
         search = searches["room_retrieval"]
         labelled = queries.take(search.rows)
@@ -214,7 +198,7 @@ def _search(
     for where, has in (("queries", in_queries), ("map frames", in_map)):
         text = lacking(config, has, f"{where} have no {what}")
         if not has.any():
-            result.skipped[task] = text
+            result.skipped[task] = f"{text}: add {'x and y' if what == 'position' else 'rooms'} to the data"
             return None
         if text:
             result.skipped[f"{task}, {where}"] = text
@@ -244,55 +228,3 @@ def _pairs(
     lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))
     labels = {"first": queries.path[pairs.first], "second": queries.path[pairs.second]}
     return evaluate_pairs(vectors[pairs.first], vectors[pairs.second], pairs.same, margin, 0.5, lighting, labels)
-
-
-def _write(
-    config: DictConfig,
-    folder: Any,
-    descriptor: Descriptor,
-    result: Evaluation,
-    baselines: dict[str, Evaluation],
-    kind: str,
-) -> dict[str, Any]:
-    """Write the files and return the measures of the descriptor and of its baselines."""
-    tables = result.tables()
-    rows = tables.pop("queries", None)
-    denominators: dict[str, Any] = {}
-    if result.absolute is not None:
-        for name, baseline in baselines.items():
-            if baseline.absolute is not None:
-                result.absolute = result.absolute.with_baseline(name, baseline.absolute)
-        rows = result.absolute.columns
-        tables["map"] = result.absolute.map_columns
-        denominators = result.absolute.denominators()
-    elif result.rooms is not None:
-        denominators = {"queries": len(result.rooms)}
-    if result.pairs is not None:
-        denominators["pairs"] = len(result.pairs)
-    for name, baseline in baselines.items():
-        tables.update(baseline.tables(f"_{name}"))
-    if result.located is not None:
-        tables["located"] = result.located
-    details = {} if result.estimates is None else result.estimates.details
-    if result.estimates is not None and result.estimates.model is not None:
-        result.estimates.model.save(folder / details["error_model"]["file"])
-    measures = {
-        "measures": result.measures(),
-        "baselines": {name: baseline.measures() for name, baseline in baselines.items()},
-    }
-    write_results(
-        folder,
-        {
-            "command": "evaluate",
-            "protocol": kind,
-            "descriptor": descriptor.identity,
-            "config": plain(config),
-            **measures,
-            "denominators": denominators,
-            "skipped": result.skipped,
-            **({"estimates": details} if details else {}),
-        },
-        rows,
-        tables,
-    )
-    return measures

@@ -49,8 +49,8 @@ def _row(path: Path, location: Location) -> dict[str, object]:
     best = location.candidates[0]
     return {
         "image": str(path),
-        "x": location.x,
-        "y": location.y,
+        "x": _cell(location.x),
+        "y": _cell(location.y),
         "theta": _cell(location.theta),
         "room": location.room,
         "error_m": _cell(location.error_m),
@@ -71,7 +71,6 @@ def _line(path: Path, location: Location, unit: str) -> str:
     expected = "" if math.isnan(location.error_m) else f"; expected error {location.error_m:.2f} {unit}"
     lost = ", lost" if location.lost else ""
     others = ", ".join(f"{Path(c.image).name} ({c.distance:.3g})" for c in location.candidates)
-    return (
-        f"{path}: x {location.x:.2f} {unit}, y {location.y:.2f} {unit}{heading}{room}{expected}{lost}; nearest "
-        f"{others}; {location.ms:.1f} ms"
-    )
+    known = not (math.isnan(location.x) or math.isnan(location.y))
+    position = f"x {location.x:.2f} {unit}, y {location.y:.2f} {unit}" if known else "position unknown"
+    return f"{path}: {position}{heading}{room}{expected}{lost}; nearest {others}; {location.ms:.1f} ms"

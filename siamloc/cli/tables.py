@@ -102,8 +102,9 @@ def _number(value: float, digits: int = 3) -> str:
 
 
 def _lightings(measures: Mapping[str, Any]) -> list[str]:
-    part = measures.get("absolute") or measures["room_retrieval"]
-    labels = list(part["lighting"])
+    """Return the lightings of all queries: some may have a room and no position, or the other way round."""
+    parts = [measures[name]["lighting"] for name in ("absolute", "room_retrieval") if name in measures]
+    labels = sorted({label for part in parts for label in part})
     return [*labels, "all"] if len(labels) != 1 else labels
 
 
@@ -121,6 +122,8 @@ def _cells(measures: Mapping[str, Any], lighting: str, first: Mapping[str, Any],
 
     cells: list[str] = []
     absolute = group("absolute")
+    if absolute is None and "absolute" in first:
+        cells += ["-"] * (6 + len(first["absolute"]["radii"]) + with_heading)
     if absolute is not None:
         error = absolute["error"]
         values = [error["mean"], error["median"], error["p95"], absolute["floor"]["mean"], absolute["excess"]["mean"]]

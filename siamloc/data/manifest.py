@@ -27,7 +27,8 @@ def read_manifest(
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
     `sequence`, `lighting`, `time` (s), `building`; others are ignored
     with a warning. Images are relative to the table's folder. An
-    empty number is unknown (NaN); blank lines do not count.
+    empty number is unknown (NaN); blank lines do not count. Rows of a sequence whose times are all known are put in
+    order of time; the others are taken as they stand.
 
     Args:
         path: the CSV file, in UTF-8.
@@ -72,7 +73,21 @@ def read_manifest(
     missing = [frame["path"] for frame, there in zip(frames, exists, strict=True) if not there]
     what = f"images of {file} do not exist (they are looked for relative to the table's folder)"
     leave_out(missing, len(frames), what, on_error)
-    return FrameTable.from_rows([frame for frame, there in zip(frames, exists, strict=True) if there])
+    return FrameTable.from_rows(_in_order([frame for frame, there in zip(frames, exists, strict=True) if there]))
+
+
+def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return frames in capture order inside each sequence, where the times tell it."""
+    places: dict[str, list[int]] = {}
+    for place, frame in enumerate(frames):
+        places.setdefault(frame.get("sequence", ""), []).append(place)
+    ordered = list(frames)
+    for own in places.values():
+        times = [frames[place].get("time", math.nan) for place in own]
+        if not any(map(math.isnan, times)):
+            for place, (_, row) in zip(own, sorted(zip(times, own, strict=True)), strict=True):
+                ordered[place] = frames[row]
+    return ordered
 
 
 def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:

@@ -115,7 +115,10 @@ class Protocol:
                 f"Set it, for instance protocol.{role}.sequences=[{table.sequence[0] if len(table) else 'NAME'}], "
                 "or ['*'] for all"
             )
-        frames = selection.select(table)
+        try:
+            frames = selection.select(table)
+        except ConfigError as error:
+            raise ConfigError(f"protocol.{role}: {error}") from error
         self._check_apart(role, frames, table)
         return frames
 

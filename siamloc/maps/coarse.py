@@ -45,6 +45,8 @@ class CoarseLayer:
     made: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if np.ndim(self.representatives) != 2:
+            raise DataError(f"a coarse layer needs representatives (k, D), got {np.shape(self.representatives)}")
         k = len(self.representatives)
         labels = np.asarray(self.labels)
         if labels.ndim != 1 or labels.dtype.kind not in "iu" or (labels < UNASSIGNED).any():
@@ -56,6 +58,8 @@ class CoarseLayer:
                 f"{k} nodes need positions ({k}, 2), names ({k},) and edges (e, 2), got {self.positions.shape}, "
                 f"{self.names.shape} and {self.edges.shape}"
             )
+        if self.edges.size and not 0 <= self.edges.min() <= self.edges.max() < k:
+            raise DataError(f"the edges of a coarse layer lie between its nodes, 0 to {k - 1}")
         for name in ("labels", "representatives", "positions", "names", "edges"):
             array = np.array(getattr(self, name))
             array.flags.writeable = False
@@ -155,14 +159,15 @@ class CoarseLayer:
                 arrays = {name: archive[name] for name in _ARRAYS}
         except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
             raise FormatError(f"{path} is not a coarse layer, or not a whole one: build it anew") from error
-        if header.get("format") != _FORMAT:
+        own = isinstance(header, dict) and header.get("format") == _FORMAT and isinstance(header.get("version"), int)
+        if not own:
             raise FormatError(f"{path} is not a coarse layer: build it with `siamloc map build=...`")
         if header["version"] > _VERSION:
             raise FormatError(
                 f"{path} has format version {header['version']}, this siamloc reads up to {_VERSION}: update siamloc"
             )
         try:
-            return cls(**arrays, made=header["made"])
+            return cls(**arrays, made=header.get("made", {}))
         except DataError as error:
             raise FormatError(f"{path} is not a whole coarse layer ({error}): build it anew") from error
 

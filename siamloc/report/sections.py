@@ -65,7 +65,11 @@ def summary(evaluation: Evaluation) -> Markup | None:
     rooms = (evaluation.absolute or evaluation.rooms or {}).get("room", {})
     by_room = tag("details", tag("summary", "By room"), tables.summary(evaluation, "room")) if len(rooms) > 1 else None
     skipped = evaluation.results.get("skipped") or {}
-    notes = [tag("p.caption", f"{name.replace('_', ' ')} left out: {reason}") for name, reason in skipped.items()]
+    notes = [
+        # Queries in rooms that the map lacks are searched for all the same.
+        tag("p.caption", reason if name == "rooms" else f"{name.replace('_', ' ')} left out: {reason}")
+        for name, reason in skipped.items()
+    ]
     floor = (
         "The floor is the distance to the nearest map frame, which no retrieval can go below; the excess is the rest. "
         "Bars show both, grey and orange, as parts of the mean."

@@ -19,7 +19,8 @@ def summary(evaluation: Evaluation, by: str = "lighting") -> Markup:
     """
     methods = evaluation.methods
     first = next(iter(methods.values()))
-    groups = list((first.get("absolute") or first.get("room_retrieval") or {}).get(by, {}))
+    # Some queries may have a room and no position, or the other way round.
+    groups = sorted({label for part in ("absolute", "room_retrieval") for label in first.get(part, {}).get(by, {})})
     labels = [*groups, ALL] if len(groups) != 1 else groups
     columns = _columns(methods, by)
     longest = max((_value(_group(m.get("absolute"), ALL, by), "error") for m in methods.values()), default=0.0)

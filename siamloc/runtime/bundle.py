@@ -25,6 +25,7 @@ _MODEL = "model.onnx"
 _MAP = "map.npz"
 _HEADING = "heading.onnx"
 _ERRORS = "error_model.json"
+_KEYS = {"sha256": dict, "image_size": list, "unwrap": dict, "identity": dict, "parity": dict}
 
 
 @dataclass(frozen=True)
@@ -82,22 +83,30 @@ class Bundle:
         if not (folder / _DESCRIPTION).is_file():
             raise FormatError(f"{folder} is not a bundle, it holds no {_DESCRIPTION}: write one with `siamloc export`")
         about = read_json(folder / _DESCRIPTION)
-        if not isinstance(about, dict) or about.get("format") != FORMAT:
-            raise FormatError(f"{folder / _DESCRIPTION} was not written by siamloc")
+        if not isinstance(about, dict) or about.get("format") != FORMAT or not isinstance(about.get("version"), int):
+            raise FormatError(f"{folder / _DESCRIPTION} was not written by `siamloc export`: export anew")
         if about["version"] > VERSION:
             raise FormatError(
                 f"{folder} has bundle version {about['version']}, this siamloc reads up to {VERSION}: update siamloc"
             )
-        missing = [key for key in ("sha256", "image_size", "unwrap", "identity", "parity") if key not in about]
-        if missing:
-            raise FormatError(f"{folder / _DESCRIPTION} lacks {missing[0]}: export anew")
+        for key, kind in _KEYS.items():
+            if not isinstance(about.get(key), kind):
+                found = "lacks" if key not in about else "is altered in"
+                raise FormatError(f"{folder / _DESCRIPTION} {found} {key}: export anew")
+        if _MODEL not in about["sha256"]:
+            raise FormatError(f"{folder / _DESCRIPTION} lists no {_MODEL}: export anew")
         for name, digest in about["sha256"].items():
             if not (folder / name).is_file() or file_hash(folder / name) != digest:
                 raise FormatError(
                     f"{folder / name} is missing or not the file the bundle was written with: export anew"
                 )
-        rows, columns = about["image_size"]
-        camera, view = camera_from_config(about["unwrap"], (rows, columns))
+        try:
+            rows, columns = map(int, about["image_size"])
+            camera, view = camera_from_config(about["unwrap"], (rows, columns))
+        except (TypeError, ValueError) as error:
+            raise FormatError(
+                f"{folder / _DESCRIPTION} is altered in image_size or unwrap ({error}): export anew"
+            ) from error
         return cls(
             folder,
             (rows, columns),

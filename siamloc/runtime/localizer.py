@@ -25,7 +25,7 @@ class Candidate:
 
     Attributes:
         image: the map frame's file, as the map names it.
-        x: its position, in the unit of the map.
+        x: its position, in the unit of the map; NaN where the map does not know it.
         y: its position.
         room: its room, or "".
         distance: descriptor distance.
@@ -43,7 +43,7 @@ class Location:
     """Where an image was taken.
 
     Attributes:
-        x: position of the nearest map frame, in the unit of the map.
+        x: position of the nearest map frame, in the unit of the map; NaN where the map does not know it.
         y: position of the nearest map frame.
         theta: heading in rad in (-pi, pi], counter-clockwise; NaN where the bundle tells no headings, or that of the
             nearest map frame is unknown.

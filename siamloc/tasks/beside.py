@@ -13,6 +13,7 @@ from siamloc.errors import DataError
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 from siamloc.tasks.columns import Columns, room_names, rows_by_label
+from siamloc.tasks.error_model import ErrorModel
 from siamloc.tasks.metrics import heading_error, localization_error, recall_from_ranks, summarize
 
 
@@ -84,7 +85,11 @@ def measures_of(
 
 
 def located_columns(
-    known: VisualMap, frames: FrameTable, found: Retrieval, headings: ArrayLike | None = None
+    known: VisualMap,
+    frames: FrameTable,
+    found: Retrieval,
+    headings: ArrayLike | None = None,
+    errors: ErrorModel | None = None,
 ) -> Columns:
     """Return where queries were found whose true poses are unknown: what `located.csv` holds.
 
@@ -93,9 +98,10 @@ def located_columns(
         frames: the queries (n).
         found: their nearest map frames.
         headings: estimated headings (n,), rad.
+        errors: what tells the expected error, with a threshold of being lost.
 
     Raises:
-        DataError: a retrieval of other queries.
+        DataError: a retrieval of other queries, or of too few frames for the error model.
     """
     if len(found) != len(frames):
         raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")
@@ -116,4 +122,7 @@ def located_columns(
     }
     if headings is not None:
         columns["est_theta"] = np.asarray(headings, dtype=np.float64)
+    if errors is not None:
+        columns["error_m"] = errors.predict(found, known.frames.xy)
+        columns["lost"] = errors.lost(columns["error_m"])
     return columns

@@ -123,11 +123,42 @@ def test_other_settings_build_the_layer_anew(manifest, tmp_path, capsys):
         assert f"{nodes} nodes over 30 frames" in capsys.readouterr().out
 
 
+def test_a_build_that_is_interrupted_leaves_no_layer_beside_what_explains_another(manifest, tmp_path, monkeypatch):
+    first, second = (
+        words(
+            manifest, tmp_path, "hog", "build=incremental", "build.first_node=10", "build.new_node=10", f"build.y={y}"
+        )
+        for y in (1.5, 2)
+    )
+    assert main(["map", *first]) == 0
+
+    def broken(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("analytic.mapper.graph.NodeGraph.to_json", broken)
+        assert main(["map", *second]) != 0
+    folder = tmp_path / "layers" / "hog-incremental"
+    assert (folder / "placing.json").is_file()
+    assert not (folder / "layer.npz").exists()
+    assert main(["evaluate", *first, "task=mapping", "task.plots=false"]) == 0
+    assert CoarseLayer.load(folder / "layer.npz").made["y"] == 1.5
+
+
+def test_a_map_of_one_node_says_what_gives_more(manifest, tmp_path, capsys):
+    given = words(manifest, tmp_path, "hog", "build=incremental")
+    assert main(["map", *given]) == 0
+    out = capsys.readouterr().out
+    assert ", 1 nodes over 30 frames" in out
+    assert "build=incremental_sparse" in out
+
+
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
         (["task=mapping"], "choose one with build=rooms|sample|spectral|som|incremental"),
         (["task=mapping", "build=spectral", "build.nodes=31"], "31"),
+        (["task=mapping", "build=som", "build.grid=8"], "two numbers (W, H), got 8"),
         (["task=mapping", "build=incremental", "build.y=-1"], "y must be a positive number"),
         (["task=mapping", "build=incremental", "build.gama=1"], "did you mean 'build.gamma'"),
         (["task=mapping", "build=spectrum"], "did you mean 'spectral'"),

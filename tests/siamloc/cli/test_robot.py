@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,21 @@ def test_lost_stands_in_the_line_and_the_table(finished, flat, tmp_path, capsys)
     rows = table(run / "locations.csv")
     assert [", lost; nearest" in line for line in lines] == [row["lost"] == "True" for row in rows]
     assert any(row["lost"] == "True" for row in rows)
+
+
+def test_a_map_without_positions_names_the_room(trained, flat, tmp_path, capsys):
+    run = Path(shutil.copytree(trained, tmp_path / "run"))
+    known = VisualMap.load(run / "map.npz")
+    unknown = np.full(len(known), np.nan)
+    replace(known, frames=known.frames.with_columns(x=unknown, y=unknown)).save(run / "map.npz")
+    siamloc("export", f"run={run}")
+    siamloc("localize", f"run={run}", f"images=[{flat.parent / 'cloudy2'}]")
+    lines = [line for line in capsys.readouterr().out.splitlines() if "; nearest " in line]
+    rows = table(run / "locations.csv")
+    assert len(lines) == len(rows) == 24
+    for line, row in zip(lines, rows, strict=True):
+        assert f": position unknown in {row['room']}; nearest" in line
+        assert row["x"] == row["y"] == ""
 
 
 def test_the_map_hands_its_headings_on_and_they_can_be_left_out(finished, tmp_path):

@@ -27,3 +27,16 @@ def test_headings_of_some_queries_say_how_many(capsys):
     assert [line for line in said if line.startswith("heading,")] == [
         "heading, hog: 10 of 32 queries, where theta is known on both sides"
     ]
+
+
+def test_rooms_count_under_lightings_without_any_position(capsys):
+    accuracy = {label: {"accuracy": share} for label, share in (("cloudy", 0.5), ("night", 1.0))}
+    rooms = {"room_retrieval": {"overall": {"accuracy": 0.75}, "lighting": accuracy}}
+    print_summary({"hog": {**measured(10), **rooms}, "fs": {**measured(0), **rooms}})
+    said = capsys.readouterr().out.splitlines()
+    lines = [line.split() for line in said if line.startswith(("hog", "fs "))]
+    assert [line[1] for line in lines] == ["cloudy", "night", "all"] * 2
+    assert lines[0][2:] == ["-"] * 7 + ["50.0", "%"]
+    assert lines[1][-3:] == ["32", "100.0", "%"]
+    assert lines[2][-3:] == ["32", "75.0", "%"]
+    assert lines[3][2:] == ["-"] * 7 + ["50.0", "%"]

@@ -7,9 +7,10 @@ import csv
 import pytest
 
 from siamloc.cli import main
+from siamloc.tasks.error_model import ErrorModel
 from siamloc.tasks.results import read_results, read_rows
 from tests.drawn import write_manifest
-from tests.siamloc.report.pages import notes, read_page
+from tests.siamloc.report.pages import notes, read_page, rows_of
 
 
 def without(manifest, name, *fields):
@@ -71,6 +72,52 @@ def test_neither_poses_nor_rooms(manifest, tmp_path, capsys, given, name):
     assert [section.attributes["class"] for section in page.all("section")] == ["configuration"]
 
 
+def test_expected_errors_do_not_depend_on_whether_the_pose_is_known(manifest, tmp_path, capsys):
+    bare = without(manifest, "unposed.csv", "x", "y", "theta")
+    half = manifest.parent / "half.csv"
+    lines = [with_pose if i % 2 else none for i, (with_pose, none) in enumerate(pairs_of_lines(manifest, bare))]
+    half.write_text("".join(lines))
+    given = ["task=absolute", "task.error_model=true", "task.baselines=[]", "protocol.validation.sequences=[third]"]
+    told = {}
+    for name, table in (("all", manifest), ("none", bare), ("half", half)):
+        assert main(words("evaluate", table, tmp_path / name, *given)) == 0
+        folder = tmp_path / name / "evaluation" / "hog"
+        tables = [read_rows(folder, of) for of in ("queries", "located") if of in read_results(folder)["tables"]]
+        told[name] = {
+            path: (expected, lost)
+            for columns in tables
+            for path, expected, lost in zip(
+                *(columns[key].tolist() for key in ("path", "error_m", "lost")), strict=True
+            )
+        }
+        assert read_results(folder)["estimates"]["error_model"]["sequences"] == ["third"]
+    assert len(told["all"]) == 18
+    assert told["none"] == told["half"] == told["all"]
+    folder = tmp_path / "none" / "evaluation" / "hog"
+    assert ErrorModel.load(folder / "error_model.json").lost_above == 1.0
+    said = "18 of 18 queries have no position: add x and y to the data"
+    assert read_results(folder)["skipped"] == {"absolute": said}
+    assert f"absolute left out: {said}" in capsys.readouterr().out
+
+
+def pairs_of_lines(*tables):
+    return zip(*(table.read_text().splitlines(keepends=True) for table in tables), strict=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        (["task=hierarchical", "build=rooms", "task.filter=true"], "task.filter stands beside absolute localization"),
+        (["task=robustness", "task.interpolate=3"], "task.interpolate stands beside absolute localization"),
+        (["task=room_retrieval", "task.error_model=true"], "which room_retrieval leaves out: use task=absolute"),
+        (["task=absolute", "task.filter_tune=true"], "set task.filter=true too"),
+    ],
+)
+def test_what_has_nothing_to_stand_beside_is_not_passed_over(manifest, tmp_path, capsys, given, sentence):
+    assert main(words("evaluate", manifest, tmp_path, *given)) == 2
+    assert sentence in capsys.readouterr().err
+
+
 def test_rooms_without_poses_are_scored_and_the_rest_is_located(manifest, tmp_path, capsys):
     rooms = without(manifest, "rooms.csv", "x", "y", "theta")
     assert main(words("evaluate", rooms, tmp_path, "task.baselines=[thumbnail]")) == 0
@@ -87,6 +134,28 @@ def test_rooms_without_poses_are_scored_and_the_rest_is_located(manifest, tmp_pa
     assert names == ["summary", "rooms", "configuration"]
     cells = [cell.text for cell in page.one("table", class_="by-lighting").all("td")]
     assert "–" not in cells[:2], "no empty columns"
+
+
+def test_a_lighting_without_poses_keeps_its_rooms(manifest, tmp_path, capsys):
+    table = without(manifest, "night.csv", "x", "y", "theta")
+    given = ["protocol.query.sequences=[second,third]", "task.baselines=[]", "task.plots=false"]
+    assert main(words("evaluate", table, tmp_path, *given)) == 0
+    said = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("hog ")]
+    assert [line[1] for line in said] == ["cloudy", "night", "all"]
+    rows = rows_of(page_of(tmp_path).one("table", class_="by-lighting"))
+    assert [row[-1] for row in rows] == ["18", "18", "18"]
+    assert [row[-3] for row in rows] == ["–" if i == 1 else row[-3] for i, row in enumerate(rows)], "headings"
+    shares = read_results(tmp_path / "evaluation" / "hog")["measures"]["room_retrieval"]
+    wanted = [shares["lighting"]["cloudy"], shares["lighting"]["night"], shares["overall"]]
+    assert [row[-2] for row in rows] == [f"{100 * share['accuracy']:.1f} %" for share in wanted]
+
+
+def test_rooms_that_the_map_lacks_are_not_called_left_out(manifest, tmp_path):
+    given = ["task=hierarchical", "build=rooms", "protocol.map.rooms=[corridor]", "task.plots=false"]
+    assert main(words("evaluate", manifest, tmp_path, *given)) == 0
+    texts = [part.text for part in page_of(tmp_path).all("p")]
+    (note,) = [text for text in texts if "that the map lacks" in text]
+    assert note.startswith("12 of 18 queries are in rooms that the map lacks")
 
 
 def test_robustness_needs_poses_and_says_so(manifest, tmp_path, capsys):

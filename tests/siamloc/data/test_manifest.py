@@ -174,7 +174,26 @@ def test_whatever_table_is_written_is_read_back(tmp_path, frames, columns):
         cells = [frame[name] for name in columns]
         writer.writerow(["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in cells])
     table = read(tmp_path, text.getvalue(), on_error="raise")
-    assert table == FrameTable.from_rows([{"path": str(tmp_path / frame["image"]), **frame} for frame in frames])
+    written = FrameTable.from_rows([{"path": str(tmp_path / frame["image"]), **frame} for frame in frames])
+    rows = [written.path.tolist().index(path) for path in table.path.tolist()]
+    expected = {name: column[rows] for name, column in written.columns().items() if name != "index"}
+    assert table == FrameTable(**expected, index=np.arange(len(rows)))
+    assert table.sequence.tolist() == written.sequence.tolist()
+    for own in table.rows_by("sequence").values():
+        if np.isnan(table.time[own]).any():
+            assert np.array(rows)[own].tolist() == own.tolist()
+        else:
+            assert (np.diff(table.time[own]) >= 0).all()
+
+
+def test_rows_come_in_order_of_time_inside_a_sequence(folder):
+    text = "image,sequence,time\na.jpg,one,3\nb.jpg,two,2\nc.jpg,one,1\nd.jpg,two,\ne.jpg,one,2\nf.jpg,one,1\n"
+    for name in "cdef":
+        (folder / f"{name}.jpg").write_bytes(b"image")
+    table = read(folder, text)
+    assert [Path(path).stem for path in table.path.tolist()] == ["c", "b", "f", "d", "e", "a"]
+    assert table.sequence.tolist() == ["one", "two", "one", "two", "one", "one"]
+    assert table.index.tolist() == list(range(6))
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150)

@@ -80,5 +80,5 @@ def test_an_unfilled_role_says_what_there_is(table):
         protocol(train=["cloudy1"]).frames("query", table)
     with pytest.raises(ConfigError, match="did you mean 'night1'"):
         protocol(query=["nigth1"]).frames("query", table)
-    with pytest.raises(ConfigError, match="no frame has room 'C'; valid: A, B"):
+    with pytest.raises(ConfigError, match=r"^protocol\.query: no frame has room 'C'; valid: A, B"):
         Protocol.from_config({"query": {"sequences": ["night1"], "rooms": ["C"]}}).frames("query", table)

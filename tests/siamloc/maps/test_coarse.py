@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,24 @@ def test_files_that_are_no_layer(tmp_path):
         CoarseLayer.load(path)
     KNOWN.save(path)
     with pytest.raises(FormatError, match="not a coarse layer"):
+        CoarseLayer.load(path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"header": np.array("[]")}, "not a coarse layer"),
+        ({"header": np.array(json.dumps({"format": "siamloc-coarse-layer"}))}, "not a coarse layer"),
+        ({"representatives": np.zeros(2)}, r"needs representatives \(k, D\)"),
+        ({"representatives": np.array(1.0)}, r"needs representatives \(k, D\)"),
+        ({"edges": np.array([[0, 2]])}, "the edges of a coarse layer lie between its nodes, 0 to 1"),
+    ],
+)
+def test_altered_layers_are_refused(tmp_path, changed, sentence):
+    path = tmp_path / "layer.npz"
+    CoarseLayer.of_rooms(KNOWN).save(path)
+    np.savez(path, **{**np.load(path), **changed})
+    with pytest.raises(FormatError, match=sentence):
         CoarseLayer.load(path)
 
 

@@ -166,6 +166,29 @@ def test_a_bundle_of_the_first_version_opens(bare, tmp_path):
         Localizer(folder)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("version", None, "was not written by `siamloc export`"),
+        ("version", "2", "was not written by `siamloc export`"),
+        ("sha256", [], "is altered in sha256"),
+        ("sha256", {}, "lists no model.onnx"),
+        ("image_size", 5, "is altered in image_size"),
+        ("image_size", [32], "is altered in image_size or unwrap"),
+        ("unwrap", None, "lacks unwrap"),
+        ("unwrap", {"kind": "polar", "centre": 3}, "is altered in image_size or unwrap"),
+        ("unwrap", {"kind": "fisheye"}, "is altered in image_size or unwrap"),
+        ("identity", "vgg16", "is altered in identity"),
+    ],
+)
+def test_an_altered_description_is_refused(bare, tmp_path, key, value, says):
+    folder = rewritten(bare, tmp_path / "bundle")
+    about = read_json(folder / "bundle.json")
+    write_json(folder / "bundle.json", {k: v for k, v in {**about, key: value}.items() if v is not None})
+    with pytest.raises(FormatError, match=f"{says}.*: export anew"):
+        Bundle.open(folder)
+
+
 def test_a_model_without_threshold_gives_no_verdict(world, bundle, tmp_path):
     folder = rewritten(bundle, tmp_path / "bundle", errors=replace(world[2], lost_above=None))
     location = Localizer(folder).locate(drive(2)[0][0])
