@@ -102,8 +102,9 @@ class Bench:
         ranked, coarse = LAYERS[layer]
         described = str(self.runs / coarse) if coarse in TRAINED else coarse
         words = [*self._of(method, 1), "task=hierarchical", *ranked, f"task.coarse.descriptor={described}"]
-        built = ranked[0].removeprefix("build=").split("_")[0]
-        parts = dict.fromkeys([METHODS[method], f"network-{coarse}" if coarse in TRAINED else coarse, built])
+        vote = ["vote"] if "task.coarse.by=vote" in ranked else []
+        parts = [METHODS[method], f"network-{coarse}" if coarse in TRAINED else coarse]
+        parts = list(dict.fromkeys([*parts, ranked[0].removeprefix("build="), *vote]))
         command, results = self._evaluate(method, f"hierarchical-{'-'.join(parts)}", [*words, "task.plots=false"])
         measures = results["measures"]["hierarchical"]
         overall = measures["overall"]

@@ -4,10 +4,12 @@
 
 FOLDER holds what `siamloc simulate camera=panorama building=freiburg_like` renders; the map is path 2, cloudy1, at all
 its frames or one every `--spacing` metres, described by HOG as [I] 6.1 takes it. Version 2 has the y and omega of [T]
-4.6.1; spectral clustering and sampling get its number of nodes. Silhouettes are of the capture points, "pooled" as in
-[I] eq. 12-13 and "nearest" as in [C] 8-9; `kept` is the pooled one times the share of frames that are in a node, since
-a map that leaves out what is difficult looks good otherwise. With `--pictures`, the sweeps of y and omega ([I] figure
-9) and of the number of clusters ([I] figures 11, 12) are drawn. `--scale` adds 20,000 frames in one run.
+4.6.1; spectral clustering and sampling get its number of nodes. Spectral clustering ends elsewhere from other starts of
+its k-means: the table shows the median of 21 seeds by silhouette, with the lowest and the highest. Silhouettes are of
+the capture points, "pooled" as in [I] eq. 12-13 and "nearest" as in [C] 8-9; `kept` is the pooled one times the share
+of frames that are in a node, since a map that leaves out what is difficult looks good otherwise. With `--pictures`, the
+sweeps of y and omega ([I] figure 9) and of the number of clusters ([I] figures 11, 12) are drawn. `--scale` adds 20,000
+frames in one run.
 
 Targets: the pooled silhouette of version 2 is at least that of version 1, and that of spectral clustering with as many
 nodes; at most 5 % of the frames are in no node of version 2.
@@ -39,6 +41,7 @@ OMEGAS = (1.7, 1.85, 2.0, 2.15, 2.3)
 CLUSTERS = (4, 6, 8, 10, 12, 16, 20, 24, 30, 36, 42, 50, 60)
 GRIDS = ((2, 2), (3, 2), (4, 2), (5, 2), (4, 3), (4, 4), (5, 4), (6, 4), (6, 5), (6, 6), (7, 6), (10, 5), (10, 6))
 RADIUS, GAP = 1.0, 30
+SEEDS = 21
 MOST_UNASSIGNED = 5.0
 
 
@@ -71,8 +74,9 @@ def compare(options: Any, report: Report) -> dict[str, Any]:
     print(f"{len(known)} frames of {known.frames.sequence[0]}")
     table = [measured(known, descriptor, f"incremental, version {v}", incremental(v, 1.5, 1.85)) for v in (2, 1)]
     nodes = table[0]["nodes"]
-    for name, count in (("spectral", nodes), ("sample", nodes), ("spectral", table[1]["nodes"])):
-        table.append(measured(known, descriptor, f"{name}, {count}", batch(name, count)))
+    table.append(typical(known, descriptor, nodes))
+    table.append(measured(known, descriptor, f"sample, {nodes}", batch("sample", nodes)))
+    table.append(typical(known, descriptor, table[1]["nodes"]))
     step = 3 if options.quick else 1
     grid = [
         {"version": version, "y": y, "omega": omega}
@@ -132,9 +136,18 @@ def batch(name: str, nodes: int) -> dict[str, Any]:
     return {"name": name, "nodes": nodes, **more}
 
 
-def measured(known: VisualMap, descriptor: Descriptor, what: str, options: dict[str, Any]) -> dict[str, Any]:
+def typical(known: VisualMap, descriptor: Descriptor, nodes: int) -> dict[str, Any]:
+    """Spectral clustering with the median silhouette over seeds, and the range of all."""
+    every = [measured(known, descriptor, f"spectral, {nodes}", batch("spectral", nodes), seed) for seed in range(SEEDS)]
+    every.sort(key=lambda row: row["silhouette"])
+    return {**every[SEEDS // 2], "lowest": every[0]["silhouette"], "highest": every[-1]["silhouette"]}
+
+
+def measured(
+    known: VisualMap, descriptor: Descriptor, what: str, options: dict[str, Any], seed: int = 0
+) -> dict[str, Any]:
     """Build a layer and measure it."""
-    built = build_layer(known, descriptor, options)
+    built = build_layer(known, descriptor, options, seed)
     found = evaluate_mapping(known, built.layer, descriptor, RADIUS, GAP, built.seconds).measures()
     closures = found["closures"]
     share = found["unassigned"]["share"]
@@ -159,7 +172,8 @@ def judge(report: Report, table: list[dict[str, Any]]) -> None:
     second, first, spectral = table[:3]
     for rival in (first, spectral):
         what = f"pooled silhouette of version 2 ({second['silhouette']}) at least that of {rival['what']}"
-        report.target(f"{what} ({rival['silhouette']})", second["silhouette"] >= rival["silhouette"])
+        spread = f", {rival['lowest']} to {rival['highest']} over seeds" if "lowest" in rival else ""
+        report.target(f"{what} ({rival['silhouette']}{spread})", second["silhouette"] >= rival["silhouette"])
     share = second["unassigned"]
     report.target(f"version 2 leaves at most {MOST_UNASSIGNED:g} % out ({share} %)", share <= MOST_UNASSIGNED)
 

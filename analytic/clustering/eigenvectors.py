@@ -113,7 +113,12 @@ def _full(matrix: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.floa
 
     n = matrix.shape[0]
     dense = matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
-    return eigh(dense, subset_by_index=(n - count, n - 1), check_finite=False)
+    try:
+        return eigh(dense, subset_by_index=(n - count, n - 1), check_finite=False)
+    except np.linalg.LinAlgError:
+        # Where hosts of eigenvalues are equal but for rounding, LAPACK's search for some of them may fail.
+        values, vectors = np.linalg.eigh(dense)
+        return values[-count:], vectors[:, -count:]
 
 
 def _inverse_root(degree: NDArray[np.float64]) -> NDArray[np.float64]:

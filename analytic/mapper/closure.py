@@ -13,6 +13,7 @@ from analytic.descriptors.base import Description, Descriptor
 from analytic.mapper.node import Node
 
 _NEAREST = 1e-6  # of the largest distance: what an equal image counts as, since its similarity would be infinite
+_ROUNDING = 1e-9  # of the mean: a deviation that counts as none, or a robot that stands still would not close
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Closure:
         distance: squared Mahalanobis distance to its mean.
         mean: of the distances of its held-out frames.
         std: of them.
-        deviation: |distance - mean|, or how much the distance exceeds the mean if only that counts.
+        deviation: |distance - mean|, or how much the distance exceeds the mean if only that counts; 0 for rounding.
     """
 
     node: int
@@ -121,6 +122,7 @@ def _closures(distances: NDArray[np.float64], nodes: Sequence[Node], two_sided: 
     stds = np.array([mode.gaussian.std for mode in modes])
     deviations = distances - means
     deviations = np.abs(deviations) if two_sided else np.maximum(deviations, 0.0)
+    deviations[deviations <= _ROUNDING * means] = 0.0
     ids = np.array([node.id for node in nodes])
     best = np.zeros(len(nodes), dtype=np.int64)
     if len(modes) > len(nodes):

@@ -19,11 +19,14 @@ VERSION = 1
 
 
 class EventLog:
-    """Lines in memory and, if asked for, in a file.
+    """Lines in memory and, if asked for, in a file. A copy has the lines, but leaves the file to the one it is made of.
 
     Args:
         lines: of the run so far.
         target: a path, which is written anew with the whole run, or an open text file; None for memory alone.
+
+    Attributes:
+        lines: of the run, and perhaps one that an interrupted call left behind.
 
     Raises:
         AnalyticError: a path that cannot be written.
@@ -31,23 +34,35 @@ class EventLog:
 
     def __init__(self, lines: Iterable[str], target: str | Path | TextIO | None = None) -> None:
         self.lines = list(lines)
+        self._ends = np.cumsum([len(_line(line)) for line in self.lines]).tolist()
         self._path = Path(target) if isinstance(target, (str, Path)) else None
         self._file = None if isinstance(target, (str, Path)) else target
-        self._write("".join(f"{line}\n" for line in self.lines), "w")
+        self._write("".join(f"{line}\n" for line in self.lines), None)
 
-    def write(self, line: str) -> None:
-        """Write one line to the file; `keep` then keeps it in memory."""
-        self._write(f"{line}\n", "a")
+    def __reduce__(self) -> tuple[type[EventLog], tuple[list[str]]]:
+        """Return how copies are made: without the file, which two would write to."""
+        return EventLog, (self.lines,)
 
-    def keep(self, line: str) -> None:
-        """Keep one line in memory."""
+    def write(self, line: str, before: int) -> None:
+        """Write one line after the first `before` lines.
+
+        What stands behind those goes first, in memory and at the path: part of a line that did not fit on a full disk,
+        or the line of a call that was interrupted.
+        """
+        del self.lines[before:], self._ends[before:]
+        end = self._ends[-1]
+        self._write(f"{line}\n", end)
+        self._ends.append(end + len(_line(line)))
         self.lines.append(line)
 
-    def _write(self, text: str, mode: str) -> None:
+    def _write(self, text: str, end: int | None) -> None:
+        """Write text to the file: behind that many bytes of it, or anew."""
         try:
             if self._path is not None:
-                with self._path.open(mode, encoding="utf-8") as file:
-                    file.write(text)
+                with self._path.open("wb" if end is None else "ab") as file:
+                    if end is not None and file.tell() > end:
+                        file.truncate(end)
+                    file.write(text.encode())
             elif self._file is not None:
                 self._file.write(text)
         except (OSError, ValueError) as error:
@@ -55,6 +70,10 @@ class EventLog:
                 f"the log of the mapper cannot be written to {self._path or self._file} ({error}): give a path in a "
                 "folder that can be written to"
             ) from error
+
+
+def _line(line: str) -> bytes:
+    return f"{line}\n".encode()
 
 
 def header(rules: Mapping[str, Any], identity: Mapping[str, Any]) -> str:

@@ -24,6 +24,7 @@ from analytic.mapper.state import State
 from analytic.mapper.steps import maintain, step
 from analytic.mapper.threads import one_thread
 
+LARGEST_VALUE = 1e38
 LARGEST_POSITION = 4096  # numbers: beyond, the covariance of a single node takes more than 128 MiB
 
 
@@ -43,7 +44,7 @@ class IncrementalMapper:
         extendable: whether frames may be added; not those of a map that was loaded to be asked.
 
     Raises:
-        AnalyticError: an unknown parameter, a value out of its range, or a log that cannot be written.
+        AnalyticError: no descriptor, an unknown parameter, a value out of its range, or a log that cannot be written.
     """
 
     def __init__(
@@ -54,12 +55,15 @@ class IncrementalMapper:
         log: str | Path | TextIO | None = None,
         **others: Any,
     ) -> None:
+        if not isinstance(descriptor, Descriptor):
+            raise AnalyticError(
+                f"the mapper takes a descriptor, such as analytic.descriptor('hog') returns, got {descriptor!r}"
+            )
         self.descriptor = descriptor
         self.parameters = parameters({"version": version, **others})
         self.extendable = True
         self._state = State(self.parameters)
         self._poses: list[Any] = []
-        self._template: Description | None = None
         self._log = EventLog([header(asdict(self.parameters), descriptor.identity)], log)
 
     def __len__(self) -> int:
@@ -73,12 +77,12 @@ class IncrementalMapper:
     @property
     def poses(self) -> tuple[Any, ...]:
         """Return what was given with each frame."""
-        return tuple(self._poses)
+        return tuple(self._poses[: len(self)])
 
     @property
     def events(self) -> tuple[str, ...]:
         """Return the log: a header, then a line of JSON for each call of `add` or `maintain`."""
-        return tuple(self._log.lines)
+        return tuple(self._log.lines[: 1 + self._state.calls])
 
     def labels(self) -> NDArray[np.int64]:
         """Return the node of each frame (n,), -1 for none."""
@@ -86,7 +90,7 @@ class IncrementalMapper:
 
     def graph(self) -> graph.NodeGraph:
         """Return nodes, edges and loop closures, to be written as GraphML or JSON."""
-        places = [graph.coordinates(pose) for pose in self._poses]
+        places = [graph.coordinates(pose) for pose in self.poses]
         nodes: dict[int, dict[str, float]] = {}
         for node in self.nodes:
             nodes[node.id] = {"frames": len(node), "modes": len(node.modes)}
@@ -115,7 +119,7 @@ class IncrementalMapper:
         draft = self._state.copy()
         with one_thread():
             decision = step(draft, self.descriptor, description, self._orientation(description))
-        self._commit(draft, description, decision, [pose])
+        self._commit(draft, decision, [pose])
         return decision
 
     def maintain(self, node: int, descriptions: Description, frames: Sequence[Any] | None = None) -> Decision:
@@ -131,7 +135,7 @@ class IncrementalMapper:
         """
         self._check_extendable()
         descriptions = self._checked(descriptions, None)
-        if node not in self._state.nodes:
+        if not isinstance(node, (int, np.integer)) or node not in self._state.nodes:
             raise AnalyticError(f"the map has no node {node!r}: it has {sorted(self._state.nodes)}")
         count = len(descriptions)
         if count < self.parameters.smallest_node:
@@ -144,8 +148,8 @@ class IncrementalMapper:
             raise AnalyticError(f"{count} images need as many frames, got {len(poses)}")
         draft = self._state.copy()
         with one_thread():
-            decision = maintain(draft, node, [descriptions.take(slice(row, row + 1)) for row in range(count)])
-        self._commit(draft, descriptions, decision, poses)
+            decision = maintain(draft, int(node), [descriptions.take(slice(row, row + 1)) for row in range(count)])
+        self._commit(draft, decision, poses)
         return decision
 
     def locate(self, description: Description) -> Location:
@@ -165,7 +169,7 @@ class IncrementalMapper:
         Raises:
             AnalyticError: a path that cannot be written.
         """
-        storage.save(path, self._state, self._poses, self.descriptor.identity, self._log.lines)
+        storage.save(path, self._state, list(self.poses), self.descriptor.identity, list(self.events))
 
     @classmethod
     def load(
@@ -199,7 +203,6 @@ class IncrementalMapper:
         mapper.extendable = extend
         mapper._state = stored.state
         mapper._poses = stored.poses
-        mapper._template = stored.state.recent[-1][1] if stored.state.recent else None
         mapper._log = EventLog(stored.lines, log)
         return mapper
 
@@ -229,12 +232,11 @@ class IncrementalMapper:
         heading = self._heading(description, node, frame) if orientation else None
         return Location(node, frame, self._poses[frame], heading, bool(closing), scores)
 
-    def _commit(self, draft: State, description: Description, decision: Decision, poses: list[Any]) -> None:
-        line = line_of(decision, poses)
-        self._log.write(line)
-        self._log.keep(line)
-        self._template = description.take(slice(0, 1))
-        self._poses += poses
+    def _commit(self, draft: State, decision: Decision, poses: list[Any]) -> None:
+        """Make a draft the map. Until its last line nothing counts: poses and events beyond those of the map do not."""
+        draft.calls += 1
+        self._log.write(line_of(decision, poses), draft.calls)
+        self._poses[len(self) :] = poses
         self._state = draft
 
     def _check_extendable(self) -> None:
@@ -273,11 +275,17 @@ class IncrementalMapper:
         for name, part in zip(("position", "orientation"), parts, strict=False):
             if len(part) != len(description):
                 raise AnalyticError(f"{len(description)} positions need as many orientation parts, got {len(part)}")
-            if not np.isfinite(part).all():
-                raise AnalyticError(f"the {name} part of a description holds values that are not finite: leave it out")
+            if part.dtype.kind not in "fiub":
+                raise AnalyticError(f"the {name} part of a description must hold real numbers, got {part.dtype}")
+            # What is larger overflows in its fourth power.
+            if not (np.abs(part, dtype=np.float64) <= LARGEST_VALUE).all():
+                raise AnalyticError(
+                    f"the {name} part of a description holds values that are not finite, or beyond {LARGEST_VALUE:g}: "
+                    "leave it out"
+                )
         self.descriptor.check(description, description)
-        if self._template is not None:
-            check_alike(self._template, description)
+        if self._state.recent:
+            check_alike(self._state.recent[-1][1], description)
         copies = [np.array(part) for part in parts]
         return Description(copies[0], copies[1] if len(copies) > 1 else None, description.identity)
 

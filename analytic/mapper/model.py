@@ -55,7 +55,7 @@ class Model:
     def least(self) -> float:
         """Return the variance that shrinking adds to every direction: intensity times mean variance."""
         moments = self.moments
-        variance = float(np.trace(moments.scatter)) / (moments.count * len(moments.mean))
+        variance = moments.trace / (moments.count * len(moments.mean))
         least = _LEAST_VARIANCE * float(np.mean(np.square(moments.mean)))
         return self.intensity * max(variance, least, _NO_VARIANCE)
 

@@ -36,6 +36,11 @@ class Moments:
     third: Vector
     fourth: float
 
+    @property
+    def trace(self) -> float:
+        """Return trace M, the sum of |y|^2."""
+        return float(np.trace(self.scatter))
+
     @staticmethod
     def none(size: int) -> Moments:
         """Return the moments of no vector of that size."""
@@ -83,7 +88,7 @@ class Moments:
         """
         size = len(self.mean)
         spread = float(np.einsum("ij,ij->", self.scatter, self.scatter)) / self.count**2
-        trace = float(np.trace(self.scatter)) / self.count
+        trace = self.trace / self.count
         excess = spread - trace**2 / size
         error = min((self.fourth / self.count - spread) / self.count, excess)
         return error / excess if error > 0 and excess > 0 else 0.0
@@ -91,10 +96,9 @@ class Moments:
     def _higher_about(self, shift: Vector) -> tuple[Vector, float]:
         square = float(shift @ shift)
         along = self.scatter @ shift
-        trace = float(np.trace(self.scatter))
-        third = self.third - 2 * along - (trace + self.count * square) * shift
+        third = self.third - 2 * along - (self.trace + self.count * square) * shift
         fourth = self.fourth + 4 * float(shift @ along) + self.count * square**2
-        return third, fourth - 4 * float(self.third @ shift) + 2 * trace * square
+        return third, fourth - 4 * float(self.third @ shift) + 2 * self.trace * square
 
 
 def _plus_outer(matrix: Vector, vector: Vector, weight: float) -> Vector:

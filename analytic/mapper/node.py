@@ -18,6 +18,8 @@ from analytic.mapper.parameters import Parameters
 from analytic.mapper.rim import Rim
 from analytic.mapper.rows import Rows
 
+_LEAST_LEFT = 1e-2  # of the spread; below, taking away frames leaves too few digits of the sums over the others
+
 
 @dataclass(frozen=True)
 class Gaussian:
@@ -108,6 +110,8 @@ class Mode:
             model = model.remove(x)
         if min(held.sum(), (~held).sum()) < 2:
             held, model = self._split(rows)
+        elif model.moments.trace < _LEAST_LEFT * self.model.moments.trace:
+            model = self._modelled(rows[~held])
         count, centre = len(self), self.centre
         for x in self.rows.array[gone]:
             count -= 1
@@ -188,12 +192,18 @@ class Mode:
 
     def _split(self, rows: NDArray[np.float64]) -> tuple[NDArray[np.bool_], Model]:
         """Return which of some frames (n, D) to hold out, and the model of the others."""
-        held: list[bool] = []
+        flags: list[bool] = []
+        for _ in rows:
+            flags.append(self.rules.holds_out(sum(flags), len(flags)))
+        held = np.array(flags, dtype=bool)
+        return held, self._modelled(rows[~held])
+
+    def _modelled(self, rows: NDArray[np.float64]) -> Model:
+        """Return the model of some frames (n, D)."""
         model = Model(Moments.none(rows.shape[1]), self.rules.shrinkage)
         for x in rows:
-            held.append(self.rules.holds_out(sum(held), len(held)))
-            model = model if held[-1] else model.add(x)
-        return np.array(held, dtype=bool), model
+            model = model.add(x)
+        return model
 
 
 @dataclass(frozen=True)

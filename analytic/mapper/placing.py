@@ -91,7 +91,8 @@ def _stands_out(similarity: Similarity, row: int, state: State, found: Placement
     curve, where = similarity_curve(similarity, state.labels, found.scores["candidates"])
     heights = prominences(curve)
     prominence = float(heights[where[row]])
-    least = state.rules.gamma * float(heights.sum()) / len(where)
+    # In this order, so that the one peak of as many frames as gamma says reaches itself to the last digit.
+    least = state.rules.gamma / len(where) * float(heights.sum())
     found.scores |= {"prominence": prominence, "least_prominence": least}
     return prominence >= least
 

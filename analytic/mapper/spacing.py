@@ -3,7 +3,8 @@
 The mean distance among all nodes asks for every pair, but between two questions only few representatives move. The
 distances are kept in a table, and only the rows of those that moved are computed. A representative is known by the
 array that it is, which never changes; so the table holds true for whichever state of the map asks, a draft that is
-given up and a map that was loaded among them. Where in the table a distance stands has no effect on its value.
+given up and a map that was loaded among them. Where in the table a distance stands has no effect on its value. A copy
+of a table, for a copy of a map or for another process, starts empty: there, the arrays are others.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ class Spacing:
         self._known: list[NDArray[np.float64] | None] = []  # holds on to the arrays, so that no identity is used twice
         self._centres = np.empty((0, 0))
         self._apart = np.empty((0, 0))
+
+    def __reduce__(self) -> tuple[type[Spacing], tuple[()]]:
+        """Return how copies are made: empty, since the identities of arrays are not those of their copies."""
+        return Spacing, ()
 
     def among(self, places: Sequence[Place]) -> float:
         """Return the mean distance between places, each pair by its nearest representatives; 0 for fewer than 2."""

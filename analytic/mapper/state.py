@@ -31,6 +31,7 @@ class State:
         pending: consecutive frames up to the last one that belong to nothing.
         next_id: id of the next node.
         changes: made while working in a frame.
+        calls: of `add` and `maintain` that went well.
         spacing: distances between nodes that were computed before, for all copies; it has no effect on what they are.
     """
 
@@ -43,6 +44,7 @@ class State:
     pending: tuple[int, ...] = ()
     next_id: int = 0
     changes: tuple[Change, ...] = ()
+    calls: int = 0
     spacing: Spacing = field(default_factory=Spacing, repr=False, compare=False)
 
     def copy(self) -> State:
@@ -82,7 +84,10 @@ class State:
         self.labels[node.frames] = node.id
 
     def leave(self, frames: Sequence[int]) -> list[int]:
-        """Take frames from their nodes and return them; those stay whose node would be left with too few."""
+        """Take frames from their nodes and return them.
+
+        Those stay whose node would be left with too few, or with none to compare images with, where those are bounded.
+        """
         left = []
         for label in np.unique(self.labels[list(frames)]).tolist():
             leaving = [frame for frame in frames if self.labels[frame] == label]
@@ -90,7 +95,10 @@ class State:
                 node = self.nodes[label]
                 if len(node) - len(leaving) < self.rules.smallest_node:
                     continue
-                self.nodes[label] = node.remove(leaving)
+                kept = node.remove(leaving)
+                if not all(len(mode.gallery) for mode in kept.modes):
+                    continue
+                self.nodes[label] = kept
                 self.labels[leaving] = NONE
             left += leaving
         return sorted(left)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -28,6 +29,21 @@ from analytic.mapper.state import State
 
 FORMAT = "analytic.mapper"
 VERSION = 1
+
+# A byte that has changed may also claim an encryption or compression that there is not, or a header that is no literal.
+_DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    EOFError,
+    RuntimeError,
+    SyntaxError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -95,14 +111,15 @@ def load(path: str | Path) -> Stored:
             raise AnalyticError(
                 f"{path} has format version {head['version']}, and this program reads up to {VERSION}: use a newer one"
             )
-        return Stored(_state(head, arrays), head["poses"], head["descriptor"], _string(arrays["log"]).split("\n"))
+        lines = _string(arrays["log"]).split("\n")
+        return Stored(_state(head, arrays, len(lines) - 1), head["poses"], head["descriptor"], lines)
     except AnalyticError:
         raise
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
         raise AnalyticError(
             f"the map {path} cannot be read ({error.strerror}): give a file that `save` wrote"
         ) from error
-    except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except _DAMAGE as error:
         raise AnalyticError(
             f"{path} is no map, or it is damaged or cut short ({error!r}): give a whole file that `save` wrote"
         ) from error
@@ -124,7 +141,7 @@ def descriptor_of(identity: Mapping[str, Any], path: str | Path) -> Descriptor:
     return descriptor(identity["name"], **params)
 
 
-def _state(head: Mapping[str, Any], arrays: Arrays) -> State:
+def _state(head: Mapping[str, Any], arrays: Arrays, calls: int) -> State:
     rules = parameters(head["parameters"])
     nodes = [
         Node(key, tuple(_mode(rules, arrays, f"node{key}.{index}") for index in range(modes)))
@@ -143,6 +160,7 @@ def _state(head: Mapping[str, Any], arrays: Arrays) -> State:
         tuple(zip(arrays["recent.frames"].tolist(), _rows("recent", arrays), strict=True)),
         tuple(head["pending"]),
         head["next_id"],
+        calls=calls,
     )
 
 

@@ -2,20 +2,26 @@
 
 The matrices of a node are so small that sharing them out among threads costs about what it saves, and on a busy
 processor, where every thread waits for the last, many times that. It also keeps the number of threads out of the last
-digits of what is computed.
+digits of what is computed. The setting is one for the whole process, so that of several mappers in threads of their own
+one works at a time; otherwise the first to finish would take it from the others, and the last would leave it behind.
 """
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
+from threading import RLock
 from typing import Any
 
+_LOCK = RLock()
 
-def one_thread() -> AbstractContextManager[Any]:
+
+@contextmanager
+def one_thread() -> Iterator[None]:
     """Return a context in which numpy and scipy use one thread; afterwards as many as before."""
-    limited: AbstractContextManager[Any] = _controller().limit(limits=1, user_api="blas")
-    return limited
+    with _LOCK, _controller().limit(limits=1, user_api="blas"):
+        yield
 
 
 @lru_cache(maxsize=1)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ def measure(config: DictConfig) -> None:
     names, vectors = _representatives(config, descriptor, candidates)
     apart, rows = _distances(config, descriptor, candidates, vectors, roles, queries, label)
     result = evaluate_buildings(queries, [one.building for one in candidates], apart, rows, names)
-    build = config.build.name
+    build = label_of(plain(config.build))
     name = label if build == "none" else f"{label}-{build}"
     folder = run.evaluation(f"buildings-{name}")
     maps = {
@@ -132,7 +133,7 @@ def _split(config: DictConfig, run: Run, descriptor: Descriptor, label: str) -> 
             "of several with task.maps=[runs/a,runs/b], or let protocol.map select frames of several"
         )
     parts = {one: known.take(known.frames.building == one) for one in buildings}
-    return [Candidate(one, source, part, run, f"{label}-{one}") for one, part in parts.items()], roles
+    return [Candidate(one, source, part, run, _folder(label, one)) for one, part in parts.items()], roles
 
 
 def _saved(config: DictConfig, descriptor: Descriptor, label: str, path: Path, run: Run) -> Candidate:
@@ -161,7 +162,12 @@ def _saved(config: DictConfig, descriptor: Descriptor, label: str, path: Path, r
             f"{file} holds frames of {len(buildings)} buildings ({', '.join(buildings)}): make one map for each, or "
             "leave task.maps out to have protocol.map split by building"
         )
-    return Candidate(buildings[0], str(file), known, its_run, f"{label}-{buildings[0]}" if path.is_file() else label)
+    return Candidate(buildings[0], str(file), known, its_run, _folder(label, buildings[0]) if path.is_file() else label)
+
+
+def _folder(label: str, building: str) -> str:
+    """Return what the folder of a building's layer is called; a building may have any name, "north/1" too."""
+    return f"{label}-{quote(building, safe=' ')}"
 
 
 def _buildings_of(frames: FrameTable, source: str) -> list[str]:

@@ -60,7 +60,8 @@ def measure(config: DictConfig) -> None:
     if text := missing_rooms(known.frames, queries):
         skipped["rooms"] = text
     found = _run(config, descriptor, known, coarse, roles, label, heading)
-    name = "-".join(dict.fromkeys([label, chosen.label, config.build.name]))
+    vote = ["vote"] if config.task.coarse.by == "vote" else []
+    name = "-".join(dict.fromkeys([label, chosen.label, label_of(plain(config.build)), *vote]))
     folder = run.evaluation(f"hierarchical-{name}")
     result = _evaluated(config, known, layer, queries.take(scored), found, scored) if scored.any() else None
     _write(config, folder, descriptor, coarse, roles, result, _unscored(known, queries, found, ~scored), skipped)

@@ -34,7 +34,7 @@ def layer_over(
     config: DictConfig, run: Run, known: VisualMap, descriptor: Descriptor, label: str
 ) -> tuple[CoarseLayer, Path]:
     """Return the configured layer over a map and its folder: the one that was built before, if it fits."""
-    folder = run.layer(label, config.build.name)
+    folder = run.layer(label, label_of(plain(config.build)))
     layer = _saved_layer(config, folder, known)
     return (layer, folder) if layer is not None else build_and_save(config, run, known, descriptor, label)
 
@@ -43,12 +43,13 @@ def build_and_save(
     config: DictConfig, run: Run, known: VisualMap, descriptor: Descriptor, label: str
 ) -> tuple[CoarseLayer, Path]:
     """Build the configured layer over a map, write it with all that explains it, and say what it is."""
-    options = plain(config.build)
-    built = build_layer(known, descriptor, options, config.seed, track)
-    folder = run.layer(label, options["name"])
+    built = build_layer(known, descriptor, _options(config), config.seed, track)
+    called = label_of(plain(config.build))
+    folder = run.layer(label, called)
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    built.layer.save(folder / "layer.npz")
+        # The layer goes first and comes last: if this is interrupted, no layer stands beside what explains another.
+        (folder / "layer.npz").unlink(missing_ok=True)
     write_json(folder / "placing.json", {**_placing(built), "map": known.digest})
     if built.mapper is not None:
         built.mapper.save(folder / "mapper.npz")
@@ -56,12 +57,18 @@ def build_and_save(
         graph = built.mapper.graph()
         graph.to_json(folder / "graph.json")
         graph.to_graphml(folder / "graph.graphml")
+    built.layer.save(folder / "layer.npz")
     unassigned = int((built.layer.labels < 0).sum())
     lost = f", {unassigned} frames in none" if unassigned else ""
     seconds = built.seconds.sum()
     print(f"layer: {folder}, {len(built.layer)} nodes over {len(known)} frames{lost}, built in {seconds:.1f} s")
+    if built.mapper is not None and len(built.layer) == 1:
+        print(
+            "one node: the thresholds count frames that lie a few centimetres apart; take more frames into the map "
+            "(protocol.map.every=1), or use build=incremental_sparse"
+        )
     if list(config.task.names) not in (["mapping"], ["hierarchical"], ["buildings"]):
-        print(f"next: siamloc evaluate task=mapping|hierarchical build={options['name']} ... with the same settings")
+        print(f"next: siamloc evaluate task=mapping|hierarchical build={called} ... with the same settings")
     return built.layer, folder
 
 
@@ -86,7 +93,8 @@ def measure(config: DictConfig) -> None:
         np.array(placing["reasons"]) if placing.get("reasons") else None,
     )
     measures = result.measures()
-    target = run.folder / "evaluation" / f"mapping-{label}-{config.build.name}"
+    called = label_of(plain(config.build))
+    target = run.folder / "evaluation" / f"mapping-{label}-{called}"
     write_results(
         target,
         {
@@ -100,7 +108,7 @@ def measure(config: DictConfig) -> None:
         },
         tables={"frames": result.columns, "nodes": result.nodes},
     )
-    _print(label, config.build.name, measures)
+    _print(label, called, measures)
     if config.task.plots:
         from siamloc.report import topology
 
@@ -138,10 +146,14 @@ def _saved_layer(config: DictConfig, folder: Path, known: VisualMap) -> CoarseLa
         digest = read_json(folder / "placing.json").get("map")
     except FormatError:
         return None
-    wanted = plain(config.build)
-    same = all(layer.made.get(key) == value for key, value in wanted.items())
+    same = all(layer.made.get(key) == value for key, value in _options(config).items())
     seeded = layer.made.get("seed", config.seed) == config.seed
     return layer if same and seeded and digest == known.digest else None
+
+
+def _options(config: DictConfig) -> dict[str, Any]:
+    """Return how a layer is built, without what it is called."""
+    return {key: value for key, value in plain(config.build).items() if key != "label"}
 
 
 def _placing(built: Built) -> dict[str, Any]:

@@ -214,7 +214,7 @@ def descriptor_options(name: str) -> dict[str, Any]:
 
 
 def label_of(options: Mapping[str, Any]) -> str:
-    """Return what a descriptor's folder and its row in a table are called: its label if it has one, else its name."""
+    """Return what the folders and table rows of a descriptor or a build are called: its label, else its name."""
     return str(options.get("label") or options["name"])
 
 

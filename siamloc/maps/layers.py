@@ -89,7 +89,7 @@ def _clustered(
             "aligned first: use build=incremental, sample or rooms, or another descriptor"
         )
     if name == "som":
-        return clustering.som(known.descriptors, tuple(options["grid"]), seed=seed)
+        return clustering.som(known.descriptors, options["grid"], seed=seed)
     return clustering.spectral(
         known.descriptors,
         options["nodes"],

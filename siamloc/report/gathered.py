@@ -52,7 +52,11 @@ class Evaluation:
         build, coarse = ((self.results.get(key) or {}).get("name") for key in ("layer", "coarse_descriptor"))
         own = (self.results.get("descriptor") or {}).get("name")
         of = f" of {coarse}" if coarse not in (None, own) else ""
-        return f"{self.name}, {self.kind}" + (f" over {build} nodes{of}" if build else "")
+        settings = self.results.get("config") or {}
+        called = (settings.get("build") or {}).get("label") or build
+        by = ((settings.get("task") or {}).get("coarse") or {}).get("by")
+        found = " by vote" if by == "vote" else ""
+        return f"{self.name}, {self.kind}" + (f" over {called} nodes{of}{found}" if build else "")
 
     @property
     def methods(self) -> dict[str, dict[str, Any]]:

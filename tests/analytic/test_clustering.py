@@ -101,6 +101,17 @@ def test_parts_with_hardly_a_link_are_told_apart(weak, kind):
     assert np.array_equal(clustering.partition(graph, 12), first_first(part))
 
 
+def test_blocks_of_equal_similarities_are_clusters():
+    """Nearly all eigenvalues of such a block are equal but for rounding, on which LAPACK's own search may fail."""
+    blocks, size = 12, 60
+    graph = np.kron(np.eye(blocks), np.ones((size, size)))
+    ends = size * np.arange(blocks)
+    graph[ends, np.roll(ends, 1)] = graph[np.roll(ends, 1), ends] = 6e-11
+    order = np.random.default_rng(0).permutation(len(graph))
+    labels = clustering.partition(graph[np.ix_(order, order)], blocks)
+    assert adjusted_rand_score(labels, order // size) == 1
+
+
 @pytest.mark.parametrize("options", [{}, {"neighbours": 8}, {"sigma": 6.0}, {"neighbours": 5, "sigma": 3.0}])
 @pytest.mark.parametrize("assign", ["kmeans", "som"])
 def test_the_planted_partition_is_found(options, assign):

@@ -46,6 +46,10 @@ class SlowMapper:
         deviation = abs(apart) if self.two_sided else max(apart, 0)
         return deviation, np.std(distances, ddof=1)
 
+    @staticmethod
+    def ratio(deviation, std):
+        return deviation / std if std else 0.0
+
     @cache  # noqa: B019 - the frames of a mapper never change, and it lives as long as its test
     def inverse(self, frames):
         return np.linalg.inv(ledoit_wolf(self.positions(frames))[0])
@@ -180,7 +184,7 @@ class SlowMapper:
         for i, (node, members) in enumerate(self.parked):
             deviation, std = self.closure(point, members)
             if deviation <= self.x() * std:
-                ratios.append((deviation / std, node, i))
+                ratios.append((self.ratio(deviation, std), node, i))
         if ratios:
             _, node, i = min(ratios)
             self.pending = []
@@ -267,7 +271,7 @@ class SlowMapper:
                 if other != node:
                     deviation, std = self.closure(centre, self.nodes[other])
                     if deviation <= self.y * std:
-                        alike.append((deviation / std, other))
+                        alike.append((self.ratio(deviation, std), other))
             if not alike:
                 return
             other = min(alike)[1]

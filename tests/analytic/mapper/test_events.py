@@ -84,3 +84,16 @@ def test_what_is_no_log_is_refused(events, says):
 def test_an_empty_log_is_an_empty_map():
     assert replay([]).tolist() == []
     assert replay(["", '{"frames": [0], "node": null, "changes": []}']).tolist() == [-1]
+
+
+def test_part_of_a_line_that_could_not_be_written_goes_before_the_next(tmp_path):
+    path = tmp_path / "log.jsonl"
+    mapper = IncrementalMapper(WORLD, log=path)
+    for frame in FRAMES[:5]:
+        mapper.add(frame)
+    with path.open("a") as file:
+        file.write('{"frames":[5],"po')  # as far as the disk had room
+    for frame in FRAMES[5:10]:
+        mapper.add(frame)
+    assert tuple(path.read_text().splitlines()) == mapper.events
+    assert np.array_equal(replay(path.read_text().splitlines()), mapper.labels())

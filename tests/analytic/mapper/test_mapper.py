@@ -1,5 +1,9 @@
+import copy
+import pickle
+import sys
 from collections import Counter
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -224,6 +228,15 @@ def test_bounded_exemplars_keep_the_statistics_of_all_frames():
     assert np.array_equal(replay(mapper.events), mapper.labels())
 
 
+@pytest.mark.parametrize("seed", [5, 16])
+def test_a_node_keeps_one_of_its_bounded_exemplars_when_frames_leave_it(seed):
+    world = World(size=8, steps=0, reach=6.0, seed=seed)
+    mapper = IncrementalMapper(world, 2, exemplars=2)
+    for frame in rows(world.at(corridor_drive(200, seed=seed, rooms=5), noise=0.2, seed=seed)):
+        mapper.add(frame)
+        assert all(len(mode.gallery) for node in mapper.nodes for mode in node.modes)
+
+
 @pytest.mark.parametrize("version", [1, 2])
 def test_a_failure_anywhere_leaves_the_map_as_it_was(version, monkeypatch):
     """Let one of several inner steps fail at every frame, the last of all at the latest, and go on all the same."""
@@ -246,6 +259,70 @@ def test_a_failure_anywhere_leaves_the_map_as_it_was(version, monkeypatch):
         shaken.add(frame)
     assert {"align", "add", "merge_alike", "line_of"} <= failed
     assert shaken.events == calm.events
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_interruption_at_any_line_leaves_the_map_as_it_was(version, tmp_path):
+    """Interrupt one of the many lines that work in a frame, and in turn each of those that make it part of the map."""
+    calm, shaken = (IncrementalMapper(WORLD, version, log=tmp_path / name) for name in ("calm", "shaken"))
+    generator = np.random.default_rng(version)
+    keeping = ("_commit", "write")
+    for index, frame in enumerate(drive(90)):
+        with Interrupted() as lines:
+            calm.add(frame)
+        before = (shaken.labels().tolist(), shaken.events, shaken.poses)
+        # Not in the last third, since a second try finds some things computed.
+        anywhere = Interrupted(int(generator.integers(1, 2 * len(lines.passed) // 3)))
+        kept = [name for name in lines.passed if name in keeping]
+        for interrupted in (anywhere, Interrupted(1 + index % len(kept), keeping)):
+            with pytest.raises(KeyboardInterrupt), interrupted:
+                shaken.add(frame)
+            assert (shaken.labels().tolist(), shaken.events, shaken.poses) == before
+        shaken.add(frame)
+    assert shaken.events == calm.events
+    assert (tmp_path / "shaken").read_text() == (tmp_path / "calm").read_text()
+
+
+class Interrupted:
+    """Raise KeyboardInterrupt before one of the lines of the mapper, or of some of its functions, counted from 1."""
+
+    def __init__(self, line=None, functions=None):
+        self.line, self.functions, self.passed = line, functions, []
+        self.own = str(Path(mapper_module.__file__).parent)
+
+    def __enter__(self):
+        self.tracing = sys.gettrace()
+        sys.settrace(self.trace)
+        return self
+
+    def __exit__(self, *_):
+        sys.settrace(self.tracing)
+
+    def trace(self, frame, *_):
+        code = frame.f_code
+        if not code.co_filename.startswith(self.own) or code.co_name == "_write":  # it would leave a file open
+            return None
+        return self.count if self.functions is None or code.co_name in self.functions else None
+
+    def count(self, frame, event, _):
+        if event == "line":
+            self.passed.append(frame.f_code.co_name)
+            if len(self.passed) == self.line:
+                raise KeyboardInterrupt
+        return self.count
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda mapper: pickle.loads(pickle.dumps(mapper))])
+def test_a_copy_goes_on_as_the_map_does_and_leaves_it_alone(version, copied, tmp_path):
+    frames, half = drive(), 130
+    mapper = IncrementalMapper(WORLD, version, log=tmp_path / "log")
+    feed(mapper, frames[:half])
+    other, again = copied(mapper), copied(mapper)
+    feed(again, frames[half:][::-1])
+    assert feed(other, frames[half:]) == feed(mapper, frames[half:])
+    assert other.events == mapper.events
+    assert tuple((tmp_path / "log").read_text().splitlines()) == mapper.events
 
 
 def failing(whole, name):
@@ -279,6 +356,19 @@ def test_a_robot_that_stands_still_stays_in_its_node():
         feed(mapper, [frame] * 60)
         assert len(mapper.nodes) == 1
         assert all(np.isfinite(mapper.nodes[0].modes[0].centre))
+
+
+@pytest.mark.parametrize("size", [6, 96])
+def test_a_robot_that_stops_stays_in_its_node_though_the_held_out_frames_are_all_equal(size):
+    """Their distances then have no spread, and rounding alone must not tell the next equal frame from them."""
+    for seed in range(12):
+        world = World(size=size, steps=0, reach=4.0, seed=seed)
+        frames = rows(world.at(corridor_drive(5, seed=seed), noise=0.2, seed=seed))
+        mapper = IncrementalMapper(world, 2)
+        decisions = feed(mapper, [*frames[:4], *[frames[4]] * 30])
+        (mode,) = mapper.nodes[0].modes
+        assert len(np.unique(mode.rows.array[mode.held], axis=0)) == 1
+        assert {decision.reason for decision in decisions[20:]} == {Reason.ASSIGNED}
 
 
 def test_version_2_leaves_fewer_frames_without_a_node():

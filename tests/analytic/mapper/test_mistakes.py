@@ -31,6 +31,9 @@ def changed(position=None, orientation=None, identity=None):
         (lambda: changed(position=np.ones(16, dtype=np.float32)), r"shape \(images, numbers\), got \(16,\)"),
         (lambda: changed(orientation=np.ones((2, 12, 3), dtype=np.float32)), "as many orientation parts, got 2"),
         (lambda: Description(np.ones((1, 5000), dtype=np.float32)), "4096 numbers at most, got 5000"),
+        (lambda: changed(position=np.full((1, 16), 1e39)), "position part .* beyond 1e\\+38: leave it out"),
+        (lambda: changed(position=np.full((1, 16), "a")), "position part .* real numbers, got <U1"),
+        (lambda: changed(orientation=np.ones((1, 12, 3), dtype=complex)), "orientation part .* numbers, got complex"),
         (lambda: np.ones(16), "describe\\(\\) returns, got ndarray"),
     ],
 )
@@ -84,8 +87,13 @@ def test_other_mistakes(tmp_path):
         mapper.add(frame)
     with pytest.raises(AnalyticError, match=r"no node 3: it has \[0\]"):
         mapper.maintain(3, WORLD.at(corridor_drive(12)))
+    with pytest.raises(AnalyticError, match=r"no node \[0\]: it has \[0\]"):
+        mapper.maintain([0], WORLD.at(corridor_drive(12)))
+    with pytest.raises(AnalyticError, match=r"takes a descriptor, such as .*, got 'hog'"):
+        IncrementalMapper("hog")
     with pytest.raises(AnalyticError, match="at least smallest_node=10 images, got 4"):
         mapper.maintain(0, WORLD.at(corridor_drive(4)))
     with pytest.raises(AnalyticError, match="12 images need as many frames, got 2"):
         mapper.maintain(0, WORLD.at(corridor_drive(12)), frames=[1, 2])
     assert len(mapper) == 20
+    assert mapper.maintain(np.int64(0), WORLD.at(corridor_drive(12))).node == 0

@@ -4,8 +4,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.covariance import ledoit_wolf
 
+from analytic.descriptors.base import Description
 from analytic.mapper.model import Model
 from analytic.mapper.moments import Moments
+from analytic.mapper.node import Mode
+from analytic.mapper.parameters import Parameters
+from tests.analytic.mapper.world import rows
 
 
 def added(points, moments=None):
@@ -94,3 +98,23 @@ def test_frames_that_hardly_differ_still_give_finite_distances(points):
     assert at == pytest.approx(0, abs=1e-9)
     assert np.isfinite(off)
     assert off > 1
+
+
+@pytest.mark.parametrize("size", [4, 20])
+@pytest.mark.parametrize("noise", [0.0, 1e-5])
+def test_frames_that_are_nearly_equal_keep_their_model_when_others_leave(size, noise):
+    """Taking the spread of the others from all sums at once would leave rounding, and a covariance of no inverse."""
+    for seed in range(10):
+        generator = np.random.default_rng(seed)
+        place = generator.normal(size=size)
+        points = np.concatenate([place + generator.normal(size=(40, size)), np.tile(place, (20, 1))])
+        points[40:] += noise * generator.normal(size=(20, size))
+        frames = rows(Description(points))
+        left = Mode.of(Parameters(), range(60), frames).remove(range(40))
+        alone = Mode.of(Parameters(), range(40, 60), frames[40:])
+        model = points[40:][~left.held]
+        assert left.model.intensity == pytest.approx(max(ledoit_wolf(model)[1], 1e-6), rel=1e-6)
+        assert left.model.least == pytest.approx(alone.model.least, rel=0.5)
+        assert np.isfinite(left.gaussian.mean)
+        for x in model:
+            assert left.metric.distance(x) <= left.metric.distance(x + 0.1)

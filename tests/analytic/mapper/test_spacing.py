@@ -1,3 +1,5 @@
+import copy
+import pickle
 from itertools import combinations
 
 import numpy as np
@@ -81,3 +83,17 @@ def test_a_row_that_was_not_finished_is_computed_again(monkeypatch):
 def test_two_places_with_the_same_representative():
     centre, other = np.zeros(3), np.ones(3)
     assert Spacing().among([[centre], [centre], [other]]) == plain([[centre], [centre], [other]])
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda table: pickle.loads(pickle.dumps(table))])
+def test_a_copy_does_not_take_other_arrays_for_those_of_the_table(copied):
+    generator = np.random.default_rng(2)
+    places = [[generator.normal(size=64)] for _ in range(20)]
+    table = Spacing()
+    table.among(places)
+    other = copied(table)
+    moved = [[row.copy() for row in place] for place in places]
+    del table, places
+    for _ in range(100):
+        moved[generator.integers(20)] = [generator.normal(size=64)]
+        assert other.among(moved) == plain(moved)

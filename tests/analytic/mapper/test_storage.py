@@ -124,6 +124,24 @@ def test_a_file_that_is_cut_short_or_changed_is_refused(tmp_path):
         IncrementalMapper.load(tmp_path / "cut", WORLD)
 
 
+def test_a_file_with_any_byte_changed_is_refused_or_the_same_map(tmp_path):
+    mapper = mapped(25)
+    mapper.save(tmp_path / "map")
+    whole = (tmp_path / "map").read_bytes()
+    generator = np.random.default_rng(0)
+    spots = [*generator.integers(len(whole), size=60), *(len(whole) - generator.integers(1, 2500, size=300))]
+    refused = 0
+    for spot in spots:
+        (tmp_path / "cut").write_bytes(whole[:spot] + bytes([whole[spot] ^ 1 << spot % 8]) + whole[spot + 1 :])
+        try:
+            loaded = IncrementalMapper.load(tmp_path / "cut", WORLD)
+        except AnalyticError:
+            refused += 1
+        else:
+            assert loaded.events == mapper.events
+    assert refused > 200
+
+
 def rewritten(path, goal, **changes):
     """Copy a map with other values in its header; None takes an entry of the file away."""
     with np.load(path) as file:

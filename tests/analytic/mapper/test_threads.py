@@ -1,5 +1,8 @@
+from threading import Event, Thread
+
 import pytest
 
+from analytic.mapper import threads
 from analytic.mapper.threads import _controller, one_thread
 
 
@@ -27,4 +30,23 @@ def test_one_thread_inside_and_as_many_as_before_afterwards():
 def test_a_failure_inside_takes_the_setting_back():
     with pytest.raises(MemoryError), one_thread():
         raise MemoryError
+    assert counts() == {2}
+
+
+def test_mappers_in_threads_of_their_own_work_one_at_a_time():
+    inside, leave = Event(), Event()
+
+    def work():
+        with one_thread():
+            inside.set()
+            leave.wait(10)
+
+    other = Thread(target=work)
+    other.start()
+    assert inside.wait(10)
+    assert not threads._LOCK.acquire(blocking=False)
+    leave.set()
+    with one_thread():
+        assert counts() == {1}
+    other.join(10)
     assert counts() == {2}

@@ -149,6 +149,17 @@ def test_maps_are_named_by_their_files_too(table, maps, tmp_path):
     assert (tmp_path / "files/layers/hog-north-rooms/layer.npz").is_file()
 
 
+def test_the_layer_of_a_building_stays_in_the_run_whatever_its_name(table, tmp_path):
+    named = altered(table, "named.csv", lambda row: {"building": f"../../{row['building']}/1"})
+    more = ("protocol.map.sequences=['*first']", "build=rooms", "task.plots=false")
+    assert main(words(named, tmp_path / "run", *more)) == 0
+    assert sorted(path.name for path in (tmp_path / "run" / "layers").iterdir()) == [
+        "hog-..%2F..%2Fnorth%2F1-rooms",
+        "hog-..%2F..%2Fsouth%2F1-rooms",
+    ]
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
 def test_an_aligned_descriptor_chooses_by_its_own_distance(table, tmp_path, capsys):
     more = ["descriptor.rows=8"]
     maps = make_maps(table, tmp_path, *more, descriptor="briefgist")

@@ -91,7 +91,7 @@ def test_the_files_alone_give_the_measures(manifest, tmp_path, build, nodes, cap
 
 def test_frames_in_no_node_are_searched_always(manifest, tmp_path):
     evaluate(manifest, tmp_path, "hog", *HIERARCHICAL, "build=incremental_sparse", "task.candidates=1")
-    folder = tmp_path / "evaluation" / "hierarchical-hog-incremental"
+    folder = tmp_path / "evaluation" / "hierarchical-hog-incremental_sparse"
     node, size = read_rows(folder, "map")["node"], read_rows(folder, "nodes")["frames"]
     columns = read_rows(folder)
     tried = columns["nodes_tried"].astype(int)
@@ -122,7 +122,8 @@ def test_all_nodes_give_what_absolute_localization_gives(manifest, tmp_path):
 def test_layers_of_two_descriptors(manifest, tmp_path, fine, coarse, by):
     options = [f"task.coarse.descriptor={coarse}", f"task.coarse.by={by}", "task.coarse.neighbours=3"]
     evaluate(manifest, tmp_path, *fine, *HIERARCHICAL, *options, "build=rooms", "task.candidates=2")
-    folder = tmp_path / "evaluation" / f"hierarchical-{fine[0]}-{coarse}-rooms"
+    vote = "-vote" if by == "vote" else ""
+    folder = tmp_path / "evaluation" / f"hierarchical-{fine[0]}-{coarse}-rooms{vote}"
     columns = read_rows(folder)
     assert read_results(folder)["coarse_descriptor"]["name"] == coarse
     np.testing.assert_array_equal(columns["comparisons"] - columns["frames_compared"], 36 if by == "vote" else 3)
