@@ -27,6 +27,7 @@ except ImportError:
 SIZE = (128, 512)
 MAP = 872
 BATCH = 64
+ROW = 8
 SETTINGS: dict[str, tuple[str, dict[str, Any], float]] = {
     "fs": ("fs", {}, 0.5),
     "hog": ("hog", {"rows": 16, "bins": 16}, 1.5),
@@ -80,7 +81,11 @@ def smooth(rng: np.random.Generator, count: int) -> np.ndarray[Any, np.dtype[np.
 
 def rates(descriptor: analytic.ImageDescriptor, images: np.ndarray, repeats: int, device: str) -> dict[str, Any]:
     """Return milliseconds of one image alone and of one in a batch, and the sizes."""
-    single, batch = timed(lambda: descriptor.describe(images[0]), lambda: descriptor.describe(images), repeats, device)
+    few = images[:ROW]  # one after the other, as a robot's images come
+    one_by_one, batch = timed(
+        lambda: [descriptor.describe(image) for image in few], lambda: descriptor.describe(images), repeats, device
+    )
+    single = one_by_one / len(few)
     one = descriptor.describe(images[0])
     assert one.orientation is not None
     return {

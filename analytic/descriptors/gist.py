@@ -21,7 +21,7 @@ LEVELS = 2
 CENTRE = 0.25  # cycles per pixel of the level's own picture
 _FLOOR = 2.0**-9
 _FAINT = 1e-3
-_HELD = 1 << 17  # values of responses held at once
+_HELD = 1 << 18  # values of responses held at once
 _HELD_ELSEWHERE = 1 << 25
 
 

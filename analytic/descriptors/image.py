@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _LUMA = (0.299, 0.587, 0.114)
-_PIXELS = 1 << 17  # in work at once
+_PIXELS = 1 << 18  # in work at once on one thread: fewer would have the threads wait on one another for the next call
 _KINDS: dict[str, tuple[type, type, str]] = {
     "bool": (bool, bool, "True or False"),
     "int": (Integral, int, "a whole number"),
@@ -86,7 +86,7 @@ class ImageDescriptor(Descriptor):
         if width < 2:
             raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
         self._check_size(height, width)
-        # A few images at a time stay in the processor's cache, which is worth more than fewer calls.
+        # A few images at a time: they stay in the cache, and are enough work for a thread between two calls.
         few = max(1, _PIXELS // (height * width)) if self.device == "cpu" else len(images)
         parts = each(self._describe_part, images.split(few))
         return Description(*joined(parts), self.identity)

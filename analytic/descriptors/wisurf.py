@@ -18,7 +18,7 @@ CELLS = 4  # subregions along each side of a window
 VALUES = 4 * CELLS * CELLS
 _SIGMA = 3.3 / 20  # SURF's Gaussian, in sides of its window
 _LEAST = 1e-6  # a window of less contrast than this keeps a vector shorter than 1
-_PIXELS = {"cpu": 1 << 16}  # in work at once: what stays in the cache
+_PIXELS = {"cpu": 1 << 18}  # in work at once: what stays in the cache
 _PIXELS_ELSEWHERE = 1 << 23
 
 
