@@ -79,7 +79,10 @@ def main() -> None:
         speedup = best["exact"][f"{asked}_ms"] / best["hierarchical"][f"{asked}_ms"]
         text = f"hierarchical search of {best['exact']['frames']:,} at least {LEAST_SPEEDUP:g}x exact search, {asked}"
         report.target(f"{text} ({speedup:.1f})", speedup >= LEAST_SPEEDUP)
-    source = "a smooth random path" if options.data is None else str(options.data.name)
+    source = "a smooth random path"
+    if options.data is not None:
+        known = VisualMap.load(options.data)
+        source = f"{len(known)} frames of {', '.join(np.unique(known.frames.sequence))}, {known.identity['name']}"
     report.write({"source": source, "width": WIDTH, "candidates": CANDIDATES, "maps": rows, "product": large})
     usual = options.out.resolve() == RESULTS.resolve()
     picture = RESULTS.parents[1] / "docs" / "scale.png" if usual else options.out / "scale.png"
