@@ -28,6 +28,7 @@ METHODS = {"HOG": "hog_mapping", "gist": "gist_mapping", "network": "network"}
 LAYERS = {
     "40 clusters of HOG": (["build=spectral", "build.nodes=40", "task.candidates=3"], "hog_mapping"),
     "nodes of HOG": (["build=incremental_sparse", "task.candidates=3"], "hog_mapping"),
+    "nodes of HOG, published thresholds": (["build=incremental", "task.candidates=3"], "hog_mapping"),
     "the room network's room": (["build=rooms", "task.candidates=1"], "rooms"),
     "the room network's vote": (["build=rooms", "task.candidates=1", "task.coarse.by=vote"], "rooms"),
 }

@@ -18,7 +18,7 @@ RUNS = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2")
 
 
 def main(config: DictConfig) -> None:
-    """Simulate, train, map, export, localize, evaluate."""
+    """Simulate, train, map, evaluate, export, localize, report."""
     run = Run(Path(config.run))
     if run.record.is_file() and not config.overwrite:
         raise ConfigError(f"{run.folder} holds a run already: replace it by overwrite=true, or choose another run=")
@@ -31,11 +31,12 @@ def main(config: DictConfig) -> None:
     here = [f"run={run.folder}"]
     own = [f"data.root={data}", f"data.cache={run.folder / 'panoramas'}", f"seed={config.seed}"]
     _step("train", ["experiment=demo", *own, *overwrite, *here])
-    _step("map", here)
+    _step("map", [*here, "heading=hog"])
+    _step("evaluate", [*here, "task.error_model=true"])
     _step("export", here)
     photograph = image_files(next(data.glob("*/part_*/*night2/omni_cam")))[0]
     _step("localize", [*here, f"images=['{photograph}']"])
-    _step("evaluate", here)
+    _step("report", here)
     print(f"\nEverything lies in {run.folder}, the building's pictures in {data / 'mini' / 'preview'}, curves for")
     print(f"tensorboard --logdir {run.folder / 'tensorboard'}; {time.monotonic() - begin:.0f} s in all.")
 

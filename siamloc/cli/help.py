@@ -212,8 +212,8 @@ COMMANDS = {
         "demo",
         "the whole main job on a small made-up building",
         """
-        Draws a building, trains a small network on it, makes its map, measures localization, exports the model and
-        locates an image. Everything lies in one folder afterwards.
+        Draws a building, trains a small network on it, makes its map, measures localization, exports the model,
+        locates an image and writes a page for the browser. Everything lies in one folder afterwards.
 
         run=FOLDER       where to; runs/demo if not given
         seed=0

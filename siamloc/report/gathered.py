@@ -56,7 +56,8 @@ class Evaluation:
         called = (settings.get("build") or {}).get("label") or build
         by = ((settings.get("task") or {}).get("coarse") or {}).get("by")
         found = " by vote" if by == "vote" else ""
-        return f"{self.name}, {self.kind}" + (f" over {called} nodes{of}{found}" if build else "")
+        nodes = "rooms" if build == "rooms" else f"{called} nodes"
+        return f"{self.name}, {self.kind}" + (f" over {nodes}{of}{found}" if build else "")
 
     @property
     def methods(self) -> dict[str, dict[str, Any]]:
