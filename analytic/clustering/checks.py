@@ -36,7 +36,7 @@ def whole(value: Any, what: str, least: int, most: int | None = None) -> int:
     """
     span = f"at least {least}" if most is None else f"from {least} to {most}"
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise AnalyticError(f"{what} must be a whole number {span}, got {value!r}")
+        raise AnalyticError(f"{what} must be a whole number {'of ' if most is None else ''}{span}, got {value!r}")
     if value < least or (most is not None and value > most):
         raise AnalyticError(f"{what} must be {span}, got {value}")
     return int(value)
