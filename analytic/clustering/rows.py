@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from analytic.linear_algebra import one_thread
 
 _DRAWN = 9
 _SHORT = 10_000_000  # products in a step, about 2 ms
@@ -23,10 +26,8 @@ def kmeans(rows: NDArray[np.float64], count: int, seed: int) -> NDArray[np.int64
         count: from 1 to n.
         seed: of the draws.
     """
-    from threadpoolctl import threadpool_limits
-
-    # Threads that wait for one another cost more than a short step; products and steps have threads of their own each.
-    with threadpool_limits(1 if rows.size * count < _SHORT else None):
+    # Products and steps have threads of their own each, which would wait for one another.
+    with one_thread(openmp=True) if rows.size * count < _SHORT else nullcontext():
         first = _settled(rows, rows[_orthogonal(rows, count)])
         if is_best(rows, first.labels_, first.cluster_centers_):
             return first.labels_.astype(np.int64)

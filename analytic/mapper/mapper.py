@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description, Descriptor, check_alike
 from analytic.errors import AnalyticError
+from analytic.linear_algebra import one_thread
 from analytic.mapper import graph, storage
 from analytic.mapper.closure import image_level
 from analytic.mapper.decision import Decision, Location
@@ -22,7 +23,6 @@ from analytic.mapper.parameters import parameters
 from analytic.mapper.placing import closures_of
 from analytic.mapper.state import State
 from analytic.mapper.steps import maintain, step
-from analytic.mapper.threads import one_thread
 
 LARGEST_VALUE = 1e38
 LARGEST_POSITION = 4096  # numbers: beyond, the covariance of a single node takes more than 128 MiB

@@ -2,8 +2,8 @@ from threading import Event, Thread
 
 import pytest
 
-from analytic.mapper import threads
-from analytic.mapper.threads import _controller, one_thread
+from analytic import linear_algebra
+from analytic.linear_algebra import _controller, one_thread
 
 
 def counts():
@@ -44,7 +44,7 @@ def test_mappers_in_threads_of_their_own_work_one_at_a_time():
     other = Thread(target=work)
     other.start()
     assert inside.wait(10)
-    assert not threads._LOCK.acquire(blocking=False)
+    assert not linear_algebra._LOCK.acquire(blocking=False)
     leave.set()
     with one_thread():
         assert counts() == {1}
