@@ -16,7 +16,7 @@ from siamloc.cli.coarse import Coarse, coarse_descriptor, coarse_map, rank
 from siamloc.cli.compose import plain
 from siamloc.cli.headings import heading_descriptor, with_headings
 from siamloc.cli.mapping import layer_over
-from siamloc.cli.searching import check_apart, headings_by, joined, lacking, parts_of, saved_map
+from siamloc.cli.searching import check_apart, headings_by, lacking, parts_of, saved_map
 from siamloc.cli.steps import Roles, build_map, finished_run, label_of, make_descriptor
 from siamloc.cli.tables import print_hierarchical
 from siamloc.data.frames import FrameTable
@@ -135,7 +135,7 @@ def _run(
     other = coarse.described
     if other.descriptor is not descriptor:
         parts = parts_of(other.descriptor, roles.library, queries, f"describing the queries, {other.label}")
-        rankings = _joined_rankings([rank(config, coarse, part) for part in parts])
+        rankings = NodeRanking.concatenate([rank(config, coarse, part) for part in parts])
     search = HierarchicalSearch(known, coarse.layer, descriptor)
     k = neighbours(list(config.task.ks), len(known))
     seeing = descriptor if heading is None else WithHeading(descriptor, heading)
@@ -144,7 +144,7 @@ def _run(
     for seen in parts_of(seeing, roles.library, queries, f"describing the queries, {label}"):
         part = seen if heading is None else Description(seen.position)
         rows = np.arange(start, start + len(part))
-        ranking = rank(config, coarse, part) if rankings is None else _take(rankings, rows)
+        ranking = rank(config, coarse, part) if rankings is None else rankings.take(rows)
         both.append(search.search(part, ranking, k))
         whole.append(match(known, part, descriptor, 1))
         turned.append(headings_by(turning, seen, seeing, both[-1].found))
@@ -157,19 +157,9 @@ def _run(
     return _Found(
         HierarchicalRetrieval.concatenate(both),
         HierarchicalRetrieval.concatenate(perfect) if perfect else None,
-        joined(whole),
+        Retrieval.concatenate(whole),
         headings if np.isfinite(headings).any() else None,
     )
-
-
-def _joined_rankings(parts: list[NodeRanking]) -> NodeRanking:
-    return NodeRanking(
-        np.concatenate([part.nodes for part in parts]), np.concatenate([part.compared for part in parts])
-    )
-
-
-def _take(ranking: NodeRanking, rows: NDArray[np.int64]) -> NodeRanking:
-    return NodeRanking(ranking.nodes[rows], ranking.compared[rows])
 
 
 def _evaluated(
@@ -182,20 +172,13 @@ def _evaluated(
 ) -> HierarchicalResult:
     """Return what became of the queries with positions."""
     assert found.perfect is not None
-    both = found.both
     return evaluate_hierarchical(
         known,
         layer,
         queries,
-        HierarchicalRetrieval(
-            _some(both.found, scored),
-            both.node[scored],
-            both.tried[scored],
-            both.frames_compared[scored],
-            both.nodes_compared[scored],
-        ),
+        found.both.take(scored),
         found.perfect,
-        _some(found.whole, scored),
+        found.whole.take(scored),
         list(config.task.radii),
         list(config.task.ks),
         None if found.headings is None else found.headings[scored],
@@ -206,12 +189,8 @@ def _unscored(known: VisualMap, queries: FrameTable, found: _Found, rows: NDArra
     if not rows.any():
         return None
     headings = None if found.headings is None else found.headings[rows]
-    columns = located_columns(known, queries.take(rows), _some(found.both.found, rows), headings)
+    columns = located_columns(known, queries.take(rows), found.both.found.take(rows), headings)
     return {**columns, "node": found.both.node[rows], "comparisons": found.both.compared[rows]}
-
-
-def _some(found: Retrieval, rows: NDArray[np.bool_]) -> Retrieval:
-    return Retrieval(found.indices[rows], found.distances[rows])
 
 
 def _write(

@@ -56,7 +56,7 @@ class Search:
     @property
     def retrieval(self) -> Retrieval:
         """The nearest map frames of all."""
-        return joined(self._found)
+        return Retrieval.concatenate(self._found)
 
     @property
     def distances(self) -> NDArray[np.float64]:
@@ -68,13 +68,6 @@ class Search:
         """Headings told by each of the first neighbours (n, headings_of), NaN if unknown; None where none is known."""
         turned = np.concatenate(self._turned)
         return turned if np.isfinite(turned).any() else None
-
-
-def joined(parts: list[Retrieval]) -> Retrieval:
-    """Return what was found for one batch after the other."""
-    return Retrieval(
-        np.concatenate([part.indices for part in parts]), np.concatenate([part.distances for part in parts])
-    )
 
 
 def headings_by(

@@ -29,6 +29,9 @@ _FRAMES = 1 << 16  # map frames prepared at once
 _LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
 
 
+_BY_QUERY = ("node", "tried", "frames_compared", "nodes_compared")
+
+
 @dataclass(frozen=True, eq=False)
 class HierarchicalRetrieval:
     """What a hierarchical search found.
@@ -59,14 +62,14 @@ class HierarchicalRetrieval:
     @staticmethod
     def concatenate(parts: Sequence[HierarchicalRetrieval]) -> HierarchicalRetrieval:
         """Return what was found for one batch of queries after the other."""
-        found = Retrieval(
-            np.concatenate([part.found.indices for part in parts]),
-            np.concatenate([part.found.distances for part in parts]),
-        )
-        names = ("node", "tried", "frames_compared", "nodes_compared")
+        found = Retrieval.concatenate([part.found for part in parts])
         return HierarchicalRetrieval(
-            found, *(np.concatenate([getattr(part, name) for part in parts]) for name in names)
+            found, *(np.concatenate([getattr(part, name) for part in parts]) for name in _BY_QUERY)
         )
+
+    def take(self, rows: NDArray) -> HierarchicalRetrieval:
+        """Return what was found for some of the queries: their numbers, or a mask."""
+        return HierarchicalRetrieval(self.found.take(rows), *(getattr(self, name)[rows] for name in _BY_QUERY))
 
 
 class _Hits(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,17 @@ class NodeRanking:
 
     def __len__(self) -> int:
         return len(self.nodes)
+
+    def take(self, rows: NDArray) -> NodeRanking:
+        """Return the ranking for some of the queries: their numbers, or a mask."""
+        return NodeRanking(self.nodes[rows], self.compared[rows])
+
+    @staticmethod
+    def concatenate(parts: Sequence[NodeRanking]) -> NodeRanking:
+        """Return the rankings for one batch of queries after the other."""
+        return NodeRanking(
+            np.concatenate([part.nodes for part in parts]), np.concatenate([part.compared for part in parts])
+        )
 
 
 def rank_by_representatives(

@@ -8,7 +8,7 @@ over all pairs in float64 gives, whatever the sizes of the chunks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +41,17 @@ class Retrieval:
 
     def __len__(self) -> int:
         return len(self.indices)
+
+    def take(self, rows: NDArray) -> Retrieval:
+        """Return what was found for some of the queries: their numbers, or a mask."""
+        return Retrieval(self.indices[rows], self.distances[rows])
+
+    @staticmethod
+    def concatenate(parts: Sequence[Retrieval]) -> Retrieval:
+        """Return what was found for one batch of queries after the other."""
+        return Retrieval(
+            np.concatenate([part.indices for part in parts]), np.concatenate([part.distances for part in parts])
+        )
 
 
 def nearest(
