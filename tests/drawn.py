@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -66,3 +67,18 @@ def write_manifest(folder: Path, sequences: dict[str, str], frames_per_room: int
                 cv2.imwrite(str(folder / image), picture)
                 writer.writerow([image, pose["x"], pose["y"], pose["theta"], pose["room"], name, lighting, time])
     return table
+
+
+def write_rows(path: Path, rows: list[dict[str, str]]) -> Path:
+    """Write the rows of a manifest, and return its path."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def altered(manifest: Path, name: str, change: Callable[[dict[str, str]], dict[str, str]]) -> Path:
+    """Write a manifest beside another, every row changed by what a function of it returns, and return its path."""
+    with manifest.open(newline="") as file:
+        return write_rows(manifest.parent / name, [{**row, **change(row)} for row in csv.DictReader(file)])

@@ -51,10 +51,7 @@ def confusion_by_lighting(labels: Sequence[str], counts: Mapping[str, NDArray]) 
             axes.set_title(f"{label}{right}")
             axes.set_xticks(range(n), labels, rotation=45, ha="right", rotation_mode="anchor")
             axes.set_yticks(range(n), labels)
-        for axes in panels[len(counts) :]:
-            axes.set_axis_off()
-        for axes in panels[max(len(counts) - columns, 0) : len(counts)]:
-            axes.tick_params(labelbottom=True)  # also where the panel below is empty
+        _trim(panels, len(counts), columns)
         figure.supxlabel("room of the nearest map frame", fontsize=9)
         figure.supylabel("true room of the query", fontsize=9)
         bar = figure.colorbar(image, ax=list(panels), shrink=0.8, pad=0.02)
@@ -88,10 +85,7 @@ def pair_curves(found: Mapping[str, Any]) -> Figure:
             axes.set_title(f"{label}{auc}")
             axes.set(xlim=(0, 1), ylim=(0, 101.5))
             axes.grid(color="0.92", linewidth=0.6)
-        for axes in panels[len(groups) :]:
-            axes.set_axis_off()
-        for axes in panels[max(len(groups) - columns, 0) : len(groups)]:
-            axes.tick_params(labelbottom=True)  # also where the panel below is empty
+        _trim(panels, len(groups), columns)
         figure.supxlabel("threshold of the dissimilarity", fontsize=9)
         figure.supylabel("judged right [%]", fontsize=9)
         handles, names = panels[0].get_legend_handles_labels()
@@ -102,3 +96,11 @@ def pair_curves(found: Mapping[str, Any]) -> Figure:
 def _shape(panels: int) -> tuple[int, int]:
     columns = min(panels, _PANELS_IN_A_ROW)
     return -(-panels // columns), columns
+
+
+def _trim(panels: NDArray[Any], used: int, columns: int) -> None:
+    """Hide panels that nothing is drawn in, and name the ticks of the lowest of each column that is."""
+    for axes in panels[used:]:
+        axes.set_axis_off()
+    for axes in panels[max(used - columns, 0) : used]:
+        axes.tick_params(labelbottom=True)  # also where the panel below is empty

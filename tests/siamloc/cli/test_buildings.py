@@ -15,7 +15,7 @@ from siamloc.files import plain
 from siamloc.maps import CoarseLayer
 from siamloc.tasks.buildings import measures_of
 from siamloc.tasks.results import read_results, read_rows
-from tests.drawn import write_manifest
+from tests.drawn import altered, write_manifest, write_rows
 
 BUILDINGS = {"north": ("kitchen", "office"), "south": ("corridor",)}
 LIGHTINGS = {"first": "cloudy", "second": "cloudy", "dark": "night"}
@@ -32,20 +32,7 @@ def table(tmp_path_factory):
             rows += [
                 {**row, "image": f"{building}/{row['image']}", "building": building} for row in csv.DictReader(file)
             ]
-    return written(folder / "both.csv", rows)
-
-
-def written(path, rows):
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
-
-
-def altered(table, name, change):
-    with table.open(newline="") as file:
-        return written(table.parent / name, [{**row, **change(row)} for row in csv.DictReader(file)])
+    return write_rows(folder / "both.csv", rows)
 
 
 def data(table, descriptor="hog"):

@@ -1,6 +1,5 @@
 """Hierarchical localization, and the estimates beside the single-frame one, through the command line."""
 
-import csv
 import json
 
 import numpy as np
@@ -12,7 +11,7 @@ from siamloc.maps import CoarseLayer
 from siamloc.tasks import absolute, beside, calibration, hierarchical
 from siamloc.tasks.error_model import ErrorModel
 from siamloc.tasks.results import read_results, read_rows
-from tests.drawn import write_manifest
+from tests.drawn import altered, write_manifest
 
 SEQUENCES = {"first": "cloudy", "second": "cloudy", "dark": "night", "third": "cloudy"}
 HIERARCHICAL = ["task=hierarchical", "task.plots=false"]
@@ -42,18 +41,6 @@ def refused(capsys, *given):
     assert error.count("siamloc: ") == 1
     assert error.splitlines()[-1].startswith("siamloc: ")
     return error.splitlines()[-1]
-
-
-def altered(manifest, name, change):
-    """Write a manifest beside another, every row changed by a function of it."""
-    with manifest.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    path = manifest.parent / name
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows({**row, **change(row)} for row in rows)
-    return path
 
 
 @pytest.mark.parametrize(

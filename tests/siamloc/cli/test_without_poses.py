@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-
 import pytest
 
 from siamloc.cli import main
 from siamloc.tasks.error_model import ErrorModel
 from siamloc.tasks.results import read_results, read_rows
-from tests.drawn import write_manifest
+from tests.drawn import altered, write_manifest
 from tests.siamloc.report.pages import notes, read_page, rows_of
 
 
 def without(manifest, name, *fields):
     """Write a manifest beside another in which the queries lack some fields."""
-    with manifest.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    path = manifest.parent / name
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows({**row, **(dict.fromkeys(fields, "") if row["sequence"] == "second" else {})} for row in rows)
-    return path
+    return altered(manifest, name, lambda row: dict.fromkeys(fields, "") if row["sequence"] == "second" else {})
 
 
 @pytest.fixture(scope="module")
