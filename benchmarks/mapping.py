@@ -29,10 +29,10 @@ import analytic
 from analytic import Description, Descriptor
 from benchmarks.report import Report, parser
 from siamloc.data import read
+from siamloc.evaluation.mapping import evaluate_mapping
 from siamloc.maps import VisualMap
 from siamloc.maps.layers import build_layer
 from siamloc.report import plots, sweeps
-from siamloc.tasks.mapping import evaluate_mapping
 
 CONF = Path(__file__).parents[1] / "conf"
 SEQUENCE = "*seq2_cloudy1"

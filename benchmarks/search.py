@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.report import Report, milliseconds, parser
 from siamloc.data.frames import FrameTable
+from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.maps import VisualMap, nearest
-from siamloc.tasks.absolute import evaluate_absolute
 
 WIDTHS = (5, 500, 1000)
 TARGET_MS = 50.0

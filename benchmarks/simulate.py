@@ -15,9 +15,9 @@ import time
 import numpy as np
 
 from benchmarks.report import Report, parser
-from siamloc.data.simulate import Run, build_scene, load_building, simulate
-from siamloc.data.simulate.camera import HEIGHT, make_camera
-from siamloc.data.simulate.render import frames, meter
+from siamloc.simulate import Run, build_scene, load_building, simulate
+from siamloc.simulate.camera import HEIGHT, make_camera
+from siamloc.simulate.render import frames, meter
 
 
 def bare_loop(building: str, camera: str, repeats: int = 20) -> float:

@@ -11,9 +11,10 @@ from siamloc.errors import SiamlocError
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc import data, maps, models, report, runtime, tasks
+    from siamloc import data, evaluation, maps, models, report, runtime, simulate
 
 __version__ = "0.1.0"
-__all__ = ["SiamlocError", "__version__", "data", "maps", "models", "report", "runtime", "tasks"]
 
-__getattr__, __dir__ = lazy(__name__, dict.fromkeys(("data", "maps", "models", "report", "runtime", "tasks"), ""))
+__all__ = ["SiamlocError", "__version__", "data", "evaluation", "maps", "models", "report", "runtime", "simulate"]
+
+__getattr__, __dir__ = lazy(__name__, {name: "" for name in __all__ if name.islower() and "_" not in name})

@@ -30,7 +30,7 @@ class StorageError(SiamlocError, OSError):
     """The disk refused: full, read-only, or gone."""
 
 
-def nearest(name: str, valid: Iterable[str]) -> str:
+def hint(name: str, valid: Iterable[str]) -> str:
     """Return a hint that names the valid spellings, the nearest one first: for the end of an error message."""
     options = [str(option) for option in valid]
     close = get_close_matches(str(name), options, n=1, cutoff=0.5)

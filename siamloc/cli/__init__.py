@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from siamloc import __version__
 from siamloc.cli.help import COMMANDS, command_help, overview
-from siamloc.errors import ConfigError, SiamlocError, nearest
+from siamloc.errors import ConfigError, SiamlocError, hint
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,7 +66,7 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
             return " ".join(words[:count]), words[count:]
     family = [name for name in COMMANDS if name.startswith(f"{words[0]} ")]
     if not family:
-        raise ConfigError(f"unknown command {words[0]!r}: {nearest(words[0], COMMANDS)}")
+        raise ConfigError(f"unknown command {words[0]!r}: {hint(words[0], COMMANDS)}")
     if {"-h", "--help"} & set(words):
         print("\n\n".join([command_help(name) for name in family]))  # `map` is a module of this package
         return None, []

@@ -18,11 +18,11 @@ from siamloc.cli.mapping import layer_over
 from siamloc.cli.searching import check_apart, parts_of, saved_map
 from siamloc.cli.steps import Roles, build_map, finished_run, identity_of, label_of, make_descriptor, map_file
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.evaluation.buildings import evaluate_buildings
+from siamloc.evaluation.results import write_results
 from siamloc.maps import VisualMap, match
 from siamloc.runs import Run
-from siamloc.tasks.buildings import evaluate_buildings
-from siamloc.tasks.results import write_results
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def _check(config: DictConfig) -> None:
     if maps is not None and len(maps) < 2:
         raise ConfigError(f"task=buildings chooses between maps, and task.maps names {len(maps)}: give two or more")
     if distance is not None and distance not in DISTANCES:
-        raise ConfigError(f"unknown task.distance {distance!r}: {nearest(str(distance), DISTANCES)}")
+        raise ConfigError(f"unknown task.distance {distance!r}: {hint(str(distance), DISTANCES)}")
 
 
 def _candidates(config: DictConfig, run: Run, descriptor: Descriptor, label: str) -> tuple[list[Candidate], Roles]:

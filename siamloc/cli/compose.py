@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from siamloc.cli.checks import check
 from siamloc.cli.help import COMMANDS
-from siamloc.errors import ConfigError, nearest
+from siamloc.errors import ConfigError, hint
 from siamloc.files import plain as as_plain
 from siamloc.runs import Run, newest_run
 
@@ -164,7 +164,7 @@ def _register_defaults(name: str) -> None:
 
     store = ConfigStore.instance()
     if name == "simulate":
-        from siamloc.data.simulate import SimulateConfig
+        from siamloc.simulate import SimulateConfig
 
         store.store("simulate_defaults", OmegaConf.create(as_plain(asdict(SimulateConfig()))))
     if name == "config":
@@ -336,7 +336,7 @@ def _explained(error: Exception, words: list[str], name: str) -> Exception:
         group, _, option = found[1].rpartition("/")
         folder = config_folder() / group
         options = sorted(path.stem for path in folder.glob("*.yaml")) if folder.is_dir() else []
-        return ConfigError(f"unknown option {group}={option}: {nearest(option, options)}")
+        return ConfigError(f"unknown option {group}={option}: {hint(option, options)}")
     return ConfigError(f"{text} (given: {' '.join(words)})")
 
 
@@ -350,8 +350,8 @@ def _nearest_key(key: str, name: str, words: list[str]) -> str:
         node = node[part]
         parents.append(part)
     if parents:
-        return nearest(key, [".".join([*parents, str(name)]) for name in node])
+        return hint(key, [".".join([*parents, str(name)]) for name in node])
     if name != "config":
-        return nearest(key, map(str, config))
+        return hint(key, map(str, config))
     folders = [path.relative_to(config_folder()).as_posix() for path in config_folder().rglob("*") if path.is_dir()]
-    return nearest(key, sorted({*map(str, config), *folders}))
+    return hint(key, sorted({*map(str, config), *folders}))

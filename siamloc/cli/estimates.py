@@ -13,16 +13,16 @@ from siamloc.cli.searching import Search, lacking, run_searches, shared_with
 from siamloc.cli.steps import Roles
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation import beside, calibration
+from siamloc.evaluation.absolute import AbsoluteResult, neighbours
+from siamloc.evaluation.columns import Columns
+from siamloc.evaluation.error_model import ErrorModel
+from siamloc.evaluation.interpolation import interpolate_poses
+from siamloc.evaluation.metrics import localization_error
 from siamloc.maps import VisualMap
 from siamloc.maps.filter_learning import temperature_of_map, tune_filter
 from siamloc.maps.motion import MotionModel
 from siamloc.maps.sequence_filter import SequenceFilter
-from siamloc.tasks import beside, calibration
-from siamloc.tasks.absolute import AbsoluteResult, neighbours
-from siamloc.tasks.columns import Columns
-from siamloc.tasks.error_model import ErrorModel
-from siamloc.tasks.interpolation import interpolate_poses
-from siamloc.tasks.metrics import localization_error
 
 MATCHES = 20  # that an error model looks at
 

@@ -28,11 +28,11 @@ from siamloc.cli.steps import Roles, build_map, finished_run, label_of, make_des
 from siamloc.cli.tables import print_calibration, print_summary
 from siamloc.data.frames import FrameTable
 from siamloc.data.pairs import PairSampler
-from siamloc.errors import ConfigError, DataError, SiamlocError, nearest
+from siamloc.errors import ConfigError, DataError, SiamlocError, hint
+from siamloc.evaluation.absolute import evaluate_absolute, neighbours
+from siamloc.evaluation.beside import located_columns
+from siamloc.evaluation.room_retrieval import PairResult, evaluate_pairs, evaluate_rooms
 from siamloc.maps import VisualMap, WithHeading
-from siamloc.tasks.absolute import evaluate_absolute, neighbours
-from siamloc.tasks.beside import located_columns
-from siamloc.tasks.room_retrieval import PairResult, evaluate_pairs, evaluate_rooms
 
 TASKS = ("absolute", "room_retrieval", "hierarchical")
 
@@ -52,7 +52,7 @@ def main(config: DictConfig) -> None:
         return
     for name in names:
         if name not in TASKS:
-            raise ConfigError(f"unknown task {name!r}: {nearest(name, TASKS)}")
+            raise ConfigError(f"unknown task {name!r}: {hint(name, TASKS)}")
     if "hierarchical" in names:
         hierarchical.measure(config)
     if set(names) != {"hierarchical"}:

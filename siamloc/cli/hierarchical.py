@@ -21,16 +21,16 @@ from siamloc.cli.steps import Roles, build_map, finished_run, label_of, make_des
 from siamloc.cli.tables import print_hierarchical
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.absolute import neighbours
+from siamloc.evaluation.beside import located_columns
+from siamloc.evaluation.columns import Columns, room_names
+from siamloc.evaluation.hierarchical import HierarchicalResult, evaluate_hierarchical
+from siamloc.evaluation.results import read_results, read_rows, write_results
 from siamloc.maps import CoarseLayer, Retrieval, VisualMap, WithHeading, match
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
 from siamloc.maps.layers import BUILDS
 from siamloc.maps.node_ranking import NodeRanking, rank_by_position
 from siamloc.runs import Run
-from siamloc.tasks.absolute import neighbours
-from siamloc.tasks.beside import located_columns
-from siamloc.tasks.columns import Columns, room_names
-from siamloc.tasks.hierarchical import HierarchicalResult, evaluate_hierarchical
-from siamloc.tasks.results import read_results, read_rows, write_results
 
 
 def measure(config: DictConfig) -> None:

@@ -58,9 +58,9 @@ def _decoded(decode: Preprocessing, path: str) -> NDArray[np.uint8]:
 
 def _rendered(count: int) -> list[NDArray[np.uint8]]:
     """Return panoramas of rooms of the simulated building, rendered for this picture."""
-    from siamloc.data.simulate import Run, build_scene, load_building, render
-    from siamloc.data.simulate.preview import viewpoints
-    from siamloc.data.simulate.run import draw_run
+    from siamloc.simulate import Run, build_scene, load_building, render
+    from siamloc.simulate.preview import viewpoints
+    from siamloc.simulate.run import draw_run
 
     building, run = load_building("freiburg_like", 0), Run()
     track = draw_run(building, run).track

@@ -5,7 +5,7 @@ from __future__ import annotations
 from omegaconf import DictConfig
 
 from siamloc.cli.compose import plain
-from siamloc.data.simulate import SimulateConfig, simulate
+from siamloc.simulate import SimulateConfig, simulate
 
 
 def main(config: DictConfig) -> None:

@@ -16,7 +16,7 @@ from siamloc.data.frames import FrameTable, concatenate, image_files
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.panorama import camera_from_config
 from siamloc.data.roles import Protocol
-from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.errors import ConfigError, DataError, hint
 from siamloc.files import read_json
 from siamloc.maps import HeadingPart, VisualMap, WithHeading
 from siamloc.progress import track
@@ -34,7 +34,7 @@ def read_frames(config: DictConfig) -> FrameTable:
 
     kind = config.data.kind
     if kind not in _READER_KEYS:
-        raise ConfigError(f"unknown data.kind {kind!r}: {nearest(kind, _READER_KEYS)}")
+        raise ConfigError(f"unknown data.kind {kind!r}: {hint(kind, _READER_KEYS)}")
     where = {key: config.data[key] for key in _READER_KEYS[kind] if key in config.data}
     frames = data.read(kind, on_error=config.data.on_error, **where)
     if kind == "cold":
@@ -209,7 +209,7 @@ def descriptor_options(name: str) -> dict[str, Any]:
     folder = config_folder() / "descriptor"
     path = folder / f"{name}.yaml"
     if not path.is_file():
-        raise ConfigError(f"unknown descriptor {name!r}: {nearest(name, [p.stem for p in folder.glob('*.yaml')])}")
+        raise ConfigError(f"unknown descriptor {name!r}: {hint(name, [p.stem for p in folder.glob('*.yaml')])}")
     return {str(key): value for key, value in OmegaConf.load(path).items() if key != "defaults"}
 
 
@@ -248,9 +248,7 @@ def make_descriptor(config: DictConfig, run: Run, options: dict[str, Any]) -> De
             network = SiameseModule.load(checkpoint)
         _check_architecture(config, network, trained)
         return network.to(device(config))
-    raise ConfigError(
-        f"unknown descriptor {name!r}: {nearest(name, ('network', 'untrained', 'thumbnail', *DESCRIPTORS))}"
-    )
+    raise ConfigError(f"unknown descriptor {name!r}: {hint(name, ('network', 'untrained', 'thumbnail', *DESCRIPTORS))}")
 
 
 def device(config: DictConfig) -> str:

@@ -20,7 +20,7 @@ from siamloc.data.panorama import (
     unwrap,
 )
 from siamloc.data.store import PanoramaStore
-from siamloc.errors import ConfigError, nearest
+from siamloc.errors import ConfigError, hint
 
 __all__ = [
     "READERS",
@@ -53,12 +53,12 @@ def read(kind: str, **where: Any) -> FrameTable:
         DataError: files that cannot be used as they are.
     """
     if kind not in READERS:
-        raise ConfigError(f"there is no reader for data of kind {kind!r}; {nearest(kind, READERS)}")
+        raise ConfigError(f"there is no reader for data of kind {kind!r}; {hint(kind, READERS)}")
     parameters = inspect.signature(READERS[kind]).parameters
     for name in where:
         if name not in parameters:
-            raise ConfigError(f"data of kind {kind!r} are not described by {name!r}; {nearest(name, parameters)}")
+            raise ConfigError(f"data of kind {kind!r} are not described by {name!r}; {hint(name, parameters)}")
     for name, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty and where.get(name) is None:
-            raise ConfigError(f"data of kind {kind!r} need {name}=...; {nearest(name, parameters)}")
+            raise ConfigError(f"data of kind {kind!r} need {name}=...; {hint(name, parameters)}")
     return READERS[kind](**where)

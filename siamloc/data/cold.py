@@ -12,7 +12,7 @@ from siamloc.data.frames import FrameTable, image_files
 from siamloc.data.names import parse_name
 from siamloc.data.policy import check_policy, leave_out, logger
 from siamloc.data.sequences import SequenceName, name_sequence
-from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.errors import ConfigError, DataError, hint
 
 CAMERAS = ("omni_cam", "std_cam")
 
@@ -51,7 +51,7 @@ def read_cold(
     """
     check_policy(on_error)
     if camera not in CAMERAS:
-        raise ConfigError(f"COLD has no camera {camera!r}; {nearest(camera, CAMERAS)}")
+        raise ConfigError(f"COLD has no camera {camera!r}; {hint(camera, CAMERAS)}")
     if (root is None) == (places is None):
         raise ConfigError("COLD is read from a folder or from one list: give either root=FOLDER or places=FILE")
     if places is not None:

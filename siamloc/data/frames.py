@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")
 _NUMBER = ("x", "y", "theta", "time")
@@ -120,7 +120,7 @@ class FrameTable:
         mask = np.ones(len(self), dtype=bool)
         for column, labels in wanted.items():
             if column not in _TEXT:
-                raise ConfigError(f"frames cannot be selected by {column!r}; {nearest(column, _TEXT)}")
+                raise ConfigError(f"frames cannot be selected by {column!r}; {hint(column, _TEXT)}")
             values = getattr(self, column)
             present = sorted(set(values.tolist()))
             labelled = [value for value in present if value]
@@ -130,7 +130,7 @@ class FrameTable:
                 if not matches and not labelled:
                     raise ConfigError(f"no frame has a {column} label, so {str(label)!r} cannot be selected")
                 if not matches:
-                    raise ConfigError(f"no frame has {column} {str(label)!r}; {nearest(str(label), labelled)}")
+                    raise ConfigError(f"no frame has {column} {str(label)!r}; {hint(str(label), labelled)}")
                 chosen.update(matches)
             mask &= np.isin(values, sorted(chosen))
         return self.take(mask)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.errors import ConfigError, DataError, hint
 
 LABELS = ("auto", "room", "distance")
 BALANCES = ("frames", "rooms")
@@ -82,9 +82,9 @@ class PairSampler:
         seed: int = 0,
     ) -> None:
         if label not in LABELS:
-            raise ConfigError(f"unknown pair label {label!r}: {nearest(label, LABELS)}")
+            raise ConfigError(f"unknown pair label {label!r}: {hint(label, LABELS)}")
         if balance not in BALANCES:
-            raise ConfigError(f"unknown balance {balance!r}: {nearest(balance, BALANCES)}")
+            raise ConfigError(f"unknown balance {balance!r}: {hint(balance, BALANCES)}")
         if len(frames) < 2:
             raise DataError(f"pairs need at least two frames, got {len(frames)}")
         self.frames = frames

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.errors import ConfigError, DataError, hint
 
 Array = NDArray[Any]
 
@@ -250,14 +250,14 @@ def camera_from_config(
     view = PanoramaView(*image_size, **{key: parameters.pop(key) for key in ("top", "bottom") if key in parameters})
     kinds: dict[str, type[Any] | None] = {"none": None, "polar": PolarRing, "hyperbolic": HyperbolicMirror}
     if kind not in kinds:
-        raise ConfigError(f"unknown unwrap.kind {kind!r}: {nearest(kind, kinds)}")
+        raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, kinds)}")
     camera = kinds[kind]
     if camera is None:
         return None, view
     valid = [item.name for item in fields(camera)]
     for key in parameters:
         if key not in valid:
-            raise ConfigError(f"unknown key unwrap.{key} for {kind}: {nearest(key, valid)}")
+            raise ConfigError(f"unknown key unwrap.{key} for {kind}: {hint(key, valid)}")
     if parameters.get("centre") is not None:
         parameters["centre"] = tuple(parameters["centre"])
     return camera(**parameters), view

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
-from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.errors import ConfigError, DataError, hint
 
 logger = logging.getLogger("siamloc")
 
@@ -15,7 +15,7 @@ POLICIES = ("skip", "raise")
 def check_policy(on_error: str) -> None:
     """Raise ConfigError unless `on_error` is "skip" or "raise"."""
     if on_error not in POLICIES:
-        raise ConfigError(f"on_error={on_error!r} is not a policy; {nearest(on_error, POLICIES)}")
+        raise ConfigError(f"on_error={on_error!r} is not a policy; {hint(on_error, POLICIES)}")
 
 
 def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, nearest
+from siamloc.errors import ConfigError, hint
 
 ROLES = ("train", "validation", "map", "query")
 KINDS = ("cross_run", "same_run")
@@ -73,7 +73,7 @@ class Protocol:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise ConfigError(f"unknown protocol kind {self.kind!r}: {nearest(self.kind, KINDS)}")
+            raise ConfigError(f"unknown protocol kind {self.kind!r}: {hint(self.kind, KINDS)}")
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any]) -> Protocol:
@@ -87,12 +87,12 @@ class Protocol:
         values: dict[str, Any] = {}
         for key, value in config.items():
             if key not in valid:
-                raise ConfigError(f"unknown protocol key {key!r}: {nearest(key, sorted(valid))}")
+                raise ConfigError(f"unknown protocol key {key!r}: {hint(key, sorted(valid))}")
             if key in ROLES:
                 value = dict(value or {})
                 for name in value:
                     if name not in role_keys:
-                        raise ConfigError(f"unknown key protocol.{key}.{name}: {nearest(name, role_keys)}")
+                        raise ConfigError(f"unknown key protocol.{key}.{name}: {hint(name, role_keys)}")
                 if isinstance(value.get("sequences"), str):
                     value["sequences"] = [value["sequences"]]
                 value = Role(**value)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
-from siamloc.errors import ConfigError, DataError, nearest
+from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
 
@@ -64,7 +64,7 @@ def build_layer(
     options = dict(options)
     name = options.pop("name")
     if name not in BUILDS:
-        raise ConfigError(f"unknown build {name!r}: {nearest(str(name), BUILDS)}")
+        raise ConfigError(f"unknown build {name!r}: {hint(str(name), BUILDS)}")
     if name == "incremental":
         return _grown(known, descriptor, options, progress)
     start = time.perf_counter()

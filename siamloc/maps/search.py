@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.distances import DISTANCES
-from siamloc.errors import ConfigError, DataError
-from siamloc.errors import nearest as nearest_name
+from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.scores import DirectScores, ProductScores, Scores
 
 _REFERENCES_PER_BLOCK = 4096
@@ -74,7 +73,7 @@ def nearest(
         DataError: no references, arrays of another shape, or values that are not finite.
     """
     if distance not in DISTANCES:
-        raise ConfigError(f"unknown distance {distance!r}: {nearest_name(distance, DISTANCES)}")
+        raise ConfigError(f"unknown distance {distance!r}: {hint(distance, DISTANCES)}")
     if int(k) != k or k < 1:
         raise ConfigError(f"a search needs a whole number of neighbours k >= 1, got {k}")
     if not memory > 0:

@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic.descriptors.base import Description
 from analytic.distances import DISTANCES
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.errors import nearest as nearest_name
+from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import atomic_path, plain
 from siamloc.maps.heading import HeadingPart
 from siamloc.maps.search import Retrieval, nearest
@@ -71,7 +70,7 @@ class VisualMap:
                 f"{self.frames.path[bad[0]]}: look at the model and at this image"
             )
         if self.distance not in DISTANCES:
-            raise ConfigError(f"unknown distance {self.distance!r}: {nearest_name(self.distance, DISTANCES)}")
+            raise ConfigError(f"unknown distance {self.distance!r}: {hint(self.distance, DISTANCES)}")
         descriptors.flags.writeable = False
         object.__setattr__(self, "descriptors", descriptors)
         if self.orientation is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from siamloc.errors import ConfigError, nearest
+from siamloc.errors import ConfigError, hint
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def branch_spec(name: str) -> BranchSpec:
         ConfigError: an unknown name.
     """
     if name not in BRANCHES:
-        raise ConfigError(f"unknown branch {name!r}: {nearest(name, BRANCHES)}")
+        raise ConfigError(f"unknown branch {name!r}: {hint(name, BRANCHES)}")
     return BRANCHES[name]
 
 
@@ -59,5 +59,5 @@ def head_widths(name: str) -> tuple[int, int, int]:
         ConfigError: an unknown name.
     """
     if name not in HEADS:
-        raise ConfigError(f"unknown head {name!r}: {nearest(name, HEADS)}")
+        raise ConfigError(f"unknown head {name!r}: {hint(name, HEADS)}")
     return HEADS[name]

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from analytic.descriptors.base import Description, Descriptor
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, DataError, FormatError, nearest
+from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.models.checkpoint import FORMAT_KEY, FORMAT_VERSION, read_checkpoint
 from siamloc.models.describing import CHUNK, as_float, describe
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
@@ -218,7 +218,7 @@ def _check_optimizer(hyperparameters: Mapping[str, Any]) -> None:
     optimizer, rate = hyperparameters["optimizer"], hyperparameters["learning_rate"]
     momentum, decay = hyperparameters["momentum"], hyperparameters["weight_decay"]
     if optimizer not in OPTIMIZERS:
-        raise ConfigError(f"unknown optimizer {optimizer!r}: {nearest(optimizer, OPTIMIZERS)}")
+        raise ConfigError(f"unknown optimizer {optimizer!r}: {hint(optimizer, OPTIMIZERS)}")
     if not (rate > 0 and math.isfinite(rate)):
         raise ConfigError(f"learning_rate must be positive, got {rate}")
     if not 0 <= momentum < 1:

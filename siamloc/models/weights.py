@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, nearest
+from siamloc.errors import ConfigError, hint
 from siamloc.models.registry import BRANCHES, branch_spec
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def _fill_imagenet(network: Network, name: str) -> None:
         member = names[name.lower()]
     else:
         valid = ["imagenet", *(member.name for member in enum)]
-        raise ConfigError(f"unknown weights {name!r} for the branch {branch!r}: {nearest(name, valid)}, or a path")
+        raise ConfigError(f"unknown weights {name!r} for the branch {branch!r}: {hint(name, valid)}, or a path")
     try:
         state = member.get_state_dict(progress=False, check_hash=True, weights_only=True)
     except (OSError, RuntimeError) as error:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.evaluation.columns import Columns, rows_by_label
+from siamloc.evaluation.results import read_results, read_rows
 from siamloc.runs import Run
-from siamloc.tasks.columns import Columns, rows_by_label
-from siamloc.tasks.results import read_results, read_rows
 
 ALL = "all"
 FURTHER = {"filtered": "filter", "interpolated": "interpolation"}

@@ -14,9 +14,9 @@ from siamloc.errors import ConfigError, FormatError
 from siamloc.files import file_hash, read_json, storage_errors, write_json
 
 if TYPE_CHECKING:
+    from siamloc.evaluation.error_model import ErrorModel
     from siamloc.maps import HeadingPart, VisualMap
     from siamloc.models import SiameseModule
-    from siamloc.tasks.error_model import ErrorModel
 
 FORMAT = "siamloc-bundle"
 VERSION = 2

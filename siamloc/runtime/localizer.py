@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.error_model import ErrorModel
 from siamloc.maps import Retrieval, VisualMap, estimated_headings
 from siamloc.runtime.bundle import Bundle
-from siamloc.tasks.error_model import ErrorModel
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from siamloc.errors import FormatError, StorageError, nearest
+from siamloc.errors import FormatError, StorageError, hint
 from siamloc.files import atomic_path, content_key, file_hash, plain, read_json, write_json, write_text
 
 
@@ -91,5 +91,5 @@ def test_file_hash_is_sha256(tmp_path):
 
 
 def test_nearest_names_the_valid_ones():
-    assert nearest("vgg61", ["alexnet", "vgg16"]) == "did you mean 'vgg16'? valid: alexnet, vgg16"
-    assert nearest("zzz", ["alexnet"]) == "valid: alexnet"
+    assert hint("vgg61", ["alexnet", "vgg16"]) == "did you mean 'vgg16'? valid: alexnet, vgg16"
+    assert hint("zzz", ["alexnet"]) == "valid: alexnet"

@@ -6,7 +6,7 @@ import importlib
 
 import pytest
 
-PACKAGES = ["siamloc", "siamloc.maps", "siamloc.models", "siamloc.report", "siamloc.runtime", "siamloc.tasks"]
+PACKAGES = ["siamloc", "siamloc.maps", "siamloc.models", "siamloc.report", "siamloc.runtime", "siamloc.evaluation"]
 
 
 @pytest.mark.parametrize("package", PACKAGES)

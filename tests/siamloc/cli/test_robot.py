@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from siamloc.cli import main
+from siamloc.evaluation.error_model import ErrorModel
 from siamloc.files import read_json
 from siamloc.maps import VisualMap
 from siamloc.runtime.bundle import learned_on
-from siamloc.tasks.error_model import ErrorModel
 from tests.drawn import write_manifest
 
 QUICK = ["protocol.query.sequences=[cloudy2]", "task.baselines=[]", "task.plots=false"]

@@ -161,8 +161,9 @@ def test_load_refuses_what_is_not_a_whole_map(tmp_path: Path) -> None:
 
 def test_maps_and_tasks_do_not_load_torch() -> None:
     code = (
-        "import sys, siamloc.maps.visual_map, siamloc.tasks.absolute, siamloc.tasks.room_retrieval, siamloc.report\n"
-        "import siamloc.tasks.results\n"
+        "import sys, siamloc.maps.visual_map, siamloc.evaluation.absolute, siamloc.evaluation.room_retrieval\n"
+        "import siamloc.report\n"
+        "import siamloc.evaluation.results\n"
         "print(sorted({'torch', 'lightning', 'pandas', 'matplotlib', 'scipy'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 
 from siamloc.data.frames import FrameTable
+from siamloc.evaluation.absolute import evaluate_absolute
+from siamloc.evaluation.results import read_rows, write_results
+from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.report.html import write_report
-from siamloc.tasks.absolute import evaluate_absolute
-from siamloc.tasks.results import read_rows, write_results
-from siamloc.tasks.room_retrieval import evaluate_rooms
-from tests.siamloc.tasks import scenes
+from tests.siamloc.evaluation import scenes
 
 SIZE = (32, 128)
 CONFIG = {"descriptor": {"name": "network"}, "data": {"image_size": list(SIZE)}, "unwrap": {"kind": "none"}}

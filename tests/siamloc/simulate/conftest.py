@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from siamloc.data.simulate import Run, build_scene, load_building
-from siamloc.data.simulate.layout import Building
-from siamloc.data.simulate.scene import Scene
+from siamloc.simulate import Run, build_scene, load_building
+from siamloc.simulate.layout import Building
+from siamloc.simulate.scene import Scene
 
 
 @pytest.fixture(scope="session")

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from siamloc.data.simulate.atlas import TextureAtlas, sample
-from siamloc.data.simulate.bake import bake
-from siamloc.data.simulate.layout import Building
-from siamloc.data.simulate.lightgrid import Caster, LightGrid
-from siamloc.data.simulate.mesh import MeshBuilder, QuadMesh
-from siamloc.data.simulate.parse import parse_building
-from siamloc.data.simulate.shell import Lamp
-from siamloc.data.simulate.sky import Sky
-from siamloc.data.simulate.textures import Texture
+from siamloc.simulate.atlas import TextureAtlas, sample
+from siamloc.simulate.bake import bake
+from siamloc.simulate.layout import Building
+from siamloc.simulate.lightgrid import Caster, LightGrid
+from siamloc.simulate.mesh import MeshBuilder, QuadMesh
+from siamloc.simulate.parse import parse_building
+from siamloc.simulate.shell import Lamp
+from siamloc.simulate.sky import Sky
+from siamloc.simulate.textures import Texture
 
 
 def closed_room() -> tuple[Building, QuadMesh]:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from siamloc.data.simulate.buildings import building_names, load_building
-from siamloc.data.simulate.kinds import KINDS
-from siamloc.data.simulate.plan import clearance, obstacles, room_codes
 from siamloc.errors import DataError
+from siamloc.simulate.buildings import building_names, load_building
+from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.plan import clearance, obstacles, room_codes
 
 PLAN = """name: two
 rooms:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from siamloc.data.simulate.layout import Building, Item
-from siamloc.data.simulate.plan import (
+from siamloc.simulate.layout import Building, Item
+from siamloc.simulate.plan import (
     blocked_points,
     clearance,
     crossings,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from siamloc.data.cold import read_cold
-from siamloc.data.simulate import SimulateConfig, load_building, produce, simulate
-from siamloc.data.simulate.buildings import building_folder
 from siamloc.errors import ConfigError, DataError
+from siamloc.simulate import SimulateConfig, load_building, produce, simulate
+from siamloc.simulate.buildings import building_folder
 
 SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from siamloc.data.simulate import Run, load_building
-from siamloc.data.simulate.plan import blocked_points, crossings, obstacles, room_codes
-from siamloc.data.simulate.run import draw_run
-from siamloc.data.simulate.shell import leaf_segment
-from siamloc.data.simulate.trajectory import listed
 from siamloc.errors import DataError
+from siamloc.simulate import Run, load_building
+from siamloc.simulate.plan import blocked_points, crossings, obstacles, room_codes
+from siamloc.simulate.run import draw_run
+from siamloc.simulate.shell import leaf_segment
+from siamloc.simulate.trajectory import listed
 
 LISTS = Path(__file__).parents[3] / "../shared/data/cold_places"
 pytestmark = [

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from siamloc.data.panorama import HyperbolicMirror, PanoramaView, unwrap
-from siamloc.data.simulate import Run, build_scene, render
-from siamloc.data.simulate.camera import make_camera
-from siamloc.data.simulate.layout import Building
-from siamloc.data.simulate.render import frames, meter
-from siamloc.data.simulate.scene import Scene
-from siamloc.data.simulate.sky import sun_direction
 from siamloc.errors import ConfigError
+from siamloc.simulate import Run, build_scene, render
+from siamloc.simulate.camera import make_camera
+from siamloc.simulate.layout import Building
+from siamloc.simulate.render import frames, meter
+from siamloc.simulate.scene import Scene
+from siamloc.simulate.sky import sun_direction
 
 POSES = np.array([[2.4, 4.0, 1.0], [6.0, 1.1, 0.0], [5.6, -2.0, -1.6]])
 

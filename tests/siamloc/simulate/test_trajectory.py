@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from siamloc.data.names import parse_name
-from siamloc.data.simulate import Run
-from siamloc.data.simulate.layout import Building, Path
-from siamloc.data.simulate.plan import blocked_points, clearance, crossings, obstacles
-from siamloc.data.simulate.run import draw_run
-from siamloc.data.simulate.shell import leaf_segment
-from siamloc.data.simulate.trajectory import drive, listed
 from siamloc.errors import ConfigError, DataError
+from siamloc.simulate import Run
+from siamloc.simulate.layout import Building, Path
+from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles
+from siamloc.simulate.run import draw_run
+from siamloc.simulate.shell import leaf_segment
+from siamloc.simulate.trajectory import drive, listed
 
 
 def test_frames_are_spaced_and_named(mini: Building) -> None:

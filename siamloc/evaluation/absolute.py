@@ -1,0 +1,242 @@
+"""Absolute localization: the pose of a query is that of the nearest map frame by descriptor ([T] 5.3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.columns import Columns, retrieve, room_names, rows_by_label
+from siamloc.evaluation.metrics import (
+    error_floor,
+    first_rank_within,
+    heading_error,
+    localization_error,
+    one_percent,
+    recall_from_ranks,
+    summarize,
+)
+from siamloc.maps.search import Retrieval
+from siamloc.maps.visual_map import VisualMap
+
+
+@dataclass(frozen=True, eq=False)
+class AbsoluteResult:
+    """What became of each query, as columns; every measure follows from them.
+
+    Attributes:
+        columns: arrays of length n by name: what `queries.csv` holds. `first_rank_within_<radius>` is the rank of
+            the first retrieved frame within that radius, 0 where none of those retrieved is.
+        map_columns: path, x, y, theta, room of the map's frames: what `map.csv` holds and the plots need.
+        radii: radii of the recall, in units of x and y.
+        ks: numbers of retrieved frames.
+        unit: what x and y count.
+    """
+
+    columns: Columns
+    map_columns: Columns
+    radii: tuple[float, ...]
+    ks: tuple[int, ...]
+    unit: str
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """One dictionary per query."""
+        plain = {name: column.tolist() for name, column in self.columns.items()}
+        return [{name: values[i] for name, values in plain.items()} for i in range(len(self))]
+
+    def __len__(self) -> int:
+        return len(self.columns["query"])
+
+    def measures(self) -> dict[str, Any]:
+        """Return all measures, as `measures_of`."""
+        return measures_of(self.columns, self.radii, self.ks, len(self.map_columns["path"]), self.unit)
+
+    def denominators(self) -> dict[str, Any]:
+        """Return how many queries and map frames the measures rest on, in all and by lighting and room."""
+        counts = {
+            by: {label: len(rows) for label, rows in rows_by_label(self.columns[by]).items()}
+            for by in ("lighting", "room")
+        }
+        return {"queries": len(self), "map_frames": len(self.map_columns["path"]), **counts}
+
+    def with_baseline(self, name: str, baseline: AbsoluteResult) -> AbsoluteResult:
+        """Return the result with the errors of another method on the same queries beside its own.
+
+        Raises:
+            DataError: the baseline answered other queries.
+        """
+        if not np.array_equal(self.columns["path"], baseline.columns["path"]):
+            raise DataError(f"baseline {name!r} answered other queries than the result it should stand beside")
+        return replace(self, columns={**self.columns, f"baseline_{name}": baseline.columns["error"]})
+
+
+def evaluate_absolute(
+    visual_map: VisualMap,
+    descriptors: ArrayLike | None,
+    frames: FrameTable,
+    radii: Sequence[float] = (0.5, 1.0),
+    ks: Sequence[int] = (1, 5, 10, 20),
+    retrieval: Retrieval | None = None,
+    headings: ArrayLike | None = None,
+) -> AbsoluteResult:
+    """Locate queries in a map and compare with their true poses.
+
+    Args:
+        visual_map: m frames, all with positions.
+        descriptors: of the queries (n, D), n at least 1; None where their retrieval is given.
+        frames: the queries (n), all with positions.
+        radii: radii of the recall, in units of x and y.
+        ks: numbers of retrieved frames for the recall; that of 1 % of the map is always measured too.
+        retrieval: what the map's search gave, to search only once; it must hold enough neighbours.
+        headings: estimated headings of the queries (n,), rad; measured where the true one is known.
+
+    Raises:
+        ConfigError: no radii or ks, or such that are out of range or stand twice.
+        DataError: frames without positions, or descriptors that do not fit the frames or the map.
+    """
+    radii, ks = _checked_settings(radii, ks)
+    _require_positions(frames, "queries")
+    _require_positions(visual_map.frames, "map frames")
+    k = neighbours(ks, len(visual_map))
+    found = retrieve(visual_map, descriptors, frames, k, retrieval)
+    if len(found) != len(frames) or found.indices.shape[1] < k:
+        raise DataError(f"the retrieval must hold {k} neighbours of {len(frames)} queries, got {found.indices.shape}")
+    known = visual_map.frames
+    columns = _columns(known, frames, found)
+    if headings is not None:
+        estimated = np.asarray(headings, dtype=np.float64)
+        if estimated.shape != (len(frames),):
+            raise DataError(f"{len(frames)} queries need as many headings, got shape {estimated.shape}")
+        columns["est_theta"] = estimated
+        known_heading = np.isfinite(frames.theta) & np.isfinite(estimated)
+        error = np.full(len(frames), np.nan)
+        error[known_heading] = heading_error(estimated[known_heading], frames.theta[known_heading])
+        columns["heading_error"] = np.degrees(error)
+    for radius in radii:
+        columns[rank_column(radius)] = first_rank_within(found.indices[:, :k], known.xy, frames.xy, radius)
+    rooms = room_names(known, frames)[0]
+    map_columns = {"path": known.path, "x": known.x, "y": known.y, "theta": known.theta, "room": rooms}
+    return AbsoluteResult(columns, map_columns, radii, ks, visual_map.unit)
+
+
+def neighbours(ks: Sequence[int], map_frames: int) -> int:
+    """Return how many neighbours of each query the recalls need."""
+    return min(max(*ks, one_percent(map_frames)), map_frames)
+
+
+def measures_of(
+    columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
+) -> dict[str, Any]:
+    """Return all measures from the columns of `queries.csv`, pooled over queries.
+
+    Returns:
+        unit, map_frames, radii, ks, and the groups "overall", "lighting" (by label) and "room" (by label). A group
+        holds `queries`; `error`, `floor` and `excess` (error - floor) as summaries; `recall` as a list of
+        `metrics.Recall` as dictionaries, one per radius and k; `recall_at_one_percent`, one per radius;
+        `baselines` by name; and `heading_error` in degrees where headings were estimated and the true ones are known.
+        Queries without a label count as "(unlabelled)" where others carry one.
+    """
+
+    def group(rows: NDArray[np.int64]) -> dict[str, Any]:
+        return _group({name: column[rows] for name, column in numbers.items()}, radii, ks, map_frames)
+
+    numbers = {name: column for name, column in columns.items() if column.dtype.kind in "iuf"}
+    return {
+        "unit": unit,
+        "map_frames": int(map_frames),
+        "radii": list(radii),
+        "ks": list(ks),
+        "overall": group(np.arange(len(columns["error"]))),
+        "lighting": {label: group(rows) for label, rows in rows_by_label(columns["lighting"]).items()},
+        "room": {label: group(rows) for label, rows in rows_by_label(columns["room"]).items()},
+    }
+
+
+def rank_column(radius: float) -> str:
+    """Return the name of the column with the rank of the first retrieved frame within a radius."""
+    return f"first_rank_within_{float(radius)!r}"
+
+
+def baseline_names(columns: Mapping[str, NDArray]) -> list[str]:
+    """Return the names of the baselines whose errors stand among the columns."""
+    return [name.removeprefix("baseline_") for name in columns if name.startswith("baseline_")]
+
+
+def _columns(known: FrameTable, frames: FrameTable, found: Retrieval) -> Columns:
+    match = found.indices[:, 0]
+    known_rooms, rooms = room_names(known, frames)
+    estimated = known.xy[match]
+    error = localization_error(estimated, frames.xy)
+    # The floor is at most the error; the minimum takes care of the last bit, so that the excess is never negative.
+    floor = np.minimum(error_floor(known.xy, frames.xy), error)
+    return {
+        "query": np.arange(len(frames)),
+        "path": frames.path,
+        "sequence": frames.sequence,
+        "lighting": frames.lighting,
+        "room": rooms,
+        "x": frames.x,
+        "y": frames.y,
+        "theta": frames.theta,
+        "match": match,
+        "match_path": known.path[match],
+        "match_room": known_rooms[match],
+        "est_x": estimated[:, 0],
+        "est_y": estimated[:, 1],
+        "error": error,
+        "floor": floor,
+        "excess": error - floor,
+        "descriptor_distance": found.distances[:, 0],
+    }
+
+
+def _group(
+    numbers: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int
+) -> dict[str, Any]:
+    floor = numbers["floor"]
+
+    def recalls(counts: Sequence[int]) -> list[dict[str, Any]]:
+        ranks = {radius: numbers[rank_column(radius)] for radius in radii}
+        return [dict(vars(recall_from_ranks(ranks[radius], floor, radius, k))) for radius in radii for k in counts]
+
+    return {
+        "queries": len(floor),
+        **{name: summarize(numbers[name]) for name in ("error", "floor", "excess")},
+        "recall": recalls(ks),
+        "recall_at_one_percent": recalls([one_percent(map_frames)]),
+        "baselines": {name: {"error": summarize(numbers[f"baseline_{name}"])} for name in baseline_names(numbers)},
+        **_heading(numbers),
+    }
+
+
+def _heading(numbers: Mapping[str, NDArray]) -> dict[str, Any]:
+    """Return the summary of the heading errors in degrees; nothing where none is known."""
+    if "heading_error" not in numbers:
+        return {}
+    known = numbers["heading_error"][np.isfinite(numbers["heading_error"])]
+    return {"heading_error": summarize(known)} if len(known) else {}
+
+
+def _checked_settings(radii: Sequence[float], ks: Sequence[int]) -> tuple[tuple[float, ...], tuple[int, ...]]:
+    radii, ks = tuple(float(radius) for radius in radii), tuple(ks)
+    if not radii or not all(0 <= radius < np.inf for radius in radii) or len(set(radii)) < len(radii):
+        raise ConfigError(f"the recall needs radii that are not negative and differ, got {list(radii)}")
+    if not ks or not all(k == int(k) and k >= 1 for k in ks) or len(set(ks)) < len(ks):
+        raise ConfigError(f"the recall needs whole numbers k >= 1 that differ, got {list(ks)}")
+    return radii, tuple(int(k) for k in ks)
+
+
+def _require_positions(frames: FrameTable, what: str) -> None:
+    known = frames.has_position
+    if not known.all():
+        first = frames.path[np.flatnonzero(~known)[0]]
+        raise DataError(
+            f"{int((~known).sum())} of {len(frames)} {what} have no position (x, y), the first is {first}: "
+            "leave them out, or add their positions"
+        )

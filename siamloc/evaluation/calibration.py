@@ -1,0 +1,111 @@
+"""How well predicted errors hold: the calibration curve, and what the verdict "lost" is worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.columns import rows_by_label
+
+
+def calibration_curve(predicted: ArrayLike, error: ArrayLike, bins: int = 10) -> list[dict[str, Any]]:
+    """Return what was predicted and observed, in bins of about equally many queries.
+
+    Args:
+        predicted: expected errors (n,).
+        error: errors (n,).
+        bins: how many at most; equal predictions stay in one bin.
+
+    Returns:
+        For each bin, in order of the prediction: `count`, and `predicted` and `observed`, the means of both.
+
+    Raises:
+        ConfigError: bins below 1.
+        DataError: other shapes, or values that are not finite.
+    """
+    if int(bins) != bins or bins < 1:
+        raise ConfigError(f"a calibration curve needs a whole number of bins >= 1, got {bins}")
+    expected, observed = _pair(predicted, error)
+    if not len(expected):
+        return []
+    edges = np.unique(np.quantile(expected, np.arange(1, int(bins)) / bins, method="lower"))
+    number = np.searchsorted(edges, expected)
+    return [
+        {"count": len(rows), "predicted": float(expected[rows].mean()), "observed": float(observed[rows].mean())}
+        for rows in (np.flatnonzero(number == i) for i in range(len(edges) + 1))
+        if len(rows)
+    ]
+
+
+def lost_measures(predicted: ArrayLike, error: ArrayLike, lost_above: float) -> dict[str, Any]:
+    """Return how well "lost", a predicted error above a threshold, tells real errors above it.
+
+    Returns:
+        lost_above; `called`, `lost` and `both`, numbers of queries; `precision`, both / called; `recall`, both / lost;
+        NaN where there are none.
+
+    Raises:
+        ConfigError: a threshold that is not positive.
+        DataError: other shapes, or values that are not finite.
+    """
+    if not 0 < lost_above < math.inf:
+        raise ConfigError(f"the threshold of being lost must be a positive error, got {lost_above}")
+    expected, observed = _pair(predicted, error)
+    called, lost = expected > lost_above, observed > lost_above
+    both = int((called & lost).sum())
+    n_called, n_lost = int(called.sum()), int(lost.sum())
+    return {
+        "lost_above": float(lost_above),
+        "called": n_called,
+        "lost": n_lost,
+        "both": both,
+        "precision": both / n_called if n_called else math.nan,
+        "recall": both / n_lost if n_lost else math.nan,
+    }
+
+
+def measures_of(columns: Mapping[str, NDArray], lost_above: float, bins: int = 10) -> dict[str, Any]:
+    """Return how well `error_m` tells `error`, from these columns of `queries.csv`, overall and by lighting and room.
+
+    Returns:
+        The groups "overall", "lighting" (by label) and "room" (by label). A group holds `queries`; `predicted` and
+        `observed`, the means; `gap`, the mean over queries of the difference between both in their bin of the
+        calibration curve; `curve`, as `calibration_curve`; and `lost`, as `lost_measures`.
+
+    Raises:
+        ConfigError, DataError: as `calibration_curve` and `lost_measures`.
+    """
+
+    def group(rows: NDArray[np.int64]) -> dict[str, Any]:
+        predicted, error = columns["error_m"][rows], columns["error"][rows]
+        curve = calibration_curve(predicted, error, bins)
+        gaps = math.fsum(part["count"] * abs(part["predicted"] - part["observed"]) for part in curve)
+        return {
+            "queries": len(rows),
+            "predicted": float(predicted.mean()) if len(rows) else math.nan,
+            "observed": float(error.mean()) if len(rows) else math.nan,
+            "gap": gaps / len(rows) if len(rows) else math.nan,
+            "curve": curve,
+            "lost": lost_measures(predicted, error, lost_above),
+        }
+
+    return {
+        "overall": group(np.arange(len(columns["error"]))),
+        "lighting": {label: group(rows) for label, rows in rows_by_label(columns["lighting"]).items()},
+        "room": {label: group(rows) for label, rows in rows_by_label(columns["room"]).items()},
+    }
+
+
+def _pair(predicted: ArrayLike, error: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    expected, observed = np.asarray(predicted, dtype=np.float64), np.asarray(error, dtype=np.float64)
+    if expected.ndim != 1 or expected.shape != observed.shape:
+        raise DataError(f"as many predicted as observed errors are needed, got {expected.shape} and {observed.shape}")
+    bad = int((~(np.isfinite(expected) & np.isfinite(observed))).sum())
+    if bad:
+        raise DataError(f"{bad} of {len(expected)} predicted or observed errors are not finite")
+    return expected, observed

@@ -1,0 +1,154 @@
+"""Hierarchical localization: a coarse layer says in which nodes to look, the fine layer where in them ([T] 5.2.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import DataError
+from siamloc.evaluation import absolute
+from siamloc.evaluation.absolute import AbsoluteResult, evaluate_absolute
+from siamloc.evaluation.columns import Columns, rows_by_label
+from siamloc.evaluation.metrics import localization_error, summarize
+from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
+from siamloc.maps.hierarchy import HierarchicalRetrieval
+from siamloc.maps.node_ranking import rank_by_position
+from siamloc.maps.search import Retrieval
+from siamloc.maps.visual_map import VisualMap
+
+
+@dataclass(frozen=True, eq=False)
+class HierarchicalResult(AbsoluteResult):
+    """What became of each query, as `AbsoluteResult`, with what the coarse layer did.
+
+    Further columns: `node` of the estimate and `true_node`, that of the geometrically nearest map frame (-1 for none);
+    `nodes_tried`, numbers in one text, the best first; `coarse_correct`, whether the true node was tried (a frame in no
+    node is always searched, so that a query whose true frame is in none counts as correct); `frames_compared` and
+    `comparisons`, which counts the comparisons with the coarse layer as well; `error_perfect_coarse` and
+    `error_absolute`, the errors on the same query of a search in the true node alone and in the whole map.
+    `map_columns` have the `node` of each frame.
+
+    Attributes:
+        node_columns: node, name, x, y, frames: what `nodes.csv` holds.
+    """
+
+    node_columns: Columns
+
+    def measures(self) -> dict[str, Any]:
+        """Return all measures, as `measures_of`."""
+        return measures_of(self.columns, self.radii, self.ks, len(self.map_columns["path"]), self.unit)
+
+
+def evaluate_hierarchical(
+    visual_map: VisualMap,
+    layer: CoarseLayer,
+    frames: FrameTable,
+    found: HierarchicalRetrieval,
+    perfect: HierarchicalRetrieval,
+    whole: Retrieval,
+    radii: Sequence[float] = (0.5, 1.0),
+    ks: Sequence[int] = (1, 5, 10, 20),
+    headings: ArrayLike | None = None,
+) -> HierarchicalResult:
+    """Compare what hierarchical search found with the queries' true poses.
+
+    Args:
+        visual_map: m frames, all with positions.
+        layer: nodes over them.
+        frames: the queries (n), all with positions.
+        found: by the search that is measured, with `siamloc.evaluation.absolute.neighbours(ks, m)` neighbours.
+        perfect: with the nodes of `rank_by_position`, the perfect coarse layer, at least one neighbour.
+        whole: by the search in the whole map, at least one neighbour.
+        radii: radii of the recall, in units of x and y.
+        ks: numbers of retrieved frames for the recall.
+        headings: estimated headings of the queries (n,), rad; measured where the true one is known.
+
+    Raises:
+        ConfigError: as `evaluate_absolute`.
+        DataError: as `evaluate_absolute`, a layer of another map, or retrievals of other queries.
+    """
+    if len(layer.labels) != len(visual_map):
+        raise DataError(f"the layer has labels for {len(layer.labels)} frames, the map has {len(visual_map)}")
+    for what, count in (("perfect coarse layer", len(perfect)), ("whole map", len(whole))):
+        if count != len(frames):
+            raise DataError(f"the retrieval with the {what} must be that of the {len(frames)} queries, got {count}")
+    base = evaluate_absolute(visual_map, None, frames, radii, ks, found.found, headings)
+    known = visual_map.frames.xy
+    true = rank_by_position(frames.xy, known, layer.labels).nodes[:, 0]
+    columns: Columns = {
+        **base.columns,
+        "node": found.node,
+        "true_node": true,
+        "nodes_tried": np.array([_listed(row) for row in found.tried.tolist()], dtype=np.str_),
+        "coarse_correct": (found.tried == true[:, None]).any(axis=1) | (true == UNASSIGNED),
+        "frames_compared": found.frames_compared,
+        "comparisons": found.compared,
+        "error_perfect_coarse": localization_error(known[perfect.found.indices[:, 0]], frames.xy),
+        "error_absolute": localization_error(known[whole.indices[:, 0]], frames.xy),
+    }
+    node_columns: Columns = {
+        "node": np.arange(len(layer)),
+        "name": layer.names,
+        "x": layer.positions[:, 0],
+        "y": layer.positions[:, 1],
+        "frames": np.bincount(layer.labels[layer.labels != UNASSIGNED], minlength=len(layer)),
+    }
+    map_columns = {**base.map_columns, "node": layer.labels}
+    return HierarchicalResult(columns, map_columns, base.radii, base.ks, base.unit, node_columns)
+
+
+def measures_of(
+    columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
+) -> dict[str, Any]:
+    """Return all measures from the columns of `queries.csv`, pooled over queries.
+
+    Returns:
+        What `siamloc.evaluation.absolute.measures_of` returns. Each group further holds `coarse` (accuracy, correct,
+        queries); `given_right`, `given_wrong`, `perfect_coarse` and `absolute`, each with `queries` and the summary
+        `error`; `loss`, by what share the mean error exceeds that of the search in the whole map; and `comparisons`
+        (mean, max, share of the map, frames_share without the comparisons with the coarse layer).
+    """
+    measures = absolute.measures_of(columns, radii, ks, map_frames, unit)
+    measures["overall"].update(_coarse(columns, np.arange(len(columns["error"])), map_frames))
+    for by in ("lighting", "room"):
+        for label, rows in rows_by_label(columns[by]).items():
+            measures[by][label].update(_coarse(columns, rows, map_frames))
+    return measures
+
+
+def _coarse(columns: Mapping[str, NDArray], rows: NDArray[np.int64], map_frames: int) -> dict[str, Any]:
+    names = ("error", "coarse_correct", "comparisons", "frames_compared", "error_perfect_coarse", "error_absolute")
+    error, right, compared, frames_compared, perfect, whole = (columns[name][rows] for name in names)
+    correct, reference = int(right.sum()), float(whole.mean()) if len(rows) else math.nan
+    return {
+        "coarse": {
+            "accuracy": correct / len(rows) if len(rows) else math.nan,
+            "correct": correct,
+            "queries": len(rows),
+        },
+        "given_right": _error(error[right]),
+        "given_wrong": _error(error[~right]),
+        "perfect_coarse": _error(perfect),
+        "absolute": _error(whole),
+        "loss": float(error.mean()) / reference - 1 if reference > 0 else math.nan,
+        "comparisons": {
+            "mean": float(compared.mean()) if len(rows) else math.nan,
+            "max": int(compared.max()) if len(rows) else 0,
+            "share": float(compared.mean()) / map_frames if len(rows) else math.nan,
+            "frames_share": float(frames_compared.mean()) / map_frames if len(rows) else math.nan,
+        },
+    }
+
+
+def _error(errors: NDArray[np.float64]) -> dict[str, Any]:
+    return {"queries": len(errors), "error": summarize(errors)}
+
+
+def _listed(nodes: list[int]) -> str:
+    return " ".join(str(node) for node in nodes if node != UNASSIGNED)

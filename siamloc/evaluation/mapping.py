@@ -1,0 +1,197 @@
+"""What a coarse layer is worth: compactness, rooms, loop closures, and what it costs ([C] 3, [I] 5, [T] 4.4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic import AnalyticError, Descriptor
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.columns import Columns, room_names
+from siamloc.maps.coarse import CoarseLayer
+from siamloc.maps.visual_map import VisualMap
+
+
+@dataclass(frozen=True, eq=False)
+class MappingResult:
+    """A coarse layer frame by frame, as columns; what follows from the descriptors, as numbers.
+
+    Attributes:
+        columns: of `frames.csv`: frame, path, sequence, room, x, y, node, closes_with, seconds, and reason where there
+            are reasons.
+        nodes: of `nodes.csv`: node, name, frames, x, y, room, purity, inertia.
+        descriptor_silhouette: of the descriptors, by [C] 8-11; NaN if it cannot be told.
+        bytes: what representatives take, and what the descriptors of all frames take.
+        radius: within which a loop closure is right.
+        gap: frames between which it is trivial.
+        unit: of x and y.
+    """
+
+    columns: Columns
+    nodes: Columns
+    descriptor_silhouette: float
+    bytes: dict[str, int]
+    radius: float
+    gap: int
+    unit: str
+
+    def measures(self) -> dict[str, Any]:
+        """Return all measures, as `mapping_measures`, with those of the descriptors."""
+        found = mapping_measures(self.columns, self.radius, self.gap)
+        return {
+            **found,
+            "unit": self.unit,
+            "descriptor_silhouette": self.descriptor_silhouette,
+            "bytes": self.bytes,
+        }
+
+
+def evaluate_mapping(
+    known: VisualMap,
+    layer: CoarseLayer,
+    descriptor: Descriptor,
+    radius: float = 1.0,
+    gap: int = 30,
+    seconds: ArrayLike | None = None,
+    reasons: ArrayLike | None = None,
+) -> MappingResult:
+    """Measure a coarse layer.
+
+    Args:
+        known: n frames in capture order, all with positions.
+        layer: nodes over them.
+        descriptor: what described the map; loop closures are its most similar earlier frames.
+        radius: a closure is right if its frames lie within it, in units of x and y.
+        gap: frames that a closure has to bridge.
+        seconds: what placing each frame took (n,), or all of them (1,); not measured if None.
+        reasons: of an incremental mapper, for each frame (n,).
+
+    Raises:
+        ConfigError: a radius or gap out of range.
+        DataError: a layer of another map, or frames without positions.
+    """
+    if not (radius >= 0 and math.isfinite(radius)):
+        raise ConfigError(f"the radius of loop closures must not be negative, got {radius}")
+    if gap < 1:
+        raise ConfigError(f"the gap of loop closures must be at least 1 frame, got {gap}")
+    if len(layer.labels) != len(known):
+        raise DataError(f"the layer has {len(layer.labels)} frames and the map {len(known)}: build the layer anew")
+    if not known.frames.has_position.all():
+        missing = int((~known.frames.has_position).sum())
+        raise DataError(f"{missing} of {len(known)} map frames have no position (x, y): leave them out")
+    frames = known.frames
+    rooms = room_names(frames)[0]
+    took = np.full(len(known), np.nan) if seconds is None else np.asarray(seconds, dtype=np.float64)
+    columns: Columns = {
+        "frame": np.arange(len(known)),
+        "path": frames.path,
+        "sequence": frames.sequence,
+        "room": rooms,
+        "x": frames.x,
+        "y": frames.y,
+        "node": layer.labels,
+        "closes_with": closures(known, layer.labels, descriptor, gap),
+        "seconds": np.full(len(known), took[0] / len(known)) if len(took) == 1 else took,
+    }
+    if reasons is not None:
+        columns["reason"] = np.asarray(reasons, dtype=np.str_)
+    silhouette = math.nan
+    if not descriptor.aligned:
+        silhouette = _silhouette(known.descriptors, layer.labels, "nearest")
+    sizes = {"representatives": layer.representatives.nbytes, "descriptors": known.descriptors.nbytes}
+    return MappingResult(columns, _nodes(layer, columns), silhouette, sizes, float(radius), int(gap), known.unit)
+
+
+def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) -> dict[str, Any]:
+    """Return the measures that follow from the columns of `frames.csv`.
+
+    Returns:
+        frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
+        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); `purity` per room and
+        overall, with its denominators; `closures` with precision, recall, F1 and theirs; `ms_per_frame` as mean,
+        median and p95, NaN where it was not measured; `reasons`, counted, where there are any.
+    """
+    from analytic import measures
+
+    labels = np.asarray(columns["node"])
+    xy = np.column_stack([columns["x"], columns["y"]])
+    pairs = np.column_stack([columns["frame"], columns["closes_with"]])
+    pure = measures.purity(labels, columns["room"])
+    ms = 1000 * np.asarray(columns["seconds"], dtype=np.float64)
+    known = bool(np.isfinite(ms).all())
+    unassigned = int((labels < 0).sum())
+    found = {
+        "frames": len(labels),
+        "nodes": len(set(labels[labels >= 0].tolist())),
+        "unassigned": {"frames": unassigned, "share": unassigned / len(labels)},
+        "silhouette": {mode: _silhouette(xy, labels, mode) for mode in ("nearest", "pooled")},
+        "inertia": measures.moment_of_inertia(xy, labels) if (labels >= 0).any() else math.nan,
+        "purity": {
+            "overall": pure.overall,
+            "room": {room: {"purity": pure.rooms[room], "frames": pure.frames_per_room[room]} for room in pure.rooms},
+            "frames": pure.counted,
+        },
+        "closures": asdict(measures.closure_scores(pairs[pairs[:, 1] >= 0], xy, radius, gap)),
+        "ms_per_frame": {
+            "mean": float(ms.mean()) if known else math.nan,
+            "median": float(np.median(ms)) if known else math.nan,
+            "p95": float(np.percentile(ms, 95)) if known else math.nan,
+        },
+    }
+    if "reason" in columns:
+        names, counts = np.unique(columns["reason"], return_counts=True)
+        found["reasons"] = dict(zip(names.tolist(), counts.tolist(), strict=True))
+    return found
+
+
+def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor, gap: int) -> NDArray[np.int64]:
+    """Return the frame that each frame closes a loop with (n,), -1 for none.
+
+    It is the most similar of the frames of its node that came at least `gap` frames earlier.
+    """
+    found = np.full(len(known), -1, dtype=np.int64)
+    for node in range(int(labels.max()) + 1):
+        members = np.flatnonzero(labels == node)
+        part = known.description.take(members)
+        apart = descriptor.pairwise(part, part, known.distance)
+        early = members[None, :] <= members[:, None] - gap
+        apart = np.where(early, apart, np.inf)
+        closing = early.any(axis=1)
+        found[members[closing]] = members[apart[closing].argmin(axis=1)]
+    return found
+
+
+def _silhouette(values: NDArray, labels: NDArray[np.int64], mode: str) -> float:
+    from analytic import measures
+
+    try:
+        return measures.silhouette(values, labels, mode)
+    except AnalyticError:
+        if len(set(labels[labels >= 0].tolist())) < 2:
+            return math.nan
+        raise
+
+
+def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
+    from analytic import measures
+
+    xy = np.column_stack([columns["x"], columns["y"]])
+    pure = measures.purity(layer.labels, columns["room"])
+    rooms = dict(zip(pure.labels.tolist(), pure.room_of_node, strict=True))
+    shares = dict(zip(pure.labels.tolist(), pure.nodes.tolist(), strict=True))
+    numbers = range(len(layer))
+    return {
+        "node": np.arange(len(layer)),
+        "name": layer.names,
+        "frames": np.bincount(layer.labels[layer.labels >= 0], minlength=len(layer)),
+        "x": layer.positions[:, 0],
+        "y": layer.positions[:, 1],
+        "room": np.array([rooms.get(node, "") for node in numbers], dtype=np.str_),
+        "purity": np.array([shares.get(node, math.nan) for node in numbers]),
+        "inertia": measures.moments_of_inertia(xy, layer.labels),
+    }

@@ -1,0 +1,81 @@
+"""Errors of estimated poses, what they cannot fall below, and their summary."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import DataError
+from siamloc.evaluation.metrics.arrays import column_of, map_positions, positions_of
+
+
+def localization_error(estimated_xy: ArrayLike, true_xy: ArrayLike) -> NDArray[np.float64]:
+    """Return the Euclidean distance between estimated and true positions (n,).
+
+    Args:
+        estimated_xy: (n, 2).
+        true_xy: (n, 2).
+
+    Raises:
+        DataError: other shapes, or a position that is not finite.
+    """
+    estimated, true = positions_of(estimated_xy, "estimated"), positions_of(true_xy, "true")
+    if len(estimated) != len(true):
+        raise DataError(f"as many estimated as true positions are needed, got {len(estimated)} and {len(true)}")
+    difference = estimated - true
+    return np.hypot(difference[:, 0], difference[:, 1])
+
+
+def error_floor(map_xy: ArrayLike, query_xy: ArrayLike) -> NDArray[np.float64]:
+    """Return the distance of each query to the nearest map frame (n,): no retrieval can do better.
+
+    Args:
+        map_xy: (m, 2), m at least 1.
+        query_xy: (n, 2).
+
+    Raises:
+        DataError: an empty map, other shapes, or a position that is not finite.
+    """
+    known, queries = map_positions(map_xy), positions_of(query_xy, "query")
+    if not len(queries):
+        return np.empty(0)
+    from scipy.spatial import cKDTree
+
+    # The tree compares squares; the length itself comes from the function that measures errors.
+    _, closest = cKDTree(known).query(queries)
+    return localization_error(known[closest], queries)
+
+
+def heading_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:
+    """Return the angle between estimated and true headings in rad (n,), in [0, pi], whatever turns are in them.
+
+    Raises:
+        DataError: shapes that differ, or a heading that is not finite.
+    """
+    a, b = column_of(estimated, "estimated headings"), column_of(true, "true headings")
+    if a.shape != b.shape:
+        raise DataError(f"as many estimated as true headings are needed, got {len(a)} and {len(b)}")
+    return np.abs(np.remainder(a - b + np.pi, 2 * np.pi) - np.pi)
+
+
+def summarize(errors: ArrayLike) -> dict[str, Any]:
+    """Return count, mean, median, p95 (linear interpolation), max and rmse of errors (n,); NaN where n is 0.
+
+    Raises:
+        DataError: another shape, or an error that is not finite.
+    """
+    values = column_of(errors, "errors")
+    if not len(values):
+        return {"count": 0, **dict.fromkeys(("mean", "median", "p95", "max", "rmse"), math.nan)}
+    median, p95 = np.percentile(values, (50, 95))
+    return {
+        "count": len(values),
+        "mean": float(values.mean()),
+        "median": float(median),
+        "p95": float(p95),
+        "max": float(values.max()),
+        "rmse": float(np.sqrt(np.mean(values**2))),
+    }

@@ -1,0 +1,123 @@
+"""Recall@K: is one of the first K retrieved frames near enough."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.metrics.arrays import map_positions, positions_of
+from siamloc.evaluation.metrics.errors import error_floor
+
+
+@dataclass(frozen=True)
+class Recall:
+    """Recall@K within a radius, with all that it is a share of.
+
+    Attributes:
+        recall: hits / queries; NaN without queries.
+        hits: queries with at least one of the K retrieved frames within the radius.
+        queries: all queries.
+        answerable: queries that have any map frame within the radius.
+        recall_answerable: hits / answerable; NaN where no query is answerable.
+        k: how many retrieved frames count.
+        radius: the largest distance that counts as the same place, inclusive.
+    """
+
+    recall: float
+    hits: int
+    queries: int
+    answerable: int
+    recall_answerable: float
+    k: int
+    radius: float
+
+
+def recall_at_k(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: float, k: int) -> Recall:
+    """Return the share of queries with at least one of the top k retrieved frames within `radius` of them.
+
+    Args:
+        retrieved: rows of the map, nearest descriptor first (n, K); K at least min(k, m).
+        map_xy: (m, 2).
+        query_xy: (n, 2).
+        radius: not negative; a frame exactly at the radius counts.
+        k: at least 1; a k beyond the size of the map means the whole map.
+
+    Raises:
+        ConfigError: a negative radius, or a k that is not positive or larger than what was retrieved.
+        DataError: other shapes, rows outside the map, or a position that is not finite.
+    """
+    if int(k) != k or k < 1:
+        raise ConfigError(f"recall@k needs a whole k >= 1, got {k}")
+    known = map_positions(map_xy)
+    found = np.asarray(retrieved)
+    if found.ndim == 2 and found.shape[1] < min(k, len(known)):
+        raise ConfigError(f"recall@{k} needs {min(k, len(known))} retrieved frames a query, got {found.shape[1]}")
+    rank = first_rank_within(found, known, query_xy, radius)
+    return recall_from_ranks(rank, error_floor(known, query_xy), radius, k)
+
+
+def recall_at_one_percent(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: float) -> Recall:
+    """Return recall@K with K = one percent of the map, rounded up, at least 1. Arguments as `recall_at_k`."""
+    return recall_at_k(retrieved, map_xy, query_xy, radius, one_percent(len(map_positions(map_xy))))
+
+
+def one_percent(map_size: int) -> int:
+    """Return K = max(1, ceil(m / 100)) for a map of m frames."""
+    return max(1, -(-int(map_size) // 100))
+
+
+def first_rank_within(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: float) -> NDArray[np.int64]:
+    """Return the rank (from 1) of the first retrieved frame within `radius` of its query; 0 where there is none (n,).
+
+    Args:
+        retrieved: rows of the map, nearest descriptor first (n, K).
+        map_xy: (m, 2).
+        query_xy: (n, 2).
+        radius: not negative; a frame exactly at the radius counts.
+
+    Raises:
+        ConfigError: a negative radius.
+        DataError: other shapes, rows outside the map, or a position that is not finite.
+    """
+    within = _distances_of_retrieved(retrieved, map_xy, query_xy) <= _radius(radius)
+    return np.where(within.any(axis=1), within.argmax(axis=1) + 1, 0)
+
+
+def recall_from_ranks(rank: ArrayLike, floor: ArrayLike, radius: float, k: int) -> Recall:
+    """Return recall@k from what `first_rank_within` (for this radius) and `error_floor` gave (n,) and (n,)."""
+    ranks, floors = np.asarray(rank), np.asarray(floor)
+    hit = (ranks > 0) & (ranks <= k)
+    # A hit is answerable by definition, whatever the last bit of its floor says.
+    answerable = (floors <= radius) | (ranks > 0)
+    hits, n, possible = int(hit.sum()), len(ranks), int(answerable.sum())
+    return Recall(
+        recall=hits / n if n else math.nan,
+        hits=hits,
+        queries=n,
+        answerable=possible,
+        recall_answerable=hits / possible if possible else math.nan,
+        k=int(k),
+        radius=float(radius),
+    )
+
+
+def _radius(radius: float) -> float:
+    if not radius >= 0:
+        raise ConfigError(f"the radius must not be negative, got {radius}")
+    return float(radius)
+
+
+def _distances_of_retrieved(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike) -> NDArray[np.float64]:
+    """Return the distances of retrieved map frames to their queries (n, K)."""
+    known, queries, found = map_positions(map_xy), positions_of(query_xy, "query"), np.asarray(retrieved)
+    if found.ndim != 2 or found.shape[1] < 1 or found.dtype.kind not in "iu" or len(found) != len(queries):
+        raise DataError(
+            f"retrieved frames must be whole numbers of shape ({len(queries)}, K), got {found.dtype} of {found.shape}"
+        )
+    if found.size and (found.min() < 0 or found.max() >= len(known)):
+        raise DataError(f"retrieved frames must be rows of the map, 0 to {len(known) - 1}")
+    return np.hypot(known[found, 0] - queries[:, :1], known[found, 1] - queries[:, 1:])

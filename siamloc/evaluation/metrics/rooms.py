@@ -1,0 +1,164 @@
+"""Rooms told apart: pairs of images judged by their distance ([T] 5.3.3), and which room was taken for which."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.metrics.arrays import column_of
+
+
+@dataclass(frozen=True)
+class PairAccuracy:
+    """Shares of pairs judged rightly; NaN for a part that has no pairs.
+
+    Attributes:
+        same: of the pairs from one room.
+        different: of the pairs from two rooms.
+        overall: of all pairs.
+        n_same: pairs from one room.
+        n_different: pairs from two rooms.
+    """
+
+    same: float
+    different: float
+    overall: float
+    n_same: int
+    n_different: int
+
+
+@dataclass(frozen=True, eq=False)
+class PairCurve:
+    """Shares of pairs judged rightly at several thresholds; NaN for a part that has no pairs.
+
+    Attributes:
+        thresholds: of the dissimilarity (t,).
+        same: of the pairs from one room (t,).
+        different: of the pairs from two rooms (t,).
+        overall: of all pairs (t,).
+        auc: area under the curve of the pairs from one room found against those from two rooms mistaken for one: the
+            share of such couples of pairs in which the one-room pair is less dissimilar, ties counting half.
+    """
+
+    thresholds: NDArray[np.float64]
+    same: NDArray[np.float64]
+    different: NDArray[np.float64]
+    overall: NDArray[np.float64]
+    auc: float
+
+
+def pair_dissimilarity(distances: ArrayLike, margin: float = 2.0) -> NDArray[np.float64]:
+    """Return min(distance / margin, 1) (n,): 0 for one place, 1 for two ([T] 5.3.3).
+
+    Raises:
+        ConfigError: a margin that is not positive.
+        DataError: another shape, or distances that are negative or not finite.
+    """
+    if not margin > 0:
+        raise ConfigError(f"the margin must be positive, got {margin}")
+    values = column_of(distances, "distances")
+    if (values < 0).any():
+        raise DataError(f"{int((values < 0).sum())} of {len(values)} pair distances are negative")
+    return np.minimum(values / margin, 1.0)
+
+
+def pair_accuracy(distances: ArrayLike, same: ArrayLike, margin: float = 2.0, threshold: float = 0.5) -> PairAccuracy:
+    """Return the shares of pairs judged rightly, "same" meaning a dissimilarity below the threshold ([T] 5.3.3).
+
+    Args:
+        distances: between the two descriptors of each pair (n,).
+        same: True for pairs from one room (n,).
+        margin: the contrastive loss's margin, positive.
+        threshold: in (0, 1].
+
+    Raises:
+        ConfigError: a margin or threshold out of range.
+        DataError: other shapes, or distances that are negative or not finite.
+    """
+    if not 0 < threshold <= 1:
+        raise ConfigError(f"the threshold of a dissimilarity lies in (0, 1], got {threshold}")
+    dissimilarity = pair_dissimilarity(distances, margin)
+    truth = _verdicts(same, dissimilarity)
+    correct = (dissimilarity < threshold) == truth
+    return PairAccuracy(
+        same=_share(correct[truth]),
+        different=_share(correct[~truth]),
+        overall=_share(correct),
+        n_same=int(truth.sum()),
+        n_different=int((~truth).sum()),
+    )
+
+
+def pair_threshold_curve(
+    distances: ArrayLike, same: ArrayLike, margin: float = 2.0, thresholds: ArrayLike | None = None
+) -> PairCurve:
+    """Return what `pair_accuracy` gives at every threshold, and the area under the curve that needs none.
+
+    Args:
+        distances: between the two descriptors of each pair (n,).
+        same: True for pairs from one room (n,).
+        margin: the contrastive loss's margin, positive.
+        thresholds: (t,) in [0, 1], 0 calling every pair different; 0, 0.01 ... 1 if None.
+
+    Raises:
+        ConfigError: a margin or threshold out of range.
+        DataError: other shapes, or distances that are negative or not finite.
+    """
+    steps = np.arange(101) / 100 if thresholds is None else column_of(thresholds, "thresholds")
+    if ((steps < 0) | (steps > 1)).any():
+        raise ConfigError(f"the thresholds of a dissimilarity lie in [0, 1], got {steps.min()} to {steps.max()}")
+    dissimilarity = pair_dissimilarity(distances, margin)
+    truth = _verdicts(same, dissimilarity)
+    one, two = np.sort(dissimilarity[truth]), np.sort(dissimilarity[~truth])
+    found, mistaken = np.searchsorted(one, steps), np.searchsorted(two, steps)
+    below, up_to = np.searchsorted(one, two), np.searchsorted(one, two, side="right")
+    couples = len(one) * len(two)
+    return PairCurve(
+        thresholds=steps,
+        same=_shares(found, len(one)),
+        different=_shares(len(two) - mistaken, len(two)),
+        overall=_shares(found + len(two) - mistaken, len(truth)),
+        auc=float(int((below + up_to).sum()) / (2 * couples)) if couples else math.nan,
+    )
+
+
+def confusion_matrix(true: ArrayLike, predicted: ArrayLike, labels: Sequence[str]) -> NDArray[np.int64]:
+    """Return counts (L, L): row = true label, column = predicted label, both in the order of `labels`.
+
+    Raises:
+        DataError: label arrays of different lengths, or a label that `labels` lacks or names twice.
+    """
+    names = [str(label) for label in labels]
+    if len(set(names)) != len(names):
+        raise DataError(f"the labels of a confusion matrix must differ, got {', '.join(names)}")
+    rows, columns = np.asarray(true, dtype=np.str_), np.asarray(predicted, dtype=np.str_)
+    if rows.ndim != 1 or rows.shape != columns.shape:
+        raise DataError(f"as many true as predicted labels are needed, got shapes {rows.shape} and {columns.shape}")
+    unknown = sorted((set(rows.tolist()) | set(columns.tolist())) - set(names))
+    if unknown:
+        raise DataError(f"labels {', '.join(map(repr, unknown))} are not among {', '.join(names)}")
+    number = {name: i for i, name in enumerate(names)}
+    matrix = np.zeros((len(names), len(names)), dtype=np.int64)
+    pairs = ([number[label] for label in rows.tolist()], [number[label] for label in columns.tolist()])
+    np.add.at(matrix, pairs, 1)
+    return matrix
+
+
+def _share(correct: NDArray[np.bool_]) -> float:
+    return float(correct.mean()) if len(correct) else math.nan
+
+
+def _shares(counts: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+    return counts / n if n else np.full(len(counts), math.nan)
+
+
+def _verdicts(same: ArrayLike, dissimilarity: NDArray[np.float64]) -> NDArray[np.bool_]:
+    truth = np.asarray(same)
+    if truth.dtype != np.bool_ or truth.shape != dissimilarity.shape:
+        raise DataError(f"one True or False per pair is needed, got {truth.dtype} of shape {truth.shape}")
+    return truth

@@ -1,0 +1,142 @@
+"""The cameras: which way every pixel looks, and where a moving point goes in the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from siamloc.data.panorama import HyperbolicMirror, PanoramaView
+from siamloc.errors import ConfigError, hint
+from siamloc.simulate.layout import Array, single
+
+#: Height of the viewpoint above the floor in metres.
+HEIGHT = 0.95
+#: Positions in a pixel of the rays that smooth edges, as shares of it; the first one is the middle.
+OFFSETS = ((0.0, 0.0), (-0.35, 0.15), (0.15, 0.35), (0.25, -0.3))
+_RIM, _BODY = 236.0, 24.0
+_VIGNETTE = 0.42
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The pixels of a picture that see something.
+
+    Attributes:
+        rows: of each (n,).
+        columns: of each (n,).
+        directions: unit vectors in the robot's frame for each entry of OFFSETS (4, n, 3), float32.
+        spread: angle that a pixel covers in rad (n,).
+        vignette: share of the light that arrives (n,).
+    """
+
+    rows: Array
+    columns: Array
+    directions: Array
+    spread: Array
+    vignette: Array
+
+
+@dataclass(frozen=True)
+class PanoramaCamera:
+    """A camera that takes panoramas directly, as unwrapping would make them."""
+
+    view: PanoramaView = field(default_factory=PanoramaView)
+    wraps: bool = True
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.view.height, self.view.width
+
+    def pixels(self) -> Pixels:
+        """Return all pixels."""
+        return _panorama_pixels(self.view)
+
+    def displacement(self, moves: Array, points: Array) -> tuple[Array, Array]:
+        """Return how far in columns and rows points (n, 3) of the robot's frame move with `moves` (n, 3)."""
+        moved = points + moves
+        azimuth = np.arctan2(points[:, 1], points[:, 0]) - np.arctan2(moved[:, 1], moved[:, 0])
+        azimuth = (azimuth + np.pi) % (2 * np.pi) - np.pi
+        slope = points[:, 2] / np.hypot(points[:, 0], points[:, 1])
+        after = moved[:, 2] / np.hypot(moved[:, 0], moved[:, 1])
+        high, low = np.tan(np.radians([self.view.top, self.view.bottom]))
+        rows = (after - slope) / (low - high) * self.view.height
+        return azimuth * (self.view.width / (2 * np.pi)), rows
+
+
+@dataclass(frozen=True)
+class OmnidirectionalCamera:
+    """The camera below a hyperbolic mirror; its picture is a ring with the camera's own reflection in the middle."""
+
+    mirror: HyperbolicMirror = field(default_factory=HyperbolicMirror)
+    wraps: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return 480, 640
+
+    def pixels(self) -> Pixels:
+        """Return the pixels of the ring."""
+        return _mirror_pixels(self.mirror)
+
+    def displacement(self, moves: Array, points: Array) -> tuple[Array, Array]:
+        """Return how far in columns and rows points (n, 3) of the robot's frame move with `moves` (n, 3)."""
+        change = np.nan_to_num(self.mirror.project(points + moves) - self.mirror.project(points))
+        return change[:, 0], change[:, 1]
+
+
+Camera = PanoramaCamera | OmnidirectionalCamera
+CAMERAS = ("omnidirectional", "panorama")
+
+
+def make_camera(name: str) -> Camera:
+    """Return the camera called "omnidirectional" or "panorama".
+
+    Raises:
+        ConfigError: another name.
+    """
+    if name not in CAMERAS:
+        raise ConfigError(f"camera {name!r} is unknown; {hint(name, CAMERAS)}")
+    return PanoramaCamera() if name == "panorama" else OmnidirectionalCamera()
+
+
+@lru_cache(maxsize=4)
+def _panorama_pixels(view: PanoramaView) -> Pixels:
+    rows, columns = (grid.ravel() for grid in np.mgrid[0 : view.height, 0 : view.width])
+    middle = view.directions().reshape(-1, 3)
+    high, low = np.tan(np.radians([view.top, view.bottom]))
+    directions = []
+    for dx, dy in OFFSETS:
+        azimuth = -(columns + dx + 0.5 - view.width / 2) * (2 * np.pi / view.width)
+        slope = high + (rows + dy + 0.5) / view.height * (low - high)
+        direction = np.stack([np.cos(azimuth), np.sin(azimuth), slope], axis=1)
+        directions.append(direction / np.linalg.norm(direction, axis=1, keepdims=True))
+    directions[0] = middle
+    spread = (2 * np.pi / view.width) * np.cos(np.arcsin(middle[:, 2]))
+    return Pixels(rows, columns, single(directions), spread.astype(np.float32), _vignette(middle))
+
+
+@lru_cache(maxsize=4)
+def _mirror_pixels(mirror: HyperbolicMirror) -> Pixels:
+    height, width = OmnidirectionalCamera(mirror).shape
+    rows, columns = (grid.ravel() for grid in np.mgrid[0:height, 0:width])
+    radius = np.hypot(columns - mirror.cx, rows - mirror.cy)
+    keep = (radius <= _RIM) & (radius >= _BODY)
+    rows, columns = rows[keep], columns[keep]
+    directions = [mirror.back_project(np.stack([columns + dx, rows + dy], axis=1)) for dx, dy in OFFSETS]
+    seen = np.isfinite(np.stack(directions)).all(axis=(0, 2))
+    rows, columns = rows[seen], columns[seen]
+    directions = [direction[seen] for direction in directions]
+    beside = mirror.back_project(np.stack([columns + 0.5, rows + 0.5], axis=1))
+    spread = np.sqrt(2) * np.linalg.norm(np.nan_to_num(beside - directions[0]), axis=1)
+    return Pixels(rows, columns, single(directions), spread.astype(np.float32), _vignette(directions[0]))
+
+
+def _vignette(directions: Array) -> Array:
+    """Return the share of the light that reaches the sensor: less towards the rim of the mirror."""
+    pixel = HyperbolicMirror().project(np.asarray(directions, dtype=np.float64))
+    radius = np.hypot(pixel[:, 0] - 319.5, pixel[:, 1] - 239.5) / _RIM
+    return (1 - _VIGNETTE * np.clip(radius, 0, 1.1) ** 4).astype(np.float32)

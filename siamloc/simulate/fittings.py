@@ -1,0 +1,267 @@
+"""What is not office furniture: kitchen, toilet, stairs, machines, plants, people."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from siamloc.simulate.furniture import BLACKISH, CLOTHES, Rng, colour_of
+from siamloc.simulate.layout import Item
+from siamloc.simulate.mesh import MeshBuilder
+
+_PORCELAIN = (0.9, 0.9, 0.9)
+_SKIN = ((0.60, 0.40, 0.29), (0.42, 0.25, 0.16), (0.20, 0.11, 0.07), (0.68, 0.48, 0.36))
+
+
+def coat_rack(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A coat stand with a coat."""
+    h = item.size[2]
+    b.prism(0, 0, (0, 0.04), 0.2, "metal", BLACKISH)
+    b.prism(0, 0, (0.04, h), 0.02, "metal", BLACKISH, sides=6)
+    b.prism(0.1, 0, (0.7, h - 0.1), (0.16, 0.07), "fabric", CLOTHES[int(rng.integers(len(CLOTHES)))], sides=6)
+
+
+def waste_bin(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A waste bin."""
+    radius, h = item.size[0] / 2, item.size[2]
+    colour = colour_of(item, rng, ((0.05, 0.08, 0.20), BLACKISH, (0.35, 0.36, 0.38)))
+    b.prism(0, 0, (0, h), (radius * 0.75, radius), "plastic", colour)
+
+
+def carton(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A cardboard box."""
+    w, d, h = item.size
+    shade = rng.uniform(0.8, 1.1)
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plain", (0.42 * shade, 0.29 * shade, 0.16 * shade),
+          skip=("bottom",))  # fmt: skip
+    b.quad((-0.04, -d / 2, h + 0.003), (0.04, -d / 2, h + 0.003), (0.04, d / 2, h + 0.003), (-0.04, d / 2, h + 0.003),
+           "plain", (0.6, 0.5, 0.35))  # fmt: skip
+
+
+def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A pot plant."""
+    w, _, h = item.size
+    b.prism(0, 0, (0, 0.32), (w * 0.25, w * 0.33), "plastic", (0.45, 0.16, 0.08))
+    b.prism(0, 0, (0.3, h * 0.55), 0.025, "wood", (0.4, 0.4, 0.4), sides=5)
+    for _ in range(9):
+        with b.at(0, 0, float(rng.uniform(0.35, 0.7) * h), float(rng.uniform(0, 360))):
+            reach, rise = rng.uniform(0.28, 0.48) * w * 1.4, rng.uniform(0.1, 0.35) * h
+            half = rng.uniform(0.06, 0.13)
+            b.quad((-half, 0.03, 0), (half, 0.03, 0), (half * 0.7, reach, rise), (-half * 0.7, reach, rise), "leaf")
+            b.quad((-half * 0.7, reach, rise), (half * 0.7, reach, rise), (half * 0.2, reach * 1.5, rise * 0.7),
+                   (-half * 0.2, reach * 1.5, rise * 0.7), "leaf")  # fmt: skip
+
+
+def floor_lamp(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A standing lamp (not lit)."""
+    del rng
+    h = item.size[2]
+    b.prism(0, 0, (0, 0.03), 0.16, "metal", BLACKISH)
+    b.prism(0, 0, (0.03, h - 0.3), 0.015, "metal", BLACKISH, sides=5)
+    b.prism(0, 0, (h - 0.3, h), (0.2, 0.13), "fabric", (0.85, 0.8, 0.65))
+
+
+def copier(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A large copier with paper trays and a lid."""
+    del rng
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0.05), (w / 2, d / 2, h - 0.12), "plastic", (0.72, 0.73, 0.72), skip=("bottom",),
+          faces={"front": "copier"})  # fmt: skip
+    b.box((-w / 2 + 0.02, -d / 2, h - 0.10), (w / 2 - 0.15, d / 2 - 0.08, h), "plastic", (0.55, 0.56, 0.56))
+    b.box((w / 2 - 0.14, d / 2 - 0.25, h - 0.12), (w / 2, d / 2, h - 0.04), "plastic", BLACKISH)
+    b.box((w / 2, -d / 3, 0.55), (w / 2 + 0.25, d / 3, 0.58), "plastic", (0.5, 0.5, 0.5))
+
+
+def printer_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A small table with a laser printer and paper below."""
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, h - 0.03), (w / 2, d / 2, h), "beech")
+    for x in (-w / 2, w / 2 - 0.03):
+        b.box((x, -d / 2, 0), (x + 0.03, d / 2, h - 0.03), "beech", skip=("bottom", "top"))
+    b.box((-w / 2, -d / 2, 0.2), (w / 2, d / 2, 0.23), "beech")
+    for i in range(3):
+        b.box((-w / 2 + 0.06 + 0.24 * i, -0.15, 0.23), (-w / 2 + 0.27 + 0.24 * i, 0.15, 0.23 + rng.uniform(0.1, 0.3)),
+              "plain", (0.85, 0.86, 0.9), skip=("bottom",))  # fmt: skip
+    b.box((-0.25, -0.22, h), (0.25, 0.22, h + 0.36), "plastic", (0.75, 0.75, 0.73), skip=("bottom",))
+    b.box((-0.2, -0.12, h + 0.36), (0.2, 0.2, h + 0.40), "plastic", (0.20, 0.20, 0.21), skip=("bottom",))
+    b.quad((0.2, 0.225, h + 0.08), (-0.2, 0.225, h + 0.08), (-0.2, 0.225, h + 0.16), (0.2, 0.225, h + 0.16),
+           "plastic", BLACKISH)  # fmt: skip
+
+
+def pigeonholes(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A rack of mail boxes."""
+    del rng
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "beech", skip=("bottom",), faces={"front": "pigeonholes"})
+
+
+def vending_machine(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A vending machine with a lit front."""
+    del rng
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "metal", (0.45, 0.08, 0.08), skip=("bottom", "front"))
+    b.quad((w / 2, d / 2, 0), (-w / 2, d / 2, 0), (-w / 2, d / 2, h), (w / 2, d / 2, h), "machine",
+           emission=(0.5, 0.5, 0.5))  # fmt: skip
+
+
+def kitchen_counter(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A kitchen counter with sink, hob, coffee machine and wall units."""
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0.1), (w / 2, d / 2 - 0.02, h - 0.04), "plain", skip=("bottom", "top"),
+          faces={"front": "kitchen_fronts"})  # fmt: skip
+    b.box((-w / 2, -d / 2, h - 0.04), (w / 2, d / 2, h), "walnut")
+    x = -w / 2 + 0.55
+    b.quad((x - 0.28, -0.2, h + 0.003), (x + 0.28, -0.2, h + 0.003), (x + 0.28, 0.2, h + 0.003),
+           (x - 0.28, 0.2, h + 0.003), "metal", (0.35, 0.36, 0.38))  # fmt: skip
+    b.box((x - 0.015, -0.24, h), (x + 0.015, -0.21, h + 0.28), "metal")
+    b.box((x - 0.015, -0.24, h + 0.25), (x + 0.015, -0.02, h + 0.28), "metal")
+    b.box((w / 2 - 0.4, -0.25, h), (w / 2 - 0.1, 0.1, h + 0.36), "plastic", BLACKISH, skip=("bottom",))
+    b.prism(w / 2 - 0.25, 0.16, (h, h + 0.12), 0.05, "plastic", (0.25, 0.12, 0.06), sides=6)
+    for i in range(4):
+        b.prism(0.1 + 0.12 * i + float(rng.uniform(-0.03, 0.03)), float(rng.uniform(-0.2, 0.1)), (h, h + 0.1), 0.04,
+                "plastic", tuple(rng.uniform(0.1, 0.9, 3)), sides=6)  # fmt: skip
+    if item.options.get("wall_units", True):
+        b.box((-w / 2, -d / 2, 1.45), (w / 2, -d / 2 + 0.34, 2.1), "plain", (0.82, 0.82, 0.8),
+              faces={"front": "kitchen_fronts"})  # fmt: skip
+        b.box((-w / 2, -d / 2, h), (w / 2, -d / 2 + 0.01, 1.45), "tiles_blue", skip=("back",))
+
+
+def fridge(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A fridge-freezer with notes on its door."""
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0.03), (w / 2, d / 2, h), "plastic", skip=("bottom",), faces={"front": "fridge"})
+    for _ in range(3):
+        x, z = rng.uniform(-w / 2 + 0.05, w / 2 - 0.2), rng.uniform(0.9, h - 0.3)
+        y = d / 2 + 0.004
+        b.quad((x + 0.14, y, z), (x, y, z), (x, y, z + 0.18), (x + 0.14, y, z + 0.18), f"sheet{rng.integers(4)}")
+
+
+def stall(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A toilet cubicle with its door ajar and the bowl inside."""
+    w, d, h = item.size
+    colour = colour_of(item, rng, ((0.30, 0.45, 0.60), (0.55, 0.55, 0.50)))
+    for x in (-w / 2, w / 2 - 0.03):
+        b.box((x, -d / 2, 0.15), (x + 0.03, d / 2, h), "plain", colour)
+    b.box((-w / 2, d / 2 - 0.03, 0.15), (-w / 2 + 0.17, d / 2, h), "plain", colour)
+    b.box((w / 2 - 0.17, d / 2 - 0.03, 0.15), (w / 2, d / 2, h), "plain", colour)
+    with b.at(-w / 2 + 0.17, d / 2 - 0.03, 0, float(rng.uniform(-75, -15))):
+        b.box((0, 0, 0.15), (w - 0.36, 0.03, h - 0.05), "plain", colour)
+        b.box((w - 0.46, 0.03, 0.95), (w - 0.4, 0.07, 1.02), "metal", BLACKISH)
+    b.prism(0, -d / 2 + 0.45, (0, 0.42), (0.14, 0.2), "plastic", _PORCELAIN, stretch=1.25)
+    b.box((-0.2, -d / 2, 0.42), (0.2, -d / 2 + 0.18, 0.85), "plastic", _PORCELAIN, skip=("back",))
+
+
+def basins(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """Wash basins below a mirror."""
+    del rng
+    w, d, h = item.size
+    count = int(item.options.get("count", 2))
+    for i in range(count):
+        x = w * ((i + 0.5) / count - 0.5)
+        b.prism(x, 0.02, (h - 0.2, h), (0.14, 0.26), "plastic", _PORCELAIN, sides=10, stretch=0.85)
+        b.box((x - 0.07, -d / 2, 0.1), (x + 0.07, -d / 2 + 0.14, h - 0.18), "plastic", _PORCELAIN)
+        b.box((x - 0.015, -d / 2 + 0.02, h), (x + 0.015, -d / 2 + 0.05, h + 0.18), "metal")
+        b.box((x - 0.015, -d / 2 + 0.02, h + 0.15), (x + 0.015, -d / 2 + 0.16, h + 0.18), "metal")
+        b.box((x - 0.25, -d / 2, h + 0.3), (x + 0.25, -d / 2 + 0.015, h + 1.05), "metal", (0.72, 0.78, 0.82),
+              skip=("back",))  # fmt: skip
+    b.box((w / 2 - 0.1, -d / 2, h + 0.25), (w / 2 + 0.1, -d / 2 + 0.12, h + 0.55), "plastic", skip=("back",))
+
+
+def urinals(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A row of urinals with partitions."""
+    del rng
+    w, d, _ = item.size
+    count = max(1, round(w / 0.7))
+    for i in range(count):
+        x = w * ((i + 0.5) / count - 0.5)
+        b.prism(x, -d / 2 + 0.14, (0.45, 1.05), (0.13, 0.18), "plastic", _PORCELAIN, stretch=0.8)
+        edge = w * ((i + 1) / count - 0.5)
+        b.box((edge - 0.02, -d / 2, 0.5), (edge, d / 2, 1.35), "plain", (0.55, 0.6, 0.65), skip=("back",))
+
+
+def dryer(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A hand dryer."""
+    del rng
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plastic", skip=("back",))
+
+
+def stairs_up(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A flight that rises from its front to its back."""
+    del rng
+    w, d, h = item.size
+    steps = max(2, round(h / 0.17))
+    for i in range(steps):
+        y1 = d / 2 - i * d / steps
+        z = (i + 1) * h / steps
+        b.box((-w / 2, -d / 2, z - h / steps), (w / 2, y1, z), "concrete", skip=("back", "bottom"))
+        b.box((-w / 2, y1 - 0.04, z), (w / 2, y1 + 0.01, z + 0.006), "plain", (0.05, 0.05, 0.05), skip=("bottom",))
+    for x in (-w / 2 + 0.03, w / 2 - 0.03):
+        for i in range(0, steps, 2):
+            y, z = d / 2 - (i + 0.5) * d / steps, (i + 1) * h / steps
+            b.box((x - 0.015, y - 0.015, z), (x + 0.015, y + 0.015, z + 0.9), "metal", (0.15, 0.15, 0.16))
+        low, high = (d / 2, 0.17 + 0.9), (-d / 2, h + 0.9)
+        b.quad((x, low[0], low[1]), (x, high[0], high[1]), (x, high[0], high[1] + 0.07), (x, low[0], low[1] + 0.07),
+               "wood", (0.6, 0.5, 0.4))  # fmt: skip
+
+
+def stairs_down(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """The head of a flight that leads down: dark steps behind a railing, seen as lowered floor."""
+    w, d, h = item.size
+    steps = 8
+    for i in range(steps):
+        shade = 0.5 * (1 - i / steps) + 0.03
+        y1, y0 = d / 2 - i * d / steps, d / 2 - (i + 1) * d / steps
+        b.quad((-w / 2, y0, 0.004), (w / 2, y0, 0.004), (w / 2, y1 - 0.05, 0.004), (-w / 2, y1 - 0.05, 0.004),
+               "concrete", (shade, shade, shade))  # fmt: skip
+        b.quad((-w / 2, y1 - 0.05, 0.005), (w / 2, y1 - 0.05, 0.005), (w / 2, y1, 0.005), (-w / 2, y1, 0.005),
+               "plain", (0.02, 0.02, 0.02))  # fmt: skip
+    _rail(b, (-w / 2, -d / 2), (-w / 2, d / 2), h)
+    _rail(b, (w / 2, -d / 2), (w / 2, d / 2), h)
+    del rng
+
+
+def _rail(b: MeshBuilder, start: tuple[float, float], end: tuple[float, float], h: float) -> None:
+    a, c = np.array(start), np.array(end)
+    length = float(np.linalg.norm(c - a))
+    angle = float(np.degrees(np.arctan2(c[1] - a[1], c[0] - a[0])))
+    with b.at(start[0], start[1], 0, angle):
+        b.box((0, -0.03, h - 0.05), (length, 0.03, h), "wood", (0.6, 0.5, 0.4))
+        b.box((0, -0.015, 0.12), (length, 0.015, 0.15), "metal", (0.15, 0.15, 0.16))
+        for i in range(int(length / 0.14) + 1):
+            x = min(i * 0.14, length - 0.02)
+            b.box((x, -0.01, 0), (x + 0.02, 0.01, h - 0.05), "metal", (0.15, 0.15, 0.16), skip=("top", "bottom"))
+
+
+def railing(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A railing across its width."""
+    del rng
+    w, _, h = item.size
+    _rail(b, (-w / 2, 0), (w / 2, 0), h)
+
+
+def column(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A concrete column."""
+    del rng
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "concrete", skip=("bottom", "top"))
+
+
+def person(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A standing person; the clothes are drawn."""
+    h = item.size[2]
+    trousers = CLOTHES[int(rng.integers(len(CLOTHES)))]
+    shirt = colour_of(item, rng, CLOTHES)
+    skin = _SKIN[int(rng.integers(len(_SKIN)))]
+    stride = float(rng.uniform(0.0, 0.12))
+    for x, y in ((-0.09, stride), (0.09, -stride)):
+        b.prism(x, y, (0.06, 0.47 * h), (0.06, 0.085), "fabric", trousers, sides=6)
+        b.box((x - 0.05, y - 0.08, 0), (x + 0.05, y + 0.16, 0.07), "plastic", BLACKISH, skip=("bottom",))
+    b.prism(0, 0, (0.45 * h, 0.82 * h), (0.16, 0.21), "fabric", shirt, stretch=0.6)
+    for x in (-0.24, 0.24):
+        b.prism(x, 0.02, (0.44 * h, 0.81 * h), (0.045, 0.06), "fabric", shirt, sides=6)
+        b.prism(x, 0.03, (0.40 * h, 0.44 * h), 0.04, "plain", skin, sides=5)
+    b.prism(0, 0, (0.82 * h, 0.86 * h), 0.055, "plain", skin, sides=6)
+    b.prism(0, 0.01, (0.86 * h, 0.95 * h), (0.075, 0.09), "plain", skin)
+    hair = tuple(np.array([(0.02, 0.015, 0.01), (0.10, 0.05, 0.02), (0.35, 0.22, 0.08), (0.3, 0.3, 0.3)])[
+        int(rng.integers(4))])  # fmt: skip
+    b.prism(0, -0.01, (0.93 * h, h), (0.098, 0.06), "fabric", hair)

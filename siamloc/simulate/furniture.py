@@ -1,0 +1,248 @@
+"""Office furniture: each builder adds one item in its own frame.
+
+In an item's frame x runs across, its back stands at y = -depth/2 and its front at y = +depth/2, z = 0 is its foot.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from siamloc.simulate.layout import Item
+from siamloc.simulate.mesh import MeshBuilder
+from siamloc.simulate.prints import BOOK_ROWS, SCREENS
+
+Rng = np.random.Generator
+Colour = tuple[float, float, float]
+
+BLACKISH = (0.035, 0.035, 0.04)
+STEEL = (0.55, 0.56, 0.58)
+SEATS: tuple[Colour, ...] = (
+    (0.05, 0.08, 0.22), (0.03, 0.03, 0.035), (0.25, 0.04, 0.04), (0.05, 0.16, 0.10), (0.30, 0.15, 0.04),
+    (0.14, 0.15, 0.17),
+)  # fmt: skip
+FRONTS: tuple[Colour, ...] = ((0.62, 0.63, 0.64), (0.75, 0.72, 0.66), (0.30, 0.36, 0.44), (0.52, 0.55, 0.50))
+CLOTHES: tuple[Colour, ...] = (
+    (0.10, 0.14, 0.32), (0.45, 0.06, 0.06), (0.05, 0.05, 0.06), (0.60, 0.58, 0.52), (0.08, 0.25, 0.15),
+    (0.55, 0.40, 0.10), (0.30, 0.35, 0.42),
+)  # fmt: skip
+
+
+def colour_of(item: Item, rng: Rng, palette: tuple[Colour, ...]) -> Colour:
+    """Return the item's own colour if the file gives one, else one of the palette."""
+    drawn = palette[int(rng.integers(len(palette)))]
+    own: Any = item.options.get("colour")
+    return (float(own[0]), float(own[1]), float(own[2])) if own is not None else drawn
+
+
+def _legs(b: MeshBuilder, w: float, d: float, top: float, colour: Colour, thick: float = 0.05) -> None:
+    for x in (-w / 2 + 0.04, w / 2 - 0.04 - thick):
+        for y in (-d / 2 + 0.04, d / 2 - 0.04 - thick):
+            b.box((x, y, 0), (x + thick, y + thick, top), "metal", colour, skip=("bottom", "top"))
+
+
+def desk(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A desk: one sits at its front; screens stand at its back."""
+    w, d, h = item.size
+    wood = str(item.options.get("wood", "beech"))
+    b.box((-w / 2, -d / 2, h - 0.035), (w / 2, d / 2, h), wood)
+    _legs(b, w, d, h - 0.035, STEEL)
+    b.box((-w / 2 + 0.1, -d / 2 + 0.05, 0.35), (w / 2 - 0.1, -d / 2 + 0.07, h - 0.035), wood, (0.8, 0.8, 0.8))
+    if item.options.get("drawers", True):
+        side = 1 if rng.random() < 0.5 else -1
+        x = side * (w / 2 - 0.32)
+        b.box((x - 0.21, -d / 2 + 0.1, 0.05), (x + 0.21, d / 2 - 0.08, h - 0.1), "plain", (0.6, 0.6, 0.6),
+              skip=("bottom",), faces={"front": "drawers"})  # fmt: skip
+    screens = int(item.options.get("screens", 1))
+    for i in range(screens):
+        x = (i - (screens - 1) / 2) * 0.56 + rng.uniform(-0.05, 0.05)
+        with b.at(x, -d / 2 + 0.22, h, float(rng.uniform(-12, 12))):
+            monitor(b, rng)
+    if screens:
+        x = float(rng.uniform(-0.12, 0.12))
+        y = d / 2 - 0.28
+        b.quad((x + 0.22, y + 0.08, h + 0.02), (x - 0.22, y + 0.08, h + 0.02), (x - 0.22, y - 0.08, h + 0.025),
+               (x + 0.22, y - 0.08, h + 0.025), "keyboard")  # fmt: skip
+        b.box((x + 0.27, y - 0.04, h), (x + 0.33, y + 0.06, h + 0.03), "plastic", BLACKISH, skip=("bottom",))
+    for _ in range(int(rng.integers(1, 4))):
+        clutter(b, float(rng.uniform(-w / 2 + 0.2, w / 2 - 0.2)), float(rng.uniform(-d / 2 + 0.15, 0)), h, rng)
+
+
+def monitor(b: MeshBuilder, rng: Rng) -> None:
+    """A flat screen with its picture on; its front looks along y."""
+    on = rng.random() < 0.75
+    b.box((-0.26, -0.02, 0.11), (0.26, 0.02, 0.45), "plastic", BLACKISH)
+    face = ((0.25, 0.022, 0.12), (-0.25, 0.022, 0.12), (-0.25, 0.022, 0.44), (0.25, 0.022, 0.44))
+    if on:
+        b.quad(*face, f"screen{rng.integers(SCREENS)}", (0.3, 0.3, 0.3), (1.1, 1.15, 1.25))
+    else:
+        b.quad(*face, "plastic", BLACKISH)
+    b.box((-0.03, -0.03, 0.0), (0.03, 0.0, 0.2), "plastic", BLACKISH, skip=("bottom", "top"))
+    b.box((-0.12, -0.1, 0.0), (0.12, 0.08, 0.015), "plastic", BLACKISH, skip=("bottom",))
+
+
+def clutter(b: MeshBuilder, x: float, y: float, z: float, rng: Rng) -> None:
+    """A sheet of paper, a stack of books, a cup or a lamp on a table top."""
+    kind = int(rng.integers(5))
+    with b.at(x, y, z, float(rng.uniform(-40, 40))):
+        if kind <= 1:
+            stack = 0.004 if kind == 0 else float(rng.uniform(0.03, 0.12))
+            b.box((-0.11, -0.15, 0), (0.11, 0.15, stack), "plain", skip=("bottom",),
+                  faces={"top": f"sheet{rng.integers(4)}"})  # fmt: skip
+        elif kind == 2:
+            for level in range(int(rng.integers(2, 5))):
+                colour = tuple(rng.uniform(0.03, 0.5, 3))
+                b.box((-0.09, -0.12, 0.03 * level), (0.09, 0.12, 0.03 * level + 0.028), "plain", colour,
+                      skip=("bottom",))  # fmt: skip
+        elif kind == 3:
+            b.prism(0, 0, (0, 0.1), 0.04, "plastic", tuple(rng.uniform(0.1, 0.9, 3)), sides=6)
+        else:
+            b.prism(0, 0, (0, 0.02), 0.08, "metal", BLACKISH, sides=6)
+            b.box((-0.01, -0.01, 0.02), (0.01, 0.01, 0.42), "metal", BLACKISH)
+            b.prism(0, 0.06, (0.38, 0.47), (0.09, 0.05), "metal", (0.5, 0.05, 0.05), sides=6)
+
+
+def chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A swivel chair; one sits on it looking along its front."""
+    colour = colour_of(item, rng, SEATS)
+    b.box((-0.24, -0.22, 0.43), (0.24, 0.24, 0.51), "fabric", colour)
+    b.box((-0.22, -0.28, 0.60), (0.22, -0.22, 1.0), "fabric", colour)
+    b.box((-0.03, -0.27, 0.45), (0.03, -0.24, 0.62), "plastic", BLACKISH)
+    b.box((-0.03, -0.03, 0.08), (0.03, 0.03, 0.43), "metal", BLACKISH, skip=("top", "bottom"))
+    for i in range(5):
+        with b.at(0, 0, 0, i * 72):
+            b.box((-0.025, 0.0, 0.05), (0.025, 0.30, 0.09), "plastic", BLACKISH)
+            b.box((-0.025, 0.25, 0.0), (0.025, 0.30, 0.05), "plastic", BLACKISH, skip=("bottom",))
+    for x in (-0.29, 0.25):
+        b.box((x, -0.15, 0.66), (x + 0.04, 0.14, 0.69), "plastic", BLACKISH)
+        b.box((x, -0.03, 0.45), (x + 0.04, 0.02, 0.66), "plastic", BLACKISH, skip=("top",))
+
+
+def visitor_chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A chair with four legs."""
+    colour = colour_of(item, rng, SEATS)
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2 + 0.04, 0.43), (w / 2, d / 2, 0.47), "fabric", colour)
+    b.box((-w / 2, -d / 2, 0.55), (w / 2, -d / 2 + 0.03, h), "fabric", colour)
+    _legs(b, w, d, 0.43, STEEL, 0.03)
+    for x in (-w / 2, w / 2 - 0.03):
+        b.box((x, -d / 2, 0.43), (x + 0.03, -d / 2 + 0.03, 0.56), "metal", STEEL)
+
+
+def table(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A table with things on it."""
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, h - 0.04), (w / 2, d / 2, h), str(item.options.get("wood", "beech")))
+    _legs(b, w, d, h - 0.04, STEEL, 0.06)
+    for _ in range(int(rng.integers(1, 4))):
+        clutter(b, float(rng.uniform(-w / 2 + 0.2, w / 2 - 0.2)), float(rng.uniform(-d / 4, d / 4)), h, rng)
+
+
+def round_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A round table on one foot."""
+    radius, h = item.size[0] / 2, item.size[2]
+    b.prism(0, 0, (h - 0.04, h), radius, str(item.options.get("wood", "beech")), sides=12)
+    b.prism(0, 0, (0.03, h - 0.04), 0.05, "metal", STEEL, sides=6)
+    b.prism(0, 0, (0, 0.03), radius * 0.55, "metal", STEEL, sides=8)
+    for _ in range(2):
+        clutter(b, float(rng.uniform(-0.2, 0.2)), float(rng.uniform(-0.2, 0.2)), h, rng)
+
+
+def sofa(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A sofa with cushions."""
+    w, d, h = item.size
+    colour = colour_of(item, rng, SEATS)
+    lighter = (colour[0] * 1.3, colour[1] * 1.3, colour[2] * 1.3)
+    b.box((-w / 2, -d / 2, 0.08), (w / 2, d / 2, 0.30), "fabric", colour)
+    b.box((-w / 2, -d / 2, 0.30), (w / 2, -d / 2 + 0.2, h), "fabric", colour, skip=("bottom",))
+    for x in (-w / 2, w / 2 - 0.16):
+        b.box((x, -d / 2 + 0.2, 0.30), (x + 0.16, d / 2, 0.58), "fabric", colour, skip=("bottom",))
+    for x0, x1 in ((-w / 2 + 0.17, -0.01), (0.01, w / 2 - 0.17)):
+        b.box((x0, -d / 2 + 0.2, 0.30), (x1, d / 2, 0.44), "fabric", lighter, skip=("bottom",))
+
+
+def bench(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A bench without a back."""
+    del rng
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, h - 0.05), (w / 2, d / 2, h), str(item.options.get("wood", "wood")))
+    _legs(b, w, d, h - 0.05, BLACKISH)
+
+
+def shelf(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """An open shelf with rows of books or binders."""
+    w, d, h = item.size
+    wood = str(item.options.get("wood", "beech"))
+    levels = max(1, round(h / 0.38))
+    content = str(item.options.get("content", "mixed"))
+    t = 0.025
+    b.box((-w / 2, -d / 2, 0), (-w / 2 + t, d / 2, h), wood, skip=("bottom", "back"))
+    b.box((w / 2 - t, -d / 2, 0), (w / 2, d / 2, h), wood, skip=("bottom", "back"))
+    b.box((-w / 2 + t, -d / 2, 0), (w / 2 - t, -d / 2 + 0.01, h), wood, (0.75, 0.75, 0.75), skip=("bottom", "top"))
+    for level in range(levels + 1):
+        z = level * (h - t) / levels
+        b.box((-w / 2 + t, -d / 2, z), (w / 2 - t, d / 2, z + t), wood, skip=("left", "right", "back"))
+        if level == levels:
+            break
+        top = z + t + (h - t) / levels * 0.88
+        kind = content if content != "mixed" else ("books" if rng.random() < 0.6 else "binders")
+        if kind == "empty" or rng.random() < 0.06:
+            continue
+        end = w / 2 - t - (0 if rng.random() < 0.7 else rng.uniform(0.1, 0.45) * w)
+        b.box((-w / 2 + t, -d / 2 + 0.01, z + t), (end, d / 2 - 0.06, top), "plain", (0.12, 0.1, 0.09),
+              skip=("bottom", "back", "left"), faces={"front": f"{kind}{rng.integers(BOOK_ROWS)}"})  # fmt: skip
+
+
+def shelf_board(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A board on the wall with one row of books."""
+    w, d, _ = item.size
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, 0.025), str(item.options.get("wood", "beech")))
+    b.box((-w / 2 + 0.05, -d / 2, 0.025), (w / 2 - 0.2, d / 2 - 0.05, 0.31), "plain", (0.12, 0.1, 0.09),
+          skip=("bottom", "back"), faces={"front": f"books{rng.integers(BOOK_ROWS)}"})  # fmt: skip
+
+
+def cabinet(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A closed cabinet with two doors."""
+    w, d, h = item.size
+    colour = colour_of(item, rng, FRONTS)
+    b.box((-w / 2, -d / 2, 0.06), (w / 2, d / 2, h), "plain", colour, skip=("bottom", "front"))
+    front = ((w / 2, d / 2, 0.06), (-w / 2, d / 2, 0.06), (-w / 2, d / 2, h), (w / 2, d / 2, h))
+    b.quad(*front, "cabinet_doors", colour)
+    b.box((-w / 2 + 0.03, -d / 2, 0), (w / 2 - 0.03, d / 2 - 0.04, 0.06), "plain", BLACKISH, skip=("bottom", "top"))
+    if rng.random() < 0.5 and h < 2.1:
+        clutter_boxes(b, w, d, h, rng)
+
+
+def clutter_boxes(b: MeshBuilder, w: float, d: float, h: float, rng: Rng) -> None:
+    """Cartons on top of a cabinet."""
+    x = -w / 2 + 0.03
+    while x < w / 2 - 0.3:
+        width, height = rng.uniform(0.22, 0.4), rng.uniform(0.15, 0.35)
+        width = min(width, w / 2 - 0.02 - x)
+        if rng.random() < 0.7:
+            shade = rng.uniform(0.7, 1.0)
+            b.box((x, -d / 2 + 0.04, h), (x + width, d / 2 - 0.06, h + height), "plain",
+                  (0.42 * shade, 0.29 * shade, 0.16 * shade), skip=("bottom",))  # fmt: skip
+        x += width + 0.04
+
+
+def sideboard(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A low cabinet with things on it."""
+    w, d, h = item.size
+    colour = colour_of(item, rng, FRONTS)
+    wood = str(item.options.get("wood", "beech"))
+    b.box((-w / 2, -d / 2, 0.04), (w / 2, d / 2, h - 0.03), "plain", colour, skip=("bottom", "front", "top"))
+    front = ((w / 2, d / 2, 0.04), (-w / 2, d / 2, 0.04), (-w / 2, d / 2, h - 0.03), (w / 2, d / 2, h - 0.03))
+    b.quad(*front, "cabinet_doors", colour)
+    b.box((-w / 2, -d / 2, h - 0.03), (w / 2, d / 2, h), wood)
+    for _ in range(int(rng.integers(1, 4))):
+        clutter(b, float(rng.uniform(-w / 2 + 0.2, w / 2 - 0.2)), 0.0, h, rng)
+
+
+def lockers(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A block of steel lockers."""
+    w, d, h = item.size
+    colour = colour_of(item, rng, FRONTS)
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "metal", colour, skip=("bottom", "front"))
+    b.quad((w / 2, d / 2, 0), (-w / 2, d / 2, 0), (-w / 2, d / 2, h), (w / 2, d / 2, h), "lockers", colour)

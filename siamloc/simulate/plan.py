@@ -1,0 +1,159 @@
+"""The floor plan as a robot sees it: where it may drive and in which room it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from siamloc.errors import DataError
+from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.layout import HALF_WALL, Array, Building, Item, Room
+
+
+def room_at(building: Building, points: Array) -> Array:
+    """Return the index of the room that each point (n, 2) lies in, -1 outside; walls are halved."""
+    points = np.asarray(points, dtype=np.float64)
+    found = np.full(len(points), -1)
+    for index, room in enumerate(building.rooms.values()):
+        inside = (points[:, 0] >= room.x[0]) & (points[:, 0] <= room.x[1])
+        inside &= (points[:, 1] >= room.y[0]) & (points[:, 1] <= room.y[1])
+        found[inside & (found < 0)] = index
+    return found
+
+
+def room_codes(building: Building, points: Array) -> list[str]:
+    """Return the room code of each point (n, 2), "" outside."""
+    codes = [room.code for room in building.rooms.values()] + [""]
+    return [codes[index] for index in room_at(building, points)]
+
+
+def obstacles(building: Building, items: Iterable[Item] | None = None) -> tuple[Array, list[str]]:
+    """Return what stops a robot as segments (n, 2, 2) in metres, and what each one is.
+
+    Args:
+        building: walls and openings; and its items, unless others are given.
+        items: the items of a run.
+    """
+    segments: list[Array] = []
+    names: list[str] = []
+    for room in building.rooms.values():
+        for segment in _wall_segments(building, room):
+            segments.append(segment)
+            names.append(f"a wall of room {room.name!r}")
+    for opening in building.openings:
+        if opening.passable:
+            for end in opening.interval:
+                segments.append(np.array([opening.point(end, -HALF_WALL), opening.point(end, HALF_WALL)]))
+                names.append(f"a door post of room {opening.rooms[0]!r}")
+    for item in building.items if items is None else items:
+        if KINDS[item.kind].blocks:
+            corners = item.footprint()
+            for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                segments.append(np.array([a, b]))
+                names.append(f"the {item.kind} of room {item.room!r}" + (f" (line {item.line})" if item.line else ""))
+    return np.stack(segments), names
+
+
+def _wall_segments(building: Building, room: Room) -> list[Array]:
+    (x0, x1), (y0, y1) = room.inner()
+    pieces: list[Array] = []
+    sides = (("x", room.y[0], y0, x0, x1), ("x", room.y[1], y1, x0, x1), ("y", room.x[0], x0, y0, y1),
+             ("y", room.x[1], x1, y0, y1))  # fmt: skip
+    for along, level, face, low, high in sides:
+        cursor = low
+        gaps = sorted(
+            opening.interval
+            for opening in building.openings_of(room.name)
+            if opening.passable and opening.along == along and abs(opening.level - level) < 1e-6
+        )
+        for start, end in [*gaps, (high, high)]:
+            if start > cursor:
+                ends = [(cursor, face), (start, face)] if along == "x" else [(face, cursor), (face, start)]
+                pieces.append(np.array(ends))
+            cursor = end
+    return pieces
+
+
+def blocked_points(building: Building, points: Array, items: Iterable[Item] | None = None) -> Array:
+    """Return True for points (n, 2) inside a wall or an item, or outside the building."""
+    points = np.asarray(points, dtype=np.float64)
+    free = np.zeros(len(points), dtype=bool)
+    for room in building.rooms.values():
+        free |= _inside_box(points, *room.inner())
+    for opening in building.openings:
+        if opening.passable:
+            span, depth = opening.interval, (opening.level - HALF_WALL, opening.level + HALF_WALL)
+            free |= _inside_box(points, *((span, depth) if opening.along == "x" else (depth, span)))
+    for item in building.items if items is None else items:
+        if KINDS[item.kind].blocks:
+            free &= ~inside_item(item, points)
+    return ~free
+
+
+def inside_item(item: Item, points: Array, margin: float = 0.0) -> Array:
+    """Return True for points (n, 2) over an item's footprint grown by a margin."""
+    angle = np.radians(item.facing - 90)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    local = (points - (item.x, item.y)) @ np.array([[cosine, -sine], [sine, cosine]])
+    half = np.array([item.size[0] / 2 + margin, item.size[1] / 2 + margin])
+    return (np.abs(local) < half).all(axis=1)
+
+
+def _inside_box(points: Array, x: tuple[float, float], y: tuple[float, float]) -> Array:
+    inside = (points[:, 0] >= x[0]) & (points[:, 0] <= x[1])
+    return inside & (points[:, 1] >= y[0]) & (points[:, 1] <= y[1])
+
+
+def clearance(points: Array, segments: Array) -> Array:
+    """Return the distance in metres of each point (n, 2) to the nearest of m segments (m, 2, 2)."""
+    points = np.asarray(points, dtype=np.float64)
+    nearest = np.full(len(points), np.inf)
+    for a, b in segments:
+        edge = b - a
+        share = np.clip((points - a) @ edge / max(float(edge @ edge), 1e-12), 0, 1)
+        nearest = np.minimum(nearest, np.linalg.norm(points - a - share[:, None] * edge, axis=1))
+    return nearest
+
+
+def crossings(moves: Array, segments: Array) -> Array:
+    """Return True where a move (n, 2, 2) crosses a segment (m, 2, 2), as (n, m)."""
+    a, b = moves[:, None, 0], moves[:, None, 1]
+    c, d = segments[None, :, 0], segments[None, :, 1]
+
+    def side(p: Array, q: Array, r: Array) -> Array:
+        return (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+
+    return (side(a, b, c) * side(a, b, d) < 0) & (side(c, d, a) * side(c, d, b) < 0)
+
+
+def check_paths(building: Building) -> None:
+    """Check that every path of a building runs through free space.
+
+    Raises:
+        DataError: a path that leaves the building or runs through a wall or an item; the message names the path's
+            point, the room and the line.
+    """
+    segments, names = obstacles(building)
+    for path in building.paths.values():
+        where = [f"{building.source}, line {line}: " if line else f"{building.source}: " for line in path.lines]
+        for point, index, prefix in zip(path.points, room_at(building, path.points), where, strict=True):
+            if index < 0:
+                raise DataError(f"{prefix}path {path.name!r} leaves every room at ({point[0]:.2f}, {point[1]:.2f})")
+        moves = np.stack([path.points[:-1], path.points[1:]], axis=1)
+        hits = crossings(moves, segments)
+        if hits.any():
+            move, segment = np.argwhere(hits)[0]
+            (x0, y0), (x1, y1) = moves[move]
+            raise DataError(
+                f"{where[move + 1]}path {path.name!r} runs through {names[segment]} between ({x0:.2f}, {y0:.2f}) and "
+                f"({x1:.2f}, {y1:.2f}): move the point or open a door"
+            )
+        inside = blocked_points(building, path.points)
+        if inside.any():
+            row = int(np.flatnonzero(inside)[0])
+            x, y = path.points[row]
+            room = list(building.rooms.values())[room_at(building, path.points[row : row + 1])[0]]
+            raise DataError(
+                f"{where[row]}path {path.name!r} hits something in room {room.name!r} at ({x:.2f}, {y:.2f})"
+            )

@@ -1,0 +1,122 @@
+"""A contact sheet and a floor plan, to see what a simulation will look like."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from siamloc.files import atomic_path
+from siamloc.simulate.config import SimulateConfig
+from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.layout import Array, Building
+from siamloc.simulate.plan import clearance, obstacles
+from siamloc.simulate.render import render
+from siamloc.simulate.run import LIGHTINGS, Run, draw_run
+from siamloc.simulate.scene import build_scene
+from siamloc.simulate.shell import leaf_segment
+from siamloc.simulate.trajectory import Track
+
+_COLOURS = {"cloudy": "#5b8fd6", "night": "#3b3b6d", "sunny": "#e8a013"}
+
+
+def write_preview(building: Building, config: SimulateConfig, folder: Path) -> tuple[Path, ...]:
+    """Write `contact_sheet.png` and `floor_plan.png` and return their paths."""
+    runs = {run.lighting: run for run in reversed(config.drives())}
+    drives = [runs[lighting] for lighting in LIGHTINGS if lighting in runs]
+    written = []
+    for name, picture in (
+        ("contact_sheet.png", contact_sheet(building, drives)),
+        ("floor_plan.png", floor_plan(building, config.drives())),
+    ):
+        path = folder / name
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(picture)
+        written.append(path)
+    return tuple(written)
+
+
+def viewpoints(building: Building, track: Track) -> Array:
+    """Return one row of the track for each room code: well inside the room, away from walls."""
+    segments, _ = obstacles(building)
+    rows = []
+    for code in building.codes:
+        inside = np.array([row for row, found in enumerate(track.codes) if found == code])
+        if len(inside):
+            points = track.poses[inside, :2]
+            centre = points.mean(axis=0)
+            score = np.minimum(clearance(points, segments), 0.8) - 0.15 * np.linalg.norm(points - centre, axis=1)
+            rows.append(inside[int(np.argmax(score))])
+    return np.array(rows)
+
+
+def contact_sheet(building: Building, runs: list[Run]) -> bytes:
+    """Return a PNG with one panorama for each room (rows) and lighting (columns)."""
+    from matplotlib.figure import Figure
+
+    first = draw_run(building, runs[0]).track
+    rows = viewpoints(building, first)
+    figure = Figure(figsize=(5.6 * len(runs), 1.62 * len(rows) + 0.3), dpi=110, layout="constrained")
+    axes = np.atleast_2d(figure.subplots(len(rows), len(runs), squeeze=False))
+    for column, run in enumerate(runs):
+        scene = build_scene(building, run)
+        pictures = render(scene, first.poses[rows], "panorama")
+        for axis, row, picture in zip(axes[:, column], rows, pictures, strict=True):
+            axis.imshow(picture, interpolation="lanczos")
+            axis.set_xticks([])
+            axis.set_yticks([])
+            if column == 0:
+                axis.set_ylabel(first.codes[row], fontsize=10)
+        axes[0, column].set_title(f"{run.lighting} ({_clock(scene.state.hour)})", fontsize=11)
+    return _png(figure)
+
+
+def floor_plan(building: Building, runs: list[Run]) -> bytes:
+    """Return a PNG of the plan: walls, doors, windows, furniture, room codes and the paths of the runs."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon, Rectangle
+
+    (x0, x1), (y0, y1) = building.bounds
+    figure = Figure(figsize=(0.62 * (x1 - x0) + 1, 0.62 * (y1 - y0) + 1), dpi=110, layout="constrained")
+    axis = figure.subplots()
+    for room in building.rooms.values():
+        size = (room.x[1] - room.x[0], room.y[1] - room.y[0])
+        axis.add_patch(Rectangle((room.x[0], room.y[0]), *size, facecolor="#f4f1ea", edgecolor="none"))
+        axis.annotate(room.code, (room.x[0] + 0.15, room.y[1] - 0.15), va="top", fontsize=9, weight="bold", zorder=5)
+    for item in building.items:
+        if KINDS[item.kind].blocks:
+            axis.add_patch(Polygon(item.footprint(), facecolor="#d8cbb3", edgecolor="#8d7f66", linewidth=0.6))
+    segments, names = obstacles(building)
+    for (a, b), name in zip(segments, names, strict=True):
+        if "wall" in name:
+            axis.plot([a[0], b[0]], [a[1], b[1]], color="#333333", linewidth=2.2, solid_capstyle="round")
+    for opening in building.openings:
+        ends = np.array([opening.point(end, 0.0) for end in opening.interval])
+        if opening.kind in ("window", "pane"):
+            axis.plot(ends[:, 0], ends[:, 1], color="#4bb0e0", linewidth=4)
+        elif opening.kind in ("leaf", "glass"):
+            leaf = leaf_segment(building, opening, 90)
+            axis.plot(leaf[:, 0], leaf[:, 1], color="#a0522d", linewidth=1.6)
+    for run in runs:
+        poses = draw_run(building, run).track.poses
+        axis.plot(poses[:, 0], poses[:, 1], color=_COLOURS[run.lighting], linewidth=0.9, alpha=0.8)
+    for lighting in dict.fromkeys(run.lighting for run in runs):
+        axis.plot([], [], color=_COLOURS[lighting], label=f"{lighting} runs")
+    axis.legend(loc="lower right", fontsize=9)
+    axis.set_aspect("equal")
+    axis.set_xlabel("x in m")
+    axis.set_ylabel("y in m")
+    axis.set_title(f"{building.name}, seed {building.seed}")
+    return _png(figure)
+
+
+def _clock(hour: float) -> str:
+    minutes = round(hour * 60) % 1440
+    return f"{minutes // 60:02d}:{minutes % 60:02d}"
+
+
+def _png(figure: object) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png")  # type: ignore[attr-defined]
+    return buffer.getvalue()

@@ -1,0 +1,267 @@
+"""Writing a simulated data set in COLD's layout, with several processes, and going on where it was interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.files import atomic_path, content_key, read_json, storage_errors, write_json, write_text
+from siamloc.progress import track
+from siamloc.simulate.buildings import load_building
+from siamloc.simulate.camera import HEIGHT, OmnidirectionalCamera, PanoramaCamera, make_camera
+from siamloc.simulate.config import SimulateConfig
+from siamloc.simulate.layout import Array, Building
+from siamloc.simulate.render import frames, meter
+from siamloc.simulate.run import Run, draw_run
+from siamloc.simulate.scene import Scene, build_scene
+from siamloc.simulate.sensor import Exposure
+from siamloc.simulate.trajectory import Track
+
+_SCHEMA = 1
+_BATCH = 16
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What was written.
+
+    Attributes:
+        folder: of the building.
+        sequences: frames by run folder.
+        rooms: frames by room code.
+        rendered: frames rendered now, the others were there already.
+        seconds: time taken.
+        files: further files, such as the contact sheet.
+    """
+
+    folder: Path
+    sequences: dict[str, int]
+    rooms: dict[str, int]
+    rendered: int
+    seconds: float
+    files: tuple[Path, ...] = ()
+
+
+def simulate(config: SimulateConfig | Mapping[str, Any]) -> Summary:
+    """Render a data set, or go on with one that was interrupted.
+
+    With several workers, processes are spawned: a script calls this under `if __name__ == "__main__":`.
+
+    Raises:
+        ConfigError: a parameter without a meaning.
+        DataError: a building that cannot stand, a pose inside a wall, or a folder that holds another simulation.
+        StorageError: the disk refuses.
+    """
+    config = config if isinstance(config, SimulateConfig) else SimulateConfig.of(config)
+    begin = time.monotonic()
+    building = load_building(config.building, config.seed)
+    folder = config.out / building.name
+    if config.preview:
+        from siamloc.simulate.preview import write_preview
+
+        pictures = write_preview(building, config, folder / "preview")
+        return Summary(folder, {}, {}, 0, time.monotonic() - begin, pictures)
+    drives = config.drives()
+    tracks = {run.name: draw_run(building, run).track.head(config.frames) for run in drives}
+    work: list[tuple[Run, list[int]]] = []
+    for run in drives:
+        work += _missing(config, building, run, tracks[run.name], folder)
+    total = sum(len(rows) for _, rows in work)
+    for _ in track(_rendered(config, work), total, f"rendering {building.name}"):
+        pass
+    rooms: dict[str, int] = {}
+    for run in drives:
+        _finish(_sequence(folder, building, run), tracks[run.name])
+        for code in tracks[run.name].codes:
+            rooms[code] = rooms.get(code, 0) + 1
+    counts = {run.name: len(tracks[run.name]) for run in drives}
+    return Summary(folder, counts, rooms, total, time.monotonic() - begin)
+
+
+def _sequence(folder: Path, building: Building, run: Run) -> Path:
+    return folder / f"part_{building.part}" / run.name
+
+
+def _description(config: SimulateConfig, building: Building, run: Run) -> dict[str, Any]:
+    """Say what the images of a sequence are; equal descriptions mean equal bytes."""
+    camera = make_camera(config.camera)
+    lens = camera.view if isinstance(camera, PanoramaCamera) else camera.mirror
+    layout = _without_lines({key: value for key, value in asdict(building).items() if key != "source"})
+    layout["paths"] = {name: path.points for name, path in building.paths.items()}
+    return {
+        "schema": _SCHEMA,
+        "images": config.camera,
+        "rows": camera.shape[0],
+        "columns": camera.shape[1],
+        "height": HEIGHT,
+        ("mirror" if isinstance(camera, OmnidirectionalCamera) else "view"): asdict(lens),
+        "building": building.name,
+        "building_key": content_key(layout),
+        "seed": config.seed,
+        "run": run.name,
+        "path": run.path,
+        "spacing": run.spacing,
+        "trajectory": None if run.trajectory is None else Path(run.trajectory).name,
+        "trajectory_key": None if run.trajectory is None else content_key(Path(run.trajectory).read_text("utf-8")),
+        "quality": config.quality,
+    }
+
+
+def _without_lines(value: Any) -> Any:
+    """Leave out where in a file things stand: a comment more makes no other building."""
+    if isinstance(value, dict):
+        return {key: _without_lines(item) for key, item in value.items() if key != "line"}
+    if isinstance(value, (list, tuple)):
+        return [_without_lines(item) for item in value]
+    return value
+
+
+def _is_whole(path: Path) -> bool:
+    """Say whether a JPEG file has its beginning and its end."""
+    with path.open("rb") as file:
+        head = file.read(2)
+        file.seek(0, os.SEEK_END)
+        if file.tell() < 4:
+            return False
+        file.seek(-2, os.SEEK_END)
+        return head == b"\xff\xd8" and file.read() == b"\xff\xd9"
+
+
+def _missing(
+    config: SimulateConfig, building: Building, run: Run, drive: Track, folder: Path
+) -> list[tuple[Run, list[int]]]:
+    """Prepare a sequence's folder and return which frames are missing, in batches."""
+    sequence = _sequence(folder, building, run)
+    images = sequence / "omni_cam"
+    wanted = _description(config, building, run)
+    note = sequence / "camera.json"
+    present: set[str] = set()
+    if images.is_dir() and any(images.iterdir()):
+        try:
+            found = read_json(note)
+        except FormatError:
+            found = None
+        if found != wanted and not config.overwrite:
+            changed = (
+                sorted(key for key in wanted if (found or {}).get(key) != wanted[key]) if found else ["camera.json"]
+            )
+            raise DataError(
+                f"{sequence} holds images of another simulation (different: {', '.join(changed)}): choose another "
+                "out, or replace them with overwrite=true"
+            )
+        pictures = [file for file in images.iterdir() if file.is_file()]
+        if found == wanted:
+            present = {file.name for file in pictures if not file.name.startswith(".") and _is_whole(file)}
+        with storage_errors(images):
+            if any(name not in present for name in drive.names):
+                # First, so that no list ever names an image that is gone.
+                (sequence / "localization" / "places.lst").unlink(missing_ok=True)
+            for file in pictures:
+                # Left over by a process that was killed, cut short, or of another simulation.
+                if file.name not in present:
+                    file.unlink(missing_ok=True)
+    write_json(note, wanted)
+    rows = [row for row, name in enumerate(drive.names) if name not in present]
+    return [(run, rows[start : start + _BATCH]) for start in range(0, len(rows), _BATCH)]
+
+
+def _finish(sequence: Path, drive: Track) -> None:
+    """Write the list of a sequence whose images are all there."""
+    lines = [f"{name} {code}\n" for name, code in zip(drive.names, drive.codes, strict=True)]
+    write_text(sequence / "localization" / "places.lst", "".join(lines))
+
+
+def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iterator[int]:
+    """Render every batch and yield once for each frame written."""
+    workers = config.workers or min(_processors(), 8)
+    workers = min(workers, len(work))
+    if workers <= 1:
+        global _stage
+        _stage = None  # a file of the same name may hold another building than in an earlier call
+        try:
+            for run, rows in work:
+                for _ in range(_batch(config, run, rows)):
+                    yield 1
+        finally:
+            _stage = None
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare_worker) as pool:
+        pending = [pool.submit(_batch, config, run, rows) for run, rows in work]
+        try:
+            for future in as_completed(pending):
+                for _ in range(future.result()):
+                    yield 1
+        except BrokenProcessPool as error:
+            raise DataError(
+                "a rendering process died, perhaps for want of memory: run again with fewer workers, what is done "
+                "stays; "
+                "in a script of your own call simulate under `if __name__ == '__main__':`"
+            ) from error
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def _prepare_worker() -> None:
+    """Leave one thread to every process; they share the processors, and the first one answers an interruption."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+
+
+def _end_with_parent() -> None:
+    """Stop this process when the first one was killed: nobody would collect its work."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@dataclass(frozen=True)
+class _Stage:
+    key: tuple[Any, ...]
+    scene: Scene
+    drive: Track
+    exposure: Exposure
+
+
+_stage: _Stage | None = None
+
+
+def _batch(config: SimulateConfig, run: Run, rows: list[int]) -> int:
+    """Render some frames of a run in this process, which keeps the scene for the next batch."""
+    global _stage
+    key = (config.building, config.seed, run)
+    if _stage is None or _stage.key != key:
+        _stage = None
+        scene = build_scene(load_building(config.building, config.seed), run)
+        _stage = _Stage(key, scene, scene.state.track, meter(scene, scene.state.track))
+    stage = _stage
+    images = _sequence(config.out / stage.scene.building.name, stage.scene.building, run) / "omni_cam"
+    pictures = frames(stage.scene, stage.drive, make_camera(config.camera), stage.exposure, rows)
+    for row, picture in zip(rows, pictures, strict=True):
+        _write(images / stage.drive.names[row], picture, config.quality)
+    return len(rows)
+
+
+def _write(path: Path, picture: Array, quality: int) -> None:
+    done, coded = cv2.imencode(".jpeg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise ConfigError(f"OpenCV cannot code {path.name} as JPEG: its build lacks the codec")
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(coded.tobytes())

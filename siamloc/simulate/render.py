@@ -1,0 +1,198 @@
+"""Rendering the frames of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import cv2
+import numpy as np
+
+from siamloc.data.panorama import PanoramaView
+from siamloc.simulate.camera import HEIGHT, OFFSETS, Camera, PanoramaCamera, make_camera
+from siamloc.simulate.furnish import seeded
+from siamloc.simulate.layout import Array
+from siamloc.simulate.scene import LOOKS, Scene
+from siamloc.simulate.sensor import Exposure, develop, expose
+from siamloc.simulate.trajectory import Track
+
+_PROBE = PanoramaView(height=8, width=40)
+_CHUNK = 100
+_BLURRED = 0.35
+#: Mean and deviation of the exposure compensation in stops; in the sun the meter is misled most.
+_COMPENSATION = {"cloudy": (0.0, 0.1), "night": (0.0, 0.15), "sunny": (0.4, 0.3)}
+
+
+def render(scene: Scene, poses: Array | Track, camera: Camera | str = "panorama") -> Array:
+    """Render pictures from poses.
+
+    Args:
+        scene: building, run and light.
+        poses: x, y in metres and heading in rad (n, 3), standing still; or a `Track`, whose frames are blurred by
+            its speeds.
+        camera: "panorama" (128 x 512), "omnidirectional" (480 x 640), or a camera.
+
+    Returns:
+        (n, rows, columns, 3) uint8, RGB.
+    """
+    track = poses if isinstance(poses, Track) else standing(poses)
+    chosen = make_camera(camera) if isinstance(camera, str) else camera
+    exposure = meter(scene, track)
+    return np.stack(list(frames(scene, track, chosen, exposure, range(len(track)))))
+
+
+def standing(poses: Array) -> Track:
+    """Return a track that stands still at poses (n, 3), a minute apart."""
+    poses = np.atleast_2d(np.asarray(poses, dtype=np.float64))
+    still = np.zeros(len(poses))
+    blank = ("",) * len(poses)
+    return Track(poses, 60.0 * np.arange(len(poses)), still, still, blank, blank)
+
+
+def meter(scene: Scene, track: Track) -> Exposure:
+    """Measure the light of every frame of a run and set the camera's exposure."""
+    directions = _PROBE.directions().reshape(-1, 3)
+    rays = len(directions)
+    spread = np.full(rays, 2 * np.pi / _PROBE.width, dtype=np.float32)
+    brightness, total = [], np.zeros(3)
+    for start in range(0, len(track), _CHUNK):
+        part = track.poses[start : start + _CHUNK]
+        turned = np.concatenate([_turned(directions, theta) for theta in part[:, 2]])
+        origins = np.repeat(np.column_stack([part[:, :2], np.full(len(part), HEIGHT)]), rays, axis=0)
+        light, _, _ = scene.trace(origins.astype(np.float32), turned.astype(np.float32), np.tile(spread, len(part)))
+        brightness.append(light.mean(axis=1).reshape(len(part), rays))
+        total += np.minimum(light, 3.0).sum(axis=0)
+    rng = seeded(scene.building.seed, scene.building.name, "exposure", scene.run.lighting, scene.run.number)
+    mean, spread_stops = _COMPENSATION[scene.run.lighting]
+    offset = float(rng.normal(mean, spread_stops))
+    return expose(np.concatenate(brightness), total, track.time, offset)
+
+
+def frames(scene: Scene, track: Track, camera: Camera, exposure: Exposure, rows: Iterable[int]) -> Iterator[Array]:
+    """Yield the pictures (rows, columns, 3) uint8 of some frames; each depends on its own row only."""
+    pixels = camera.pixels()
+    quiet = 0.75 if isinstance(camera, PanoramaCamera) else 1.0
+    for row in rows:
+        x, y, theta = track.poses[row]
+        light, distance = _look(scene, camera, float(x), float(y), float(theta), float(track.time[row]))
+        light *= pixels.vignette[:, None]
+        image = np.zeros((*camera.shape, 3), dtype=np.float32)
+        image[pixels.rows, pixels.columns] = light
+        reach = float(exposure.seconds[row])
+        image = _motion(image, camera, distance, float(track.speed[row]), float(track.turn_rate[row]), reach)
+        rng = seeded(scene.building.seed, scene.building.name, scene.run.name, "frame", int(row))
+        yield develop(image, float(exposure.gain[row]), exposure.balance, camera.wraps, rng, quiet)
+
+
+def _turned(directions: Array, theta: float) -> Array:
+    cosine, sine = np.cos(theta), np.sin(theta)
+    return directions @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], dtype=directions.dtype)
+
+
+def _look(scene: Scene, camera: Camera, x: float, y: float, theta: float, time: float) -> tuple[Array, Array]:
+    """Return the light (n, 3) and the distance (n,) of a camera's pixels, edges smoothed."""
+    pixels = camera.pixels()
+    eye = np.array([x, y, HEIGHT], dtype=np.float32)
+    main = _turned(pixels.directions[0], theta)
+    light, distance, quad = _cast(scene, eye, main, pixels.spread, time)
+    edge = np.flatnonzero(_edges(camera, quad))
+    if len(edge):
+        extra = [_turned(direction[edge], theta) for direction in pixels.directions[1:]]
+        more, _, _ = _cast(scene, eye, np.concatenate(extra), np.tile(pixels.spread[edge], len(OFFSETS) - 1), time)
+        # Clipping first keeps bright windows from eating the bars between their panes.
+        total = np.minimum(light[edge], 12.0) + np.minimum(more.reshape(len(OFFSETS) - 1, -1, 3), 12.0).sum(axis=0)
+        light[edge] = total / len(OFFSETS)
+    return light, distance
+
+
+def _edges(camera: Camera, quad: Array) -> Array:
+    """Return True for the pixels (n,) that see another quad than a neighbour."""
+    pixels = camera.pixels()
+    image = np.full(camera.shape, -2, dtype=np.int64)
+    image[pixels.rows, pixels.columns] = quad
+    differs = np.zeros(camera.shape, dtype=bool)
+    across = image[:, 1:] != image[:, :-1]
+    differs[:, 1:] |= across
+    differs[:, :-1] |= across
+    down = image[1:] != image[:-1]
+    differs[1:] |= down
+    differs[:-1] |= down
+    return differs[pixels.rows, pixels.columns]
+
+
+def _cast(scene: Scene, eye: Array, directions: Array, spread: Array, time: float) -> tuple[Array, Array, Array]:
+    """Trace rays from one point, people who walk included."""
+    light, distance, quad = scene.trace(np.broadcast_to(eye, directions.shape).copy(), directions, spread)
+    for number, walker in enumerate(scene.state.walkers):
+        place = walker.place(time)
+        if place is None or np.hypot(place[0] - eye[0], place[1] - eye[1]) > 12:
+            continue
+        _add_person(scene, eye, directions, spread, place, walker.look % LOOKS, light, distance, quad, number)
+    return light, distance, quad
+
+
+def _add_person(
+    scene: Scene,
+    eye: Array,
+    directions: Array,
+    spread: Array,
+    place: tuple[float, float, float],
+    look: int,
+    light: Array,
+    distance: Array,
+    quad: Array,
+    number: int,
+) -> None:
+    """Draw a walking person over what the rays met, in place."""
+    x, y, degrees = place
+    offset = np.array([x - eye[0], y - eye[1]])
+    away = float(np.hypot(*offset))
+    if away < 0.4:
+        return
+    towards = offset / away
+    flat = np.hypot(directions[:, 0], directions[:, 1])
+    near = np.flatnonzero(directions[:, :2] @ towards.astype(np.float32) > flat * np.cos(np.arctan2(0.45, away)))
+    if not len(near):
+        return
+    surfaces, caster = scene.people[look]
+    angle = np.radians(degrees)
+    origin = _turned(np.array([[-offset[0], -offset[1], eye[2]]]), -angle).astype(np.float32)
+    rays = _turned(directions[near], -angle).astype(np.float32)
+    hit, s, t, reach = caster.first_hit(np.repeat(origin, len(near), axis=0), rays)
+    keep = (hit >= 0) & (reach < distance[near])
+    if not keep.any():
+        return
+    rows, hit, s, t, reach = near[keep], hit[keep], s[keep], t[keep], reach[keep]
+    colour = surfaces.colour(scene.atlas, hit, s, t, reach * spread[rows]) * surfaces.tint[hit]
+    shade = (0.75 + 0.25 * surfaces.normals[hit, 2] + 0.12 * surfaces.normals[hit, 0])[:, None]
+    light[rows] = colour * shade * scene.light_at(x, y)
+    distance[rows] = reach
+    quad[rows] = 10**7 + 10**5 * number + hit
+
+
+def _motion(image: Array, camera: Camera, distance: Array, speed: float, turn_rate: float, seconds: float) -> Array:
+    """Blur a picture by the robot's motion while the shutter stands open."""
+    if abs(turn_rate) * seconds < 0.002 and abs(speed) * seconds < 0.002:
+        return image
+    pixels = camera.pixels()
+    reach = np.minimum(distance, 50.0)[:, None]
+    points = pixels.directions[0] * reach
+    moves = np.empty_like(points)
+    moves[:, 0] = -speed * seconds + turn_rate * seconds * points[:, 1]
+    moves[:, 1] = -turn_rate * seconds * points[:, 0]
+    moves[:, 2] = 0
+    dx, dy = camera.displacement(moves, points)
+    if max(np.abs(dx).max(), np.abs(dy).max()) < _BLURRED:
+        return image
+    flow: Array = np.zeros((*camera.shape, 2), dtype=np.float32)
+    flow[pixels.rows, pixels.columns, 0] = np.clip(dx, -12, 12)
+    flow[pixels.rows, pixels.columns, 1] = np.clip(dy, -12, 12)
+    flow = cv2.blur(flow, (3, 3))
+    rows, columns = np.mgrid[0 : camera.shape[0], 0 : camera.shape[1]].astype(np.float32)
+    border = cv2.BORDER_WRAP if camera.wraps else cv2.BORDER_REPLICATE
+    total = image.copy()
+    for share in (-0.4, -0.2, 0.2, 0.4):
+        x, y = columns + share * flow[..., 0], rows + share * flow[..., 1]
+        if camera.wraps:
+            y = np.clip(y, 0, camera.shape[0] - 1)
+        total += cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=border)
+    return total / 5

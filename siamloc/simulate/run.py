@@ -1,0 +1,250 @@
+"""What is particular to one drive: the hour, lamps, doors, chairs and people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from siamloc.errors import ConfigError, hint
+from siamloc.simulate.furnish import seeded
+from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.layout import Array, Building, Item, Room
+from siamloc.simulate.plan import clearance, inside_item, obstacles
+from siamloc.simulate.shell import Fixtures, leaf_segment
+from siamloc.simulate.trajectory import Track, drive, listed
+
+LIGHTINGS = ("cloudy", "night", "sunny")
+_START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
+_EPOCH = 1152860400.0
+_KEEP_OFF = 0.42
+_LAMP = {"panel": 30.0, "tube": 42.0, "round": 48.0}
+
+
+@dataclass(frozen=True)
+class Run:
+    """Which drive: its name is COLD's, such as seq2_cloudy1.
+
+    Attributes:
+        lighting: "cloudy", "night" or "sunny".
+        number: 1, 2, ... within the lighting; every number is another hour and another day.
+        path: name of one of the building's paths.
+        spacing: metres between frames.
+        trajectory: a `places.lst` whose poses are taken instead of the path.
+    """
+
+    lighting: str = "cloudy"
+    number: int = 1
+    path: str = "path2"
+    spacing: float = 0.15
+    trajectory: FilePath | None = None
+
+    def __post_init__(self) -> None:
+        if self.lighting not in LIGHTINGS:
+            raise ConfigError(f"lighting {self.lighting!r} is unknown; {hint(self.lighting, LIGHTINGS)}")
+        if self.number != int(self.number) or self.number < 1:
+            raise ConfigError(f"a run's number must be a whole number from 1, got {self.number}")
+
+    @property
+    def name(self) -> str:
+        """Folder name: seq<path>_<lighting><number>."""
+        digits = "".join(letter for letter in self.path if letter.isdigit()) or "1"
+        return f"seq{digits}_{self.lighting}{self.number}"
+
+    @classmethod
+    def parse(cls, name: str, path: str = "path2", spacing: float = 0.15, trajectory: FilePath | None = None) -> Run:
+        """Return the run called such as "cloudy1".
+
+        Raises:
+            ConfigError: not a lighting followed by a number.
+        """
+        lighting = name.rstrip("0123456789")
+        number = name[len(lighting) :]
+        if lighting not in LIGHTINGS or not number:
+            raise ConfigError(
+                f"a run is a lighting and a number such as cloudy1, got {name!r}; {hint(lighting, LIGHTINGS)}"
+            )
+        return cls(lighting, int(number), path, spacing, trajectory)
+
+
+@dataclass(frozen=True)
+class Walker:
+    """A person who walks along a line: plan positions (2, 2), and times in seconds of its two ends."""
+
+    line: Array
+    times: tuple[float, float]
+    look: int
+
+    def place(self, time: float) -> tuple[float, float, float] | None:
+        """Return x, y and walking direction in degrees at a time, None while away."""
+        begin, end = self.times
+        if not begin <= time <= end:
+            return None
+        point = self.line[0] + (time - begin) / (end - begin) * (self.line[1] - self.line[0])
+        step = self.line[1] - self.line[0]
+        return float(point[0]), float(point[1]), float(np.degrees(np.arctan2(step[1], step[0])))
+
+
+@dataclass(frozen=True)
+class RunState:
+    """Everything that was drawn for one run.
+
+    Attributes:
+        track: the drive.
+        items: where everything stands, people included.
+        fixtures: doors, blinds, lamps.
+        walkers: people who walk.
+        hour: solar time.
+        declination: of the sun in degrees.
+    """
+
+    track: Track
+    items: tuple[Item, ...]
+    fixtures: Fixtures
+    walkers: tuple[Walker, ...]
+    hour: float
+    declination: float
+
+
+def draw_run(building: Building, run: Run) -> RunState:
+    """Draw one run of a building."""
+    rng = seeded(building.seed, building.name, "run", run.lighting, run.number, run.path)
+    hour = _START[run.lighting] + 2.6 * ((run.number - 1) % 3) + rng.uniform(-0.4, 0.4)
+    declination = float(rng.uniform(-10, 0))
+    if run.trajectory is not None:
+        track = listed(building, run.trajectory)
+    else:
+        day = 86400.0 * (3 * (run.number - 1) + LIGHTINGS.index(run.lighting))
+        track = drive(building, run.path, run.spacing, rng, round(_EPOCH + day + 3600 * hour, 6))
+    angles = _door_angles(building, track, rng)
+    fixtures = Fixtures(angles, _blinds(building, run, rng), _lamps_on(building, run, rng))
+    items = [*_moved_items(building, track, angles, rng), *_standing_people(building, track, rng)]
+    return RunState(track, tuple(items), fixtures, _walkers(building, track, rng), hour, declination)
+
+
+def _door_angles(building: Building, track: Track, rng: np.random.Generator) -> dict[int, float]:
+    angles = {}
+    points = track.poses[:, :2]
+    for index, opening in enumerate(building.openings):
+        if opening.kind not in ("leaf", "glass"):
+            continue
+        middle = np.array(opening.point(opening.centre, 0.0))
+        used = bool((np.linalg.norm(points - middle, axis=1) < opening.width / 2 + 0.25).any())
+        wide, ajar, shut = rng.uniform(86, 98), rng.uniform(15, 80), rng.random() < 0.6
+        angle = wide if used else (0.0 if shut else ajar)
+        if not used and clearance(points, leaf_segment(building, opening, angle)[None]).min() < _KEEP_OFF:
+            angle = 0.0
+        angles[index] = float(angle)
+    return angles
+
+
+def _blinds(building: Building, run: Run, rng: np.random.Generator) -> dict[int, float]:
+    usual = seeded(building.seed, building.name, "blinds")
+    blinds = {}
+    for index, opening in enumerate(building.openings):
+        if opening.kind != "window":
+            continue
+        share = float(usual.choice([0.0, 0.0, 0.12, 0.25]))
+        drawn, changed = float(rng.uniform(0.1, 0.6)), rng.random()
+        if changed < {"cloudy": 0.05, "night": 0.2, "sunny": 0.7}[run.lighting]:
+            share = drawn
+        blinds[index] = share
+    return blinds
+
+
+def _lamps_on(building: Building, run: Run, rng: np.random.Generator) -> dict[str, tuple[float, float, float]]:
+    usual = seeded(building.seed, building.name, "lamps")
+    lamps = {}
+    for room in building.rooms.values():
+        windows = any(opening.kind == "window" for opening in building.openings_of(room.name))
+        by_day = usual.random() < (0.97 if windows else 1.0)
+        change, warmth, level = rng.random(), usual.uniform(0.0, 1.0), usual.uniform(0.85, 1.15)
+        on = {"night": True, "cloudy": by_day, "sunny": change < 0.06 or not windows}[run.lighting]
+        if on:
+            b = _LAMP[room.lamps[0]] * level
+            lamps[room.name] = (b, b * (0.86 - 0.05 * warmth), b * (0.66 - 0.12 * warmth))
+    return lamps
+
+
+def _moved_items(building: Building, track: Track, angles: dict[int, float], rng: np.random.Generator) -> list[Item]:
+    leaves = [leaf_segment(building, building.openings[index], angle) for index, angle in angles.items()]
+    placed: list[Item] = []
+    for number, item in enumerate(building.items):
+        kind = KINDS[item.kind]
+        if kind.moves <= 0 and (kind.turns <= 0 or not kind.blocks):
+            placed.append(item)
+            continue
+        others = [*placed, *building.items[number + 1 :]]
+        chosen = item
+        for _ in range(8):
+            shift = rng.uniform(-kind.moves, kind.moves, 2)
+            turn = rng.uniform(-kind.turns, kind.turns)
+            trial = replace(item, x=item.x + shift[0], y=item.y + shift[1], facing=item.facing + turn)
+            if _fits(building, trial, others, track, leaves):
+                chosen = trial
+                break
+        placed.append(chosen)
+    return placed
+
+
+def _fits(building: Building, item: Item, others: list[Item], track: Track, leaves: list[Array]) -> bool:
+    room = building.rooms[item.room]
+    corners = item.footprint()
+    inner = np.array(room.inner())
+    if (corners < inner[:, 0]).any() or (corners > inner[:, 1]).any():
+        return False
+    edges = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    if clearance(track.poses[:, :2], edges).min() < _KEEP_OFF or inside_item(item, track.poses[:, :2]).any():
+        return False
+    probe = np.concatenate([corners, edges.mean(axis=1), [[item.x, item.y]]])
+    for other in others:
+        if other.room == item.room and KINDS[other.kind].blocks:
+            around = np.concatenate([other.footprint(), [[other.x, other.y]]])
+            if inside_item(other, probe).any() or inside_item(item, around).any():
+                return False
+    return all(clearance(probe, leaf[None]).min() > 0.1 for leaf in leaves)
+
+
+def _standing_people(building: Building, track: Track, rng: np.random.Generator) -> list[Item]:
+    segments, _ = obstacles(building)
+    people: list[Item] = []
+    wanted = int(rng.integers(1, 5))
+    rooms = list(building.rooms.values())
+    for _ in range(60):
+        if len(people) == wanted:
+            break
+        room: Room = rooms[int(rng.integers(len(rooms)))]
+        x = rng.uniform(room.x[0] + 0.4, room.x[1] - 0.4)
+        y = rng.uniform(room.y[0] + 0.4, room.y[1] - 0.4)
+        facing, height = rng.uniform(0, 360), rng.uniform(1.6, 1.9)
+        item = Item("person", x, y, facing, (0.5, 0.4, height), 0.0, room.name, {"look": int(rng.integers(1000))})
+        edges = np.stack([item.footprint(), np.roll(item.footprint(), -1, axis=0)], axis=1)
+        blocked = any(inside_item(other, np.array([[x, y]]), 0.3).any() for other in building.items
+                      if other.room == room.name and KINDS[other.kind].blocks)  # fmt: skip
+        if (
+            not blocked
+            and clearance(np.array([[x, y]]), segments)[0] > 0.35
+            and (clearance(track.poses[:, :2], edges).min() > _KEEP_OFF)
+        ):
+            people.append(item)
+    return people
+
+
+def _walkers(building: Building, track: Track, rng: np.random.Generator) -> tuple[Walker, ...]:
+    """Let people walk through the longest room while the robot drives, on the side that the robot leaves free."""
+    room = max(building.rooms.values(), key=lambda r: max(r.x[1] - r.x[0], r.y[1] - r.y[0]))
+    (x0, x1), (y0, y1) = room.inner(0.45)
+    along_x = x1 - x0 > y1 - y0
+    lanes = (y0, y1) if along_x else (x0, x1)
+    ends = (x0, x1) if along_x else (y0, y1)
+    duration = float(track.time[-1] - track.time[0])
+    walkers = []
+    for _ in range(max(1, round(duration / 60))):
+        begin = float(track.time[0]) + rng.uniform(0, max(duration - 10, 1))
+        speed, lane, back = rng.uniform(0.9, 1.4), lanes[int(rng.integers(2))], rng.random() < 0.5
+        look = int(rng.integers(6))
+        start, end = (ends[1], ends[0]) if back else ends
+        line = np.array([[start, lane], [end, lane]]) if along_x else np.array([[lane, start], [lane, end]])
+        walkers.append(Walker(line, (begin, begin + abs(end - start) / speed), look))
+    return tuple(walkers)

@@ -1,0 +1,194 @@
+"""A building in one run: geometry, textures and baked light, ready for casting rays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from siamloc.simulate.atlas import TextureAtlas, sample
+from siamloc.simulate.bake import BakedLight, bake
+from siamloc.simulate.furnish import add_items, seeded
+from siamloc.simulate.layout import Array, Building, Item
+from siamloc.simulate.lightgrid import Caster
+from siamloc.simulate.mesh import MeshBuilder, QuadMesh
+from siamloc.simulate.prints import print_textures
+from siamloc.simulate.run import Run, RunState, draw_run
+from siamloc.simulate.shell import add_shell, draw_style
+from siamloc.simulate.sky import Sky, make_sky
+from siamloc.simulate.textures import base_textures
+
+LOOKS = 6
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """A quad mesh with what a hit needs to know, in single precision."""
+
+    mesh: QuadMesh
+    texture: Array
+    repeat: Array
+    phase: Array
+    tint: Array
+    emission: Array
+    normals: Array
+    glows: Array
+    texels: Array
+
+    @classmethod
+    def of(cls, mesh: QuadMesh, atlas: TextureAtlas) -> Surfaces:
+        """Prepare a mesh; `texels` is how many texels of the largest texture copy one metre holds (Q,)."""
+        stretched = 256 / np.sqrt(np.maximum(mesh.size[:, 0] * mesh.size[:, 1], 1e-8))
+        texel = atlas.texel[mesh.texture]
+        texels = np.where(np.isnan(texel), stretched, 1 / np.where(np.isnan(texel), 1, texel))
+        return cls(
+            mesh,
+            mesh.texture,
+            mesh.repeat.astype(np.float32),
+            mesh.phase.astype(np.float32),
+            mesh.tint.astype(np.float32),
+            mesh.emission.astype(np.float32),
+            mesh.normals.astype(np.float32),
+            mesh.emission.max(axis=1) > 0,
+            texels.astype(np.float32),
+        )
+
+    def colour(self, atlas: TextureAtlas, quad: Array, s: Array, t: Array, footprint: Array) -> Array:
+        """Return the texture's linear colour (n, 3) without tint; `footprint` is the pixel's size in metres (n,)."""
+        s, t = np.clip(s, 0, 0.99999), np.clip(t, 0, 0.99999)
+        u = self.phase[quad, 0] + s * self.repeat[quad, 0]
+        v = self.phase[quad, 1] + t * self.repeat[quad, 1]
+        level = np.log2(np.maximum(footprint * self.texels[quad], 1.0))
+        return atlas.lookup(self.texture[quad], u, v, level)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that rendering needs.
+
+    Attributes:
+        building: the floor plan.
+        run: which drive.
+        state: what was drawn for it.
+        atlas: all textures.
+        surfaces: all quads.
+        caster: rays against them.
+        light: what was baked.
+        sky: what lies outside.
+        people: what the walkers look like, each standing at the origin and facing +x.
+    """
+
+    building: Building
+    run: Run
+    state: RunState
+    atlas: TextureAtlas
+    surfaces: Surfaces
+    caster: Caster
+    light: BakedLight
+    sky: Sky
+    people: tuple[tuple[Surfaces, Caster], ...]
+
+    def trace(self, origins: Array, directions: Array, spread: Array) -> tuple[Array, Array, Array]:
+        """Return the radiosity (n, 3) that rays meet, their lengths in metres (n,), and what they hit (n,).
+
+        Rays that leave the building have the length infinity and hit -1. What they hit is the number of the quad, plus
+        the count of quads where the sun falls on it: pixels with equal numbers show no edge between them.
+
+        Args:
+            origins: metres (n, 3), float32.
+            directions: unit vectors (n, 3), float32.
+            spread: angle that a pixel covers in rad (n,).
+        """
+        quad, s, t, distance = self.caster.first_hit(origins, directions)
+        missed = np.flatnonzero(quad < 0)
+        distance[missed] = 1.0
+        mesh = self.surfaces
+        facing = np.abs(np.einsum("ij,ij->i", mesh.normals[quad], directions))
+        footprint = distance * spread / np.sqrt(np.maximum(facing, 0.05))
+        colour = mesh.colour(self.atlas, quad, s, t, footprint)
+        x, y = self.light.grid.position(quad, s, t)
+        arriving = sample(self.light.light, x, y)
+        lit = missed[:0]
+        if self.light.sunny is not None:
+            lit = self._add_sun(arriving, origins, directions, quad, distance, x, y)
+        radiosity = colour * mesh.tint[quad] * arriving
+        glowing = np.flatnonzero(mesh.glows[quad])
+        radiosity[glowing] += colour[glowing] * mesh.emission[quad[glowing]]
+        radiosity[missed] = self.sky.look(directions[missed])
+        distance = np.where(quad < 0, np.inf, distance)
+        quad[lit] += len(mesh.mesh)
+        return radiosity, distance, quad
+
+    def _add_sun(
+        self, arriving: Array, origins: Array, directions: Array, quad: Array, distance: Array, x: Array, y: Array
+    ) -> Array:
+        """Add the sun where a shadow ray finds it, only near places that the baking found sunny; return the rays."""
+        assert self.sky.sun is not None
+        assert self.light.sunny is not None
+        near = self.light.sunny[np.rint(y).astype(np.int64), np.rint(x).astype(np.int64)] > 0
+        rows = np.flatnonzero(near & (quad >= 0))
+        sun = self.sky.sun.astype(np.float32)
+        facing = self.surfaces.normals[quad[rows]] @ sun
+        rows, facing = rows[facing > 0.01], facing[facing > 0.01]
+        if not len(rows):
+            return rows
+        points = origins[rows] + (distance[rows, None] - 0.003) * directions[rows]
+        points += 0.003 * self.surfaces.normals[quad[rows]]
+        seen = ~self.caster.blocked(points, np.tile(sun, (len(rows), 1)))
+        arriving[rows[seen]] += facing[seen, None] * self.sky.sun_radiosity.astype(np.float32)
+        return rows[seen]
+
+    def light_at(self, x: float, y: float) -> Array:
+        """Return the light (3,) that the floor receives at a place, without the sun."""
+        origin = np.array([[x, y, 0.3]], dtype=np.float32)
+        quad, s, t, _ = self.caster.first_hit(origin, np.array([[0, 0, -1]], dtype=np.float32))
+        return sample(self.light.light, *self.light.grid.position(quad, s, t))[0]
+
+
+def build_scene(building: Building, run: Run) -> Scene:
+    """Put a building into the state of one run and bake its light."""
+    state = draw_run(building, run)
+    atlas, index = _textures(building.name, building.seed)
+    builder = MeshBuilder(dict(index))
+    style = draw_style(seeded(building.seed, building.name, "style"))
+    lamps = add_shell(builder, building, state.fixtures, style)
+    add_items(builder, building, state.items)
+    mesh = builder.build()
+    sky = make_sky(
+        run.lighting,
+        seeded(building.seed, building.name, "sky", run.lighting, run.number),
+        seeded(building.seed, building.name, "view"),
+        state.hour,
+        building.north,
+        state.declination,
+    )
+    caster = Caster(mesh)
+    albedo = atlas.mean[mesh.texture] * mesh.tint
+    rng = seeded(building.seed, building.name, "light", run.lighting, run.number)
+    light = bake(building, mesh, caster, albedo, lamps, sky, rng)
+    return Scene(
+        building, run, state, atlas, Surfaces.of(mesh, atlas), caster, light, sky, _people(building, index, atlas)
+    )
+
+
+def _people(building: Building, index: dict[str, Any], atlas: TextureAtlas) -> tuple[tuple[Surfaces, Caster], ...]:
+    people = []
+    for look in range(LOOKS):
+        builder = MeshBuilder(dict(index))
+        room = next(iter(building.rooms))
+        height = 1.62 + 0.05 * look
+        standing = Item("person", 0.0, 0.0, 0.0, (0.5, 0.4, height), 0.0, room)
+        add_items(builder, replace(building, name=f"{building.name} walker {look}"), [standing])
+        mesh = builder.build()
+        people.append((Surfaces.of(mesh, atlas), Caster(mesh)))
+    return tuple(people)
+
+
+@lru_cache(maxsize=2)
+def _textures(name: str, seed: int) -> tuple[TextureAtlas, dict[str, Any]]:
+    rng = seeded(seed, name, "textures")
+    textures = base_textures(rng) | print_textures(rng)
+    index = {key: (number, texture.tile) for number, (key, texture) in enumerate(textures.items())}
+    return TextureAtlas(textures.values()), index

@@ -1,0 +1,288 @@
+"""Walls, floors, ceilings, doors, windows and lamps of a building as quads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from siamloc.simulate.layout import HALF_WALL, OUTER_WALL, SIDES, Array, Building, Opening, Room
+from siamloc.simulate.mesh import BLACK, WHITE, MeshBuilder, Point
+
+SKIRTING = 0.09
+_CASING = 0.07
+_GAP = 0.005
+
+
+@dataclass(frozen=True)
+class Fixtures:
+    """How the shell of a building stands in one run.
+
+    Attributes:
+        door_angles: degrees that each leaf stands open, by position in `Building.openings`.
+        blinds: share of each window that its blind covers, by position in `Building.openings`.
+        lamps_on: radiosity (3,) of the lit lamps by room name; absent where they are off.
+    """
+
+    door_angles: dict[int, float]
+    blinds: dict[int, float]
+    lamps_on: dict[str, tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class Style:
+    """Colours of a building's woodwork, linear; the leaves of its doors take turns."""
+
+    frame: tuple[float, float, float]
+    leaves: tuple[tuple[str, tuple[float, float, float]], ...]
+    skirting: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A lit luminaire: the middle of its shining face, its area in square metres and its radiosity."""
+
+    x: float
+    y: float
+    z: float
+    area: float
+    radiosity: tuple[float, float, float]
+    room: str
+
+
+def draw_style(rng: np.random.Generator) -> Style:
+    """Draw the woodwork of a building."""
+    frames = ((0.10, 0.13, 0.20), (0.30, 0.08, 0.07), (0.08, 0.20, 0.14), (0.22, 0.22, 0.24), (0.75, 0.74, 0.70))
+    leaves = ("beech", "wood", "walnut", "plain")
+    frame = frames[rng.integers(len(frames))]
+    drawn = []
+    for leaf in rng.permutation(leaves):
+        shade = float(rng.uniform(0.6, 1.0))
+        cool = leaf == "plain"
+        drawn.append((str(leaf), (0.7 * shade if cool else shade, 0.8 * shade if cool else shade, shade)))
+    shade = float(rng.uniform(0.06, 0.3))
+    return Style(frame, tuple(drawn), (shade, shade, shade))
+
+
+def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, style: Style) -> list[Lamp]:
+    """Add everything of a building that does not stand in a room, and return its lit lamps."""
+    lamps: list[Lamp] = []
+    for index, room in enumerate(building.rooms.values()):
+        builder.room = index
+        _slabs(builder, room)
+        for side in SIDES:
+            _wall(builder, building, room, side, fixtures, style)
+        lamps += _lamps(builder, room, fixtures.lamps_on.get(room.name))
+    return lamps
+
+
+def wall_frame(room: Room, side: str) -> tuple[float, float, float, float, float]:
+    """Return x, y, turn in degrees, half length and sign of a wall seen from inside the room.
+
+    In the wall's frame y points into the room and x = sign * (coordinate along the wall - its middle).
+    """
+    (x0, x1), (y0, y1) = room.inner()
+    cx, cy = room.centre
+    turn = SIDES[side] - 90
+    if side in ("north", "south"):
+        return cx, (y1 if side == "north" else y0), turn, (x1 - x0) / 2, (-1 if side == "north" else 1)
+    return (x1 if side == "east" else x0), cy, turn, (y1 - y0) / 2, (1 if side == "east" else -1)
+
+
+def leaf_segment(building: Building, opening: Opening, angle: float) -> Array:
+    """Return the two ends (2, 2) of an open door's leaf on the floor plan."""
+    room = building.rooms[opening.into]
+    low, high = opening.interval
+    hinge, tip = (low, high) if opening.hinge == "low" else (high, low)
+    into = 1.0 if getattr(room, "y" if opening.along == "x" else "x")[0] >= opening.level - 1e-6 else -1.0
+    start = np.array(opening.point(hinge, into * HALF_WALL))
+    closed = np.array(opening.point(tip, into * HALF_WALL)) - start
+    inwards = np.array(opening.point(0.0, 1.0)) - np.array(opening.point(0.0, 0.0))
+    radians = np.radians(angle)
+    return np.stack([start, start + np.cos(radians) * closed + np.sin(radians) * into * opening.width * inwards])
+
+
+def _slabs(b: MeshBuilder, room: Room) -> None:
+    (x0, x1), (y0, y1) = room.inner()
+    b.quad((x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0), room.floor)
+    h = room.height
+    b.quad((x0, y1, h), (x1, y1, h), (x1, y0, h), (x0, y0, h), room.ceiling)
+
+
+def _panel(b: MeshBuilder, x: Point, z: Point, y: float, texture: str, tint: Point) -> None:
+    """Add a piece of wall between x[0] < x[1] and z[0] < z[1]."""
+    if x[1] - x[0] < 1e-4 or z[1] - z[0] < 1e-4:
+        return
+    tile = b.textures[texture][1]
+    phase = (-x[1] / tile[0], z[0] / tile[1]) if tile else (0.0, 0.0)
+    b.quad((x[1], y, z[0]), (x[0], y, z[0]), (x[0], y, z[1]), (x[1], y, z[1]), texture, tint, phase=phase)
+
+
+def _wall(b: MeshBuilder, building: Building, room: Room, side: str, fixtures: Fixtures, style: Style) -> None:
+    x, y, turn, half, sign = wall_frame(room, side)
+    along = "x" if side in ("north", "south") else "y"
+    level = getattr(room, "y" if along == "x" else "x")[1 if side in ("north", "east") else 0]
+    middle = room.centre[0 if along == "x" else 1]
+    found = []
+    for index, opening in enumerate(building.openings):
+        if opening.along == along and abs(opening.level - level) < 1e-6 and room.name in opening.rooms:
+            ends = sorted(sign * (end - middle) for end in opening.interval)
+            found.append((ends[0], ends[1], index, opening))
+    found.sort(key=lambda entry: entry[0])
+    with b.at(x, y, 0, turn):
+        cursor = -half
+        for left, right, index, opening in found:
+            _piece(b, room, (cursor, left), (0, room.height), style)
+            _piece(b, room, (left, right), (0, opening.bottom), style)
+            _piece(b, room, (left, right), (opening.top, room.height), style)
+            if opening.kind == "window":
+                _window(b, room, left, right, opening, fixtures.blinds.get(index, 0.0))
+            else:
+                _doorway(b, room, left, right, opening, style, owner=opening.rooms[0] == room.name)
+                if opening.kind in ("leaf", "glass") and opening.into == room.name:
+                    hinge_left = (opening.hinge == "low") == (sign > 0)
+                    leaf = style.leaves[index % len(style.leaves)]
+                    _leaf(b, (left, right), opening, hinge_left, fixtures.door_angles.get(index, 0.0), leaf, style)
+            cursor = right
+        _piece(b, room, (cursor, half), (0, room.height), style)
+
+
+def _piece(b: MeshBuilder, room: Room, x: tuple[float, float], z: tuple[float, float], style: Style) -> None:
+    low = z[0]
+    if low < SKIRTING < z[1]:
+        _panel(b, x, (low, SKIRTING), 0, "plain", style.skirting)
+        low = SKIRTING
+    if room.wainscot and low < room.wainscot[1]:
+        top = min(room.wainscot[1], z[1])
+        _panel(b, x, (low, top), 0, room.wainscot[0], (1, 1, 1))
+        low = top
+    _panel(b, x, (low, z[1]), 0, room.walls, room.paint)
+
+
+def _reveal(
+    b: MeshBuilder,
+    x: tuple[float, float],
+    z: tuple[float, float],
+    depth: float,
+    texture: str,
+    tint: Point,
+    floor: str | None = None,
+) -> None:
+    """Line the sides of a hole that goes `depth` into the wall; where it reaches the ground, with the floor."""
+    (x0, x1), (z0, z1), y = x, z, -depth
+    b.quad((x0, y, z0), (x0, 0, z0), (x0, 0, z1), (x0, y, z1), texture, tint)
+    b.quad((x1, 0, z0), (x1, y, z0), (x1, y, z1), (x1, 0, z1), texture, tint)
+    b.quad((x0, 0, z1), (x1, 0, z1), (x1, y, z1), (x0, y, z1), texture, tint)
+    sill = (texture, tint) if z0 > 0 or floor is None else (floor, WHITE)
+    b.quad((x0, y, z0), (x1, y, z0), (x1, 0, z0), (x0, 0, z0), *sill)
+
+
+def _window(b: MeshBuilder, room: Room, left: float, right: float, opening: Opening, blind: float) -> None:
+    z0, z1 = opening.bottom, opening.top
+    _reveal(b, (left, right), (z0, z1), OUTER_WALL, "paint", (1, 1, 1))
+    width, height = right - left, z1 - z0
+    y0, y1 = -0.22, -0.16
+    white = (0.9, 0.9, 0.9)
+    bar = 0.05
+    b.box((left, y0, z0), (left + bar, y1, z1), "plastic", white)
+    b.box((right - bar, y0, z0), (right, y1, z1), "plastic", white)
+    b.box((left, y0, z0), (right, y1, z0 + bar), "plastic", white)
+    b.box((left, y0, z1 - bar), (right, y1, z1), "plastic", white)
+    for i in range(1, max(1, round(width / 0.85))):
+        middle = left + width * i / max(1, round(width / 0.85))
+        b.box((middle - bar * 0.7, y0, z0), (middle + bar * 0.7, y1, z1), "plastic", white)
+    if height > 1.7:
+        b.box((left, y0, z0 + 0.55), (right, y1, z0 + 0.55 + bar), "plastic", white)
+    if z0 > 0.3:
+        b.box((left - 0.06, -0.16, z0 - 0.035), (right + 0.06, 0.10, z0 + _GAP), "plain", (0.85, 0.84, 0.82))
+    if blind > 0.02:
+        bottom = z1 - blind * height
+        _panel(b, (left + 0.01, right - 0.01), (bottom, z1), -0.10, "fabric", (0.95, 0.93, 0.86))
+        b.box((left + 0.01, -0.115, bottom - 0.03), (right - 0.01, -0.09, bottom), "metal")
+
+
+def _doorway(
+    b: MeshBuilder, room: Room, left: float, right: float, opening: Opening, style: Style, owner: bool
+) -> None:
+    z0, z1 = opening.bottom, opening.top
+    _reveal(b, (left, right), (z0, z1), HALF_WALL, "plain", style.frame, room.floor)
+    if opening.kind == "open" and opening.width > 1.6:
+        return
+    c, out = _CASING, 0.03
+    b.box((left - c, 0, z0), (left, out, z1 + c), "plain", style.frame, skip=("back", "bottom"))
+    b.box((right, 0, z0), (right + c, out, z1 + c), "plain", style.frame, skip=("back", "bottom"))
+    b.box((left, 0, z1), (right, out, z1 + c), "plain", style.frame, skip=("back", "left", "right"))
+    if opening.kind == "pane":
+        b.box((left, 0, z0 - c), (right, out, z0), "plain", style.frame, skip=("back", "left", "right"))
+        if owner:
+            count = max(1, round((right - left) / 0.9))
+            for i in range(1, count):
+                x = left + (right - left) * i / count
+                b.box((x - 0.025, -0.085, z0), (x + 0.025, -0.035, z1), "plain", style.frame)
+
+
+def _leaf(
+    b: MeshBuilder,
+    ends: tuple[float, float],
+    opening: Opening,
+    hinge_left: bool,
+    angle: float,
+    leaf: tuple[str, tuple[float, float, float]],
+    style: Style,
+) -> None:
+    left, right = ends
+    width = right - left - 0.02
+    with b.at(left + 0.01 if hinge_left else right - 0.01, 0, 0, angle if hinge_left else -angle):
+        x0, x1 = (0.0, width) if hinge_left else (-width, 0.0)
+        z1 = opening.top - 0.01
+        if opening.kind == "glass":
+            bar = 0.09
+            b.box((x0, -0.04, 0.01), (x0 + bar, 0, z1), "metal", style.frame)
+            b.box((x1 - bar, -0.04, 0.01), (x1, 0, z1), "metal", style.frame)
+            b.box((x0 + bar, -0.04, 0.01), (x1 - bar, 0, 0.2), "metal", style.frame)
+            b.box((x0 + bar, -0.04, z1 - bar), (x1 - bar, 0, z1), "metal", style.frame)
+        else:
+            b.box((x0, -0.04, 0.01), (x1, 0, z1), *leaf)
+        grip = x1 - 0.16 if hinge_left else x0 + 0.04
+        b.box((grip, -0.09, 1.02), (grip + 0.12, -0.04, 1.05), "metal", (0.35, 0.35, 0.36))
+        b.box((grip, 0, 1.02), (grip + 0.12, 0.05, 1.05), "metal", (0.35, 0.35, 0.36))
+
+
+def _lamps(b: MeshBuilder, room: Room, radiosity: tuple[float, float, float] | None) -> list[Lamp]:
+    kind, nx, ny = room.lamps
+    (x0, x1), (y0, y1) = room.inner()
+    glow = radiosity or BLACK
+    lamps = []
+    for i in range(nx):
+        for j in range(ny):
+            x, y = x0 + (x1 - x0) * (i + 0.5) / nx, y0 + (y1 - y0) * (j + 0.5) / ny
+            if kind == "round":
+                side_glow = (0.6 * glow[0], 0.6 * glow[1], 0.6 * glow[2])
+                z = room.height - 0.12
+                ring = np.arange(11) * (2 * np.pi / 10)
+                b.prism(x, y, (z, room.height), 0.2, "plain", (0.9, 0.9, 0.9), sides=10, emission=side_glow)
+                edge = np.column_stack([x + 0.2 * np.cos(-ring), y + 0.2 * np.sin(-ring), np.full(11, z)])
+                for k in range(1, 9, 2):
+                    b.quad(edge[0], edge[k], edge[k + 1], edge[min(k + 2, 10)], "plain", emission=glow)
+                area = 0.125
+            else:
+                across = (y1 - y0) > (x1 - x0) if kind == "tube" else False
+                w, d = {"panel": (0.58, 0.58), "tube": (1.25, 0.16)}[kind]
+                w, d = (d, w) if across else (w, d)
+                z = room.height - (0.04 if kind == "panel" else 0.16)
+                rim = 0.025
+                low, high = (x - w / 2 - rim, y - d / 2 - rim), (x + w / 2 + rim, y + d / 2 + rim)
+                b.box((*low, z), (*high, z + 0.05), "metal", (0.7, 0.7, 0.7), skip=("bottom",))
+                b.quad((low[0], high[1], z), (high[0], high[1], z), (*high[:1], low[1], z), (*low, z), "plain")
+                under = z - 0.004
+                b.quad(
+                    (x - w / 2, y + d / 2, under), (x + w / 2, y + d / 2, under),
+                    (x + w / 2, y - d / 2, under), (x - w / 2, y - d / 2, under),
+                    "plain", emission=glow,
+                )  # fmt: skip
+                if kind == "tube":
+                    b.box((x - 0.01, y - 0.01, z + 0.05), (x + 0.01, y + 0.01, room.height), "metal", skip=("top",))
+                area = w * d
+            if radiosity:
+                lamps.append(Lamp(x, y, z - 0.02, area, radiosity, room.name))
+    return lamps

@@ -1,0 +1,160 @@
+"""Procedural textures: small images that stand for a surface's colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from siamloc.simulate.layout import Array, single
+
+SIZE = 256
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Texture:
+    """An image of a surface.
+
+    Attributes:
+        image: (SIZE, SIZE, 3) uint8, RGB, gamma coded; the first row is the top.
+        tile: metres that one copy covers in width and height; None stretches one copy over the whole quad.
+    """
+
+    image: Array
+    tile: tuple[float, float] | None
+
+
+def noise(rng: np.random.Generator, cells: int, octaves: int = 3) -> Array:
+    """Return tileable smooth noise (SIZE, SIZE) in about [-1, 1]; `cells` is the coarsest octave's count."""
+    total = np.zeros((SIZE, SIZE), dtype=np.float32)
+    for octave in range(octaves):
+        n = min(cells << octave, SIZE)
+        grid = rng.standard_normal((n, n)).astype(np.float32)
+        grid = np.pad(grid, 2, mode="wrap")
+        scale = SIZE // n
+        big = cv2.resize(grid, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        total += big[2 * scale : 2 * scale + SIZE, 2 * scale : 2 * scale + SIZE] * 0.5**octave
+    return total / 2
+
+
+def base_textures(rng: np.random.Generator) -> dict[str, Texture]:
+    """Return the surfaces that every building has: plain ones, woods, floors, tiles."""
+    textures: dict[str, Texture] = {}
+
+    def add(name: str, image: Array, tile: tuple[float, float] | None) -> None:
+        textures[name] = Texture(np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8), tile)
+
+    white = np.ones((SIZE, SIZE, 3), dtype=np.float32)
+    add("plain", white * 0.93, (1.0, 1.0))
+    add("paint", _tinted((0.93, 0.92, 0.89), 0.012 * noise(rng, 4) + 0.006 * noise(rng, 64, 2)), (2.6, 2.6))
+    add("concrete", _tinted((0.66, 0.65, 0.63), 0.05 * noise(rng, 4, 5)), (2.0, 2.0))
+    add("plastic", _tinted((0.92, 0.92, 0.92), 0.008 * noise(rng, 16)), (0.5, 0.5))
+    add("metal", _tinted((0.80, 0.81, 0.83), 0.03 * _brushed(noise(rng, 16, 4))), (0.6, 0.6))
+    add("fabric", _tinted((0.88, 0.88, 0.88), 0.10 * noise(rng, 128, 1)), (0.25, 0.25))
+    add("leaf", _leaves(rng), (0.5, 0.5))
+    add("carpet", _tinted((0.42, 0.46, 0.55), 0.05 * noise(rng, 128, 1) + 0.035 * noise(rng, 16, 3)), (1.5, 1.5))
+    add("carpet_red", _tinted((0.55, 0.36, 0.33), 0.05 * noise(rng, 128, 1) + 0.035 * noise(rng, 16, 3)), (1.5, 1.5))
+    add("carpet_gray", _tinted((0.50, 0.50, 0.49), 0.05 * noise(rng, 128, 1) + 0.035 * noise(rng, 16, 3)), (1.5, 1.5))
+    add("linoleum", _speckled(rng, (0.62, 0.60, 0.53)), (1.2, 1.2))
+    add("linoleum_green", _speckled(rng, (0.47, 0.55, 0.47)), (1.2, 1.2))
+    add("parquet", _parquet(rng), (1.2, 1.2))
+    add("tiles_floor", _tiles(rng, (0.70, 0.69, 0.66), 4, 0.03, (0.48, 0.47, 0.45)), (1.2, 1.2))
+    add("tiles_wall", _tiles(rng, (0.92, 0.93, 0.93), 4, 0.012, (0.70, 0.70, 0.70)), (0.8, 0.8))
+    add("tiles_blue", _tiles(rng, (0.62, 0.76, 0.84), 4, 0.02, (0.86, 0.88, 0.88)), (0.8, 0.8))
+    add("ceiling_panels", _ceiling(rng), (1.2, 1.2))
+    add("wood", _wood(rng, (0.78, 0.62, 0.43), 0.07), (0.9, 0.9))
+    add("beech", _wood(rng, (0.86, 0.73, 0.56), 0.04), (0.9, 0.9))
+    add("walnut", _wood(rng, (0.45, 0.32, 0.23), 0.06), (0.9, 0.9))
+    add("cork", _tinted((0.70, 0.53, 0.36), 0.10 * noise(rng, 64, 2)), (0.5, 0.5))
+    return textures
+
+
+#: Floors, walls and ceilings that a room of a building file may name.
+SURFACES = (
+    "paint",
+    "concrete",
+    "carpet",
+    "carpet_red",
+    "carpet_gray",
+    "linoleum",
+    "linoleum_green",
+    "parquet",
+    "tiles_floor",
+    "tiles_wall",
+    "tiles_blue",
+    "ceiling_panels",
+    "wood",
+    "beech",
+    "walnut",
+)
+
+
+def _tinted(colour: Colour, change: Array) -> Array:
+    return single(colour) + change[..., None]
+
+
+def _brushed(field: Array) -> Array:
+    """Stretch tileable noise along the rows eightfold so that it still tiles."""
+    return 3 * cv2.blur(np.tile(field, (1, 3)), (65, 1))[:, SIZE : 2 * SIZE]
+
+
+def _speckled(rng: np.random.Generator, colour: Colour) -> Array:
+    image = _tinted(colour, 0.025 * noise(rng, 8, 3))
+    grains = noise(rng, 64, 2)
+    image[grains > 0.85] += 0.09
+    image[grains < -0.85] -= 0.09
+    return image
+
+
+def _wood(rng: np.random.Generator, colour: Colour, contrast: float) -> Array:
+    """Upright grain: slow bands, fine fibres."""
+    x = np.arange(SIZE, dtype=np.float32)[None, :] / SIZE
+    bend = np.roll(noise(rng, 2, 2), 31, axis=1)
+    bands = 0.35 * np.sin(2 * np.pi * (6 * x + 0.12 * bend)) + 0.2 * np.sin(2 * np.pi * (17 * x + 0.2 * bend))
+    grain = np.tile(rng.standard_normal((SIZE, SIZE)).astype(np.float32), (3, 1))
+    fibre = cv2.blur(grain, (1, 41))[SIZE : 2 * SIZE]
+    image = _tinted(colour, contrast * (bands + 1.8 * fibre))
+    image[..., 2] -= 0.2 * contrast * bands
+    return image
+
+
+def _parquet(rng: np.random.Generator) -> Array:
+    image = np.ascontiguousarray(_wood(rng, (0.70, 0.52, 0.34), 0.06).transpose(1, 0, 2))
+    height = SIZE // 8
+    for row in range(8):
+        shift = int(rng.integers(0, SIZE))
+        image[row * height : (row + 1) * height] += single(rng.normal(0, 0.035))
+        image[row * height] *= 0.72
+        image[row * height : (row + 1) * height, [shift, (shift + SIZE // 2) % SIZE]] *= 0.72
+    return image
+
+
+def _tiles(rng: np.random.Generator, colour: Colour, count: int, spread: float, joint: Colour) -> Array:
+    step = SIZE // count
+    shade = np.kron(rng.normal(0, spread, (count, count)), np.ones((step, step))).astype(np.float32)
+    image = _tinted(colour, shade + 0.012 * noise(rng, 16, 3))
+    for offset in range(3):
+        image[offset::step] = joint
+        image[:, offset::step] = joint
+    return image
+
+
+def _ceiling(rng: np.random.Generator) -> Array:
+    image = _tinted((0.90, 0.90, 0.88), 0.03 * noise(rng, 128, 1))
+    for offset in range(4):
+        image[offset :: SIZE // 2] = (0.70, 0.70, 0.69)
+        image[:, offset :: SIZE // 2] = (0.70, 0.70, 0.69)
+    return image
+
+
+def _leaves(rng: np.random.Generator) -> Array:
+    image = np.full((SIZE, SIZE, 3), (0.10, 0.20, 0.08), dtype=np.float32)
+    for _ in range(260):
+        centre = tuple(int(v) for v in rng.integers(0, SIZE, 2))
+        axes = (int(rng.integers(8, 26)), int(rng.integers(4, 9)))
+        shade = float(rng.uniform(0.6, 1.25))
+        colour = (0.22 * shade, 0.46 * shade, 0.16 * shade)
+        cv2.ellipse(image, centre, axes, float(rng.uniform(0, 360)), 0, 360, colour, -1, cv2.LINE_AA)
+    return image

@@ -1,0 +1,214 @@
+"""Where the robot is in every frame: built-in paths driven anew in each run, or a list of poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+import cv2
+import numpy as np
+
+from siamloc.data.names import NamedPose, format_name, parse_name
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.simulate.layout import Array, Building, Path
+from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles, room_codes
+
+#: Distance in metres that the robot's middle keeps from walls and furniture.
+BODY = 0.26
+SPEED = 0.35
+TURN_RATE = 0.9
+_STEP = 0.02
+_SHIFT_LENGTH = 2.5
+_MAX_SHIFT = 0.3
+_MAX_TURN = np.radians(20)
+
+
+@dataclass(frozen=True)
+class Track:
+    """One drive.
+
+    Attributes:
+        poses: x, y in metres and heading in rad (n, 3).
+        time: seconds (n,).
+        speed: metres per second (n,).
+        turn_rate: rad per second, counter-clockwise (n,).
+        names: image names (n,).
+        codes: room codes (n,).
+    """
+
+    poses: Array
+    time: Array
+    speed: Array
+    turn_rate: Array
+    names: tuple[str, ...]
+    codes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def head(self, count: int | None) -> Track:
+        """Return the first frames."""
+        if count is None or count >= len(self):
+            return self
+        cut = slice(0, int(count))
+        return Track(
+            self.poses[cut], self.time[cut], self.speed[cut], self.turn_rate[cut], self.names[cut], self.codes[cut]
+        )
+
+
+def drive(building: Building, path: str, spacing: float, rng: np.random.Generator, start: float) -> Track:
+    """Drive a path of the building as one run does: shifted sideways by up to 0.3 m, with an unsteady heading.
+
+    Args:
+        building: its paths and obstacles.
+        path: name of the path.
+        spacing: metres between frames; the robot also takes one every 20 degrees of a turn.
+        rng: draws the shift and the heading.
+        start: time of the first frame in seconds.
+
+    Raises:
+        ConfigError: the building has no such path, or the spacing is not positive.
+        DataError: cutting the path's corners leads into a wall or an item.
+    """
+    if path not in building.paths:
+        raise ConfigError(f"building {building.name!r} has no path {path!r}; {hint(path, building.paths)}")
+    if not spacing > 0:
+        raise ConfigError(f"the spacing of frames must be a positive number of metres, got {spacing}")
+    rounded = _rounded(building.paths[path])
+    _check_rounded(building, building.paths[path], rounded)
+    line = _shifted(building, rounded, rng)
+    heading = _headings(line) + np.radians(4) * _wander(rng, len(line), 1.5)
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    turns = np.abs(np.diff(heading))
+    time = np.concatenate([[0.0], np.cumsum(np.maximum(steps / SPEED, turns / TURN_RATE))])
+    travelled = np.concatenate([[0.0], np.cumsum(steps)])
+    turned = np.concatenate([[0.0], np.cumsum(turns)])
+    keep = [0]
+    for row in range(1, len(line)):
+        if travelled[row] - travelled[keep[-1]] >= spacing or turned[row] - turned[keep[-1]] >= _MAX_TURN:
+            keep.append(row)
+    speed = np.gradient(travelled, time)
+    rate = cv2.blur(np.gradient(heading, time)[:, None], (1, 15), borderType=cv2.BORDER_REPLICATE)[:, 0]
+    poses = np.column_stack([line, (heading + np.pi) % (2 * np.pi) - np.pi])[keep]
+    return _track(building, np.round(poses, 6), np.round(start + time[keep], 6), speed[keep], rate[keep])
+
+
+def listed(building: Building, file: FilePath) -> Track:
+    """Return the poses of a `places.lst`; the image names stay as they are, the rooms come from the floor plan.
+
+    Raises:
+        DataError: the file cannot be read, or a line is no COLD image name.
+    """
+    try:
+        lines = FilePath(file).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"the trajectory {file} cannot be read: {error}") from error
+    names, rows = [], []
+    lines_of: dict[str, int] = {}
+    for number, text in enumerate(lines, start=1):
+        if not text.strip():
+            continue
+        name = text.split()[0]
+        pose = parse_name(name)
+        if pose is None:
+            raise DataError(
+                f"{file}, line {number}: expected an image named t<seconds>_x<m>_y<m>_a<rad>.jpeg, got {name!r}"
+            )
+        if not name.lower().endswith((".jpeg", ".jpg")):
+            raise DataError(f"{file}, line {number}: images are written as JPEG, but the list names {name}")
+        if name in lines_of:
+            raise DataError(f"{file}, line {number}: image {name} stands in line {lines_of[name]} already")
+        lines_of[name] = number
+        rows.append(pose)
+        names.append(name)
+    if not rows:
+        raise DataError(f"the trajectory {file} lists no image")
+    values = np.array(rows)
+    inside = blocked_points(building, values[:, 1:3])
+    if inside.any():
+        row = int(np.flatnonzero(inside)[0])
+        x, y = values[row, 1:3]
+        raise DataError(
+            f"{file}: {int(inside.sum())} of {len(rows)} poses lie in a wall or on furniture of building "
+            f"{building.name!r}, the first in line {lines_of[names[row]]} at ({x:.2f}, {y:.2f}): {names[row]}"
+        )
+    moved = np.linalg.norm(np.gradient(values[:, 1:3], axis=0), axis=1) if len(rows) > 1 else np.zeros(1)
+    turned = np.gradient(np.unwrap(values[:, 3])) if len(rows) > 1 else np.zeros(1)
+    seconds = np.maximum(np.gradient(values[:, 0]), 0.05) if len(rows) > 1 else np.ones(1)
+    speed = np.clip(moved / seconds, 0, 1.0)
+    rate = np.clip(turned / seconds, -1.5, 1.5)
+    return _track(building, values[:, 1:4], values[:, 0], speed, rate, tuple(names))
+
+
+def _track(
+    building: Building, poses: Array, time: Array, speed: Array, rate: Array, names: tuple[str, ...] | None = None
+) -> Track:
+    if names is None:
+        names = tuple(format_name(NamedPose(t, *pose)) for t, pose in zip(time.tolist(), poses.tolist(), strict=True))
+    return Track(poses, time, speed, rate, names, tuple(room_codes(building, poses[:, :2])))
+
+
+def _rounded(path: Path) -> Array:
+    """Cut the polygon's corners three times and walk along it in even steps."""
+    points = path.points
+    for _ in range(3):
+        inner = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
+        points = np.concatenate([points[:1], inner.reshape(-1, 2), points[-1:]])
+    return _even(points)
+
+
+def _check_rounded(building: Building, path: Path, rounded: Array) -> None:
+    stuck = np.flatnonzero(blocked_points(building, rounded))
+    if len(stuck):
+        x, y = rounded[stuck[0]]
+        corner = int(np.argmin(np.linalg.norm(path.points - rounded[stuck[0]], axis=1)))
+        line, room = path.lines[corner], room_codes(building, path.points[corner : corner + 1])[0]
+        where = f"{building.source}, line {line}" if line else building.source
+        raise DataError(
+            f"{where}: rounding the corners of path {path.name!r} leads into a wall or furniture of room {room!r} at "
+            f"({x:.2f}, {y:.2f}): add points around it"
+        )
+
+
+def _even(points: Array) -> Array:
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    keep = np.concatenate([[True], np.diff(length) > 1e-9])
+    at = np.linspace(0, length[-1], max(2, round(length[-1] / _STEP)))
+    return np.stack([np.interp(at, length[keep], points[keep, axis]) for axis in (0, 1)], axis=1)
+
+
+def _wander(rng: np.random.Generator, count: int, metres: float) -> Array:
+    """Return smooth random numbers (count,) of about unit size that change within some metres."""
+    knots = max(4, int(count * _STEP / metres) + 3)
+    values = rng.standard_normal(knots)
+    at = np.linspace(0, knots - 1, count)
+    low = np.clip(at.astype(int), 0, knots - 2)
+    share = at - low
+    share = share * share * (3 - 2 * share)
+    return values[low] * (1 - share) + values[low + 1] * share
+
+
+def _shifted(building: Building, line: Array, rng: np.random.Generator) -> Array:
+    """Shift a path sideways as far as walls and furniture allow."""
+    segments, _ = obstacles(building)
+    room: Array = np.clip(clearance(line, segments) - BODY, 0, _MAX_SHIFT)
+    width = int(0.8 / _STEP) | 1
+    room = cv2.erode(room[:, None], np.ones((width, 1), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    room = cv2.blur(room, (1, width), borderType=cv2.BORDER_REPLICATE)[:, 0]
+    wanted = np.tanh(_wander(rng, len(line), _SHIFT_LENGTH) * 0.6) * _MAX_SHIFT
+    tangent = np.gradient(line, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    smooth = cv2.GaussianBlur(normal, (1, 2 * width + 1), 0.3 / _STEP, borderType=cv2.BORDER_REPLICATE)
+    shifted = _even(line + np.clip(wanted, -room, room)[:, None] * smooth)
+    moves = np.stack([shifted[:-1], shifted[1:]], axis=1)
+    wall = bool(crossings(moves, segments).any() or blocked_points(building, shifted).any())
+    return line if wall else shifted
+
+
+def _headings(line: Array) -> Array:
+    """Return the driving direction (n,), continuous, smoothed over about 0.4 m."""
+    tangent = np.gradient(line, axis=0)
+    angle = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    width = int(0.4 / _STEP) | 1
+    return cv2.blur(angle[:, None], (1, width), borderType=cv2.BORDER_REPLICATE)[:, 0]

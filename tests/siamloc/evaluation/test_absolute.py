@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation import metrics
+from siamloc.evaluation.absolute import evaluate_absolute, measures_of
+from siamloc.evaluation.results import read_results, read_rows, write_results
+from siamloc.files import plain
+from siamloc.maps import VisualMap
+from tests.siamloc.evaluation import scenes
+
+RADII = (0.5, 1 / 3)
+KS = (1, 5, 10)
+
+
+def evaluated(n: int = 80, map_frames: int = 150):
+    queries = scenes.frames(2, n)
+    known = scenes.visual_map(map_frames)
+    return evaluate_absolute(known, scenes.describe(queries, seed=2), queries, RADII, KS), known, queries
+
+
+def test_rows_hold_the_match_and_its_error() -> None:
+    result, known, queries = evaluated()
+    found = known.search(scenes.describe(queries, seed=2), 1)
+    assert len(result) == len(result.rows) == 80
+    for i in (0, 41, 79):
+        row, match = result.rows[i], int(found.indices[i, 0])
+        assert (row["query"], row["path"], row["sequence"]) == (i, queries.path[i], "run2")
+        assert (row["lighting"], row["room"]) == (queries.lighting[i], queries.room[i])
+        assert (row["match"], row["match_path"], row["match_room"]) == (
+            match,
+            known.frames.path[match],
+            known.frames.room[match],
+        )
+        assert (row["est_x"], row["est_y"]) == tuple(known.frames.xy[match])
+        assert row["error"] == pytest.approx(math.dist(known.frames.xy[match], queries.xy[i]))
+        assert row["floor"] == pytest.approx(min(math.dist(p, queries.xy[i]) for p in known.frames.xy))
+        assert row["excess"] == row["error"] - row["floor"] >= 0
+        assert row["descriptor_distance"] == found.distances[i, 0]
+
+
+def test_measures_equal_the_metrics() -> None:
+    result, known, queries = evaluated()
+    measures = result.measures()
+    found = known.search(scenes.describe(queries, seed=2), 10).indices
+    night = queries.lighting == "night"
+    for group, rows in ((measures["overall"], slice(None)), (measures["lighting"]["night"], night)):
+        xy = queries.xy[rows]
+        errors = metrics.localization_error(known.frames.xy[found[rows, 0]], xy)
+        floor = metrics.error_floor(known.frames.xy, xy)
+        assert group["queries"] == len(xy)
+        assert group["error"] == metrics.summarize(errors)
+        assert group["floor"] == metrics.summarize(floor)
+        assert group["excess"] == metrics.summarize(errors - floor)
+        expected = [
+            vars(metrics.recall_at_k(found[rows], known.frames.xy, xy, radius, k)) for radius in RADII for k in KS
+        ]
+        assert group["recall"] == expected
+        assert group["recall_at_one_percent"] == [
+            vars(metrics.recall_at_one_percent(found[rows], known.frames.xy, xy, radius)) for radius in RADII
+        ]
+        assert group["recall_at_one_percent"][0]["k"] == 2
+    assert list(measures["lighting"]) == ["cloudy", "night", "sunny"]
+    assert list(measures["room"]) == ["CR-A", "KT-A", "ST-A"]
+    assert sum(group["queries"] for group in measures["room"].values()) == 80
+    assert result.denominators() == {
+        "queries": 80,
+        "map_frames": 150,
+        "lighting": {label: group["queries"] for label, group in measures["lighting"].items()},
+        "room": {label: group["queries"] for label, group in measures["room"].items()},
+    }
+
+
+def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
+    result, known, queries = evaluated()
+    noisy = evaluate_absolute(known, scenes.describe(queries, seed=3, noise=2), queries, RADII, KS)
+    result = result.with_baseline("thumbnail", noisy)
+    write_results(
+        tmp_path,
+        {"config": {}, "measures": {"absolute": result.measures()}, "denominators": result.denominators()},
+        result.columns,
+        {"map": result.map_columns},
+    )
+    written = read_results(tmp_path)["measures"]["absolute"]
+    again = measures_of(
+        read_rows(tmp_path), written["radii"], written["ks"], len(read_rows(tmp_path, "map")["path"]), written["unit"]
+    )
+    assert json.dumps(plain(again)) == json.dumps(written)
+    baseline = written["overall"]["baselines"]["thumbnail"]["error"]
+    assert baseline == noisy.measures()["overall"]["error"]
+
+
+def test_a_perfect_and_a_reversed_retriever() -> None:
+    queries = scenes.frames(2, 60)
+    known = scenes.frames(1, 400)
+    perfect = evaluate_absolute(VisualMap(known.xy, known), queries.xy, queries, (0.5,), (1,))
+    overall = perfect.measures()["overall"]
+    assert overall["excess"]["max"] < 1e-6
+    assert overall["recall"][0]["recall_answerable"] == 1
+    # Descriptors of the map mirrored at the building's middle: the farthest frame looks the nearest.
+    mirrored = evaluate_absolute(VisualMap([9, 3] - known.xy, known), queries.xy, queries, (0.5,), (1,))
+    away = np.hypot(queries.x - 4.5, queries.y - 1.5) > 1
+    assert (mirrored.columns["error"][away] > 0.5).all()
+    assert (mirrored.columns["first_rank_within_0.5"][away] == 0).all()
+
+
+def test_a_map_of_one_frame_and_one_under_a_hundred() -> None:
+    queries = scenes.frames(2, 10)
+    for n in (1, 7, 99):
+        measures = evaluate_absolute(scenes.visual_map(n), scenes.describe(queries), queries, RADII, KS).measures()
+        assert measures["map_frames"] == n
+        assert measures["overall"]["recall_at_one_percent"][0]["k"] == 1
+        assert [entry["k"] for entry in measures["overall"]["recall"]] == [*KS, *KS]
+        if n == 1:
+            assert measures["overall"]["error"] == measures["overall"]["floor"]
+
+
+def test_the_answer_does_not_depend_on_the_other_queries() -> None:
+    result, known, queries = evaluated()
+    rows = np.array([70, 3, 3])
+    part = evaluate_absolute(known, scenes.describe(queries, seed=2)[rows], queries.take(rows), RADII, KS)
+    for name, column in part.columns.items():
+        if name != "query":
+            np.testing.assert_array_equal(column, result.columns[name][rows], err_msg=name)
+
+
+def test_missing_labels() -> None:
+    blank = np.array([""] * 8)
+    queries = scenes.frames(2, 8, lighting=blank, room=np.array(["KT-A"] * 3 + [""] * 5))
+    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).measures()
+    assert measures["lighting"] == {}
+    assert {label: group["queries"] for label, group in measures["room"].items()} == {"(unlabelled)": 5, "KT-A": 3}
+
+
+def test_rooms_of_two_buildings_stay_apart() -> None:
+    queries = scenes.frames(2, 8, room=np.array(["KT"] * 8), building=np.array(["saar"] * 4 + ["frei"] * 4))
+    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).measures()
+    assert list(measures["room"]) == ["frei/KT", "saar/KT"]
+
+
+def test_a_given_retrieval_is_used() -> None:
+    result, known, queries = evaluated()
+    found = known.search(scenes.describe(queries, seed=2), 20)
+    again = evaluate_absolute(known, scenes.describe(queries, seed=2), queries, RADII, KS, retrieval=found)
+    assert again.measures() == result.measures()
+    short = known.search(scenes.describe(queries), 1)
+    with pytest.raises(DataError, match=r"must hold 10 neighbours of 80 queries, got \(80, 1\)"):
+        evaluate_absolute(known, scenes.describe(queries), queries, RADII, KS, retrieval=short)
+
+
+def test_errors() -> None:
+    known, queries = scenes.visual_map(20), scenes.frames(2, 6)
+    descriptors = scenes.describe(queries)
+    unknown = queries.with_columns(x=np.array([0, np.nan, 1, np.nan, 2, 3]))
+    with pytest.raises(
+        DataError, match=r"2 of 6 queries have no position \(x, y\), the first is run2/0001.*leave them"
+    ):
+        evaluate_absolute(known, descriptors, unknown)
+    lost = VisualMap(known.descriptors, known.frames.with_columns(y=np.full(20, np.nan)))
+    with pytest.raises(DataError, match="20 of 20 map frames have no position"):
+        evaluate_absolute(lost, descriptors, queries)
+    with pytest.raises(DataError, match=r"6 queries need descriptors of shape \(6, D\), got \(5, 3\)"):
+        evaluate_absolute(known, descriptors[:5], queries)
+    with pytest.raises(DataError, match="no queries"):
+        evaluate_absolute(known, descriptors[:0], FrameTable(path=np.array([], dtype=str)))
+    for radii in ((), (-1,), (1, 1), (math.inf,)):
+        with pytest.raises(ConfigError, match="the recall needs radii"):
+            evaluate_absolute(known, descriptors, queries, radii)
+    for ks in ((), (0,), (1, 1), (1.5,)):
+        with pytest.raises(ConfigError, match="the recall needs whole numbers"):
+            evaluate_absolute(known, descriptors, queries, ks=ks)
+    result = evaluate_absolute(known, descriptors, queries)
+    other = evaluate_absolute(known, descriptors[::-1], queries.take(slice(None, None, -1)))
+    with pytest.raises(DataError, match="baseline 'hog' answered other queries"):
+        result.with_baseline("hog", other)

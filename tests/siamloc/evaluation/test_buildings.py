@@ -1,0 +1,100 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import DataError
+from siamloc.evaluation.buildings import evaluate_buildings
+from siamloc.evaluation.results import write_results
+from siamloc.report import buildings as pictures
+
+NAMES = (["p", "q"], ["r", "s", "t"])
+
+
+def frames(building, lighting=None):
+    n = len(building)
+    return FrameTable([f"{i}.png" for i in range(n)], building=building, lighting=lighting)
+
+
+def result(building, apart, lighting=None, rows=None):
+    rows = np.zeros((len(building), 2), dtype=int) if rows is None else rows
+    return evaluate_buildings(frames(building, lighting), ["a", "b"], apart, rows, NAMES)
+
+
+def test_the_nearest_building_is_chosen_and_the_first_of_equals():
+    found = result(["a", "a", "b"], [[1, 2], [3, 2], [2, 2]], rows=[[1, 2], [0, 2], [1, 0]])
+    assert found.columns["predicted_building"].tolist() == ["a", "b", "a"]
+    assert found.columns["correct"].tolist() == [True, False, False]
+    assert found.columns["match"].tolist() == [1, 2, 1]
+    assert found.columns["match_name"].tolist() == ["q", "t", "q"]
+    assert found.columns["descriptor_distance"].tolist() == [1, 2, 2]
+    assert found.columns["next_distance"].tolist() == [2, 3, 2]
+    assert found.columns["distance_b"].tolist() == [2, 2, 2]
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.sampled_from(["cloudy", "night"])), min_size=1, max_size=20))
+def test_shares_are_pooled_over_queries(cases):
+    building = ["b" if true else "a" for true, _, _ in cases]
+    apart = [[1, 0] if chosen else [0, 1] for _, chosen, _ in cases]
+    measures = result(building, apart, [lighting for _, _, lighting in cases]).measures()
+    groups = {"overall": cases} | {name: [c for c in cases if c[2] == name] for name in ("cloudy", "night")}
+    for name, part in groups.items():
+        if not part:
+            assert name not in measures["lighting"]
+            continue
+        group = measures["overall"] if name == "overall" else measures["lighting"][name]
+        right = sum(true == chosen for true, chosen, _ in part)
+        assert (group["accuracy"], group["correct"], group["queries"]) == (right / len(part), right, len(part))
+        for label, wanted in (("a", False), ("b", True)):
+            own = [true == chosen for true, chosen, _ in part if true == wanted]
+            if own:
+                assert group["building"][label]["accuracy"] == sum(own) / len(own)
+            else:
+                assert label not in group["building"]
+    counts = np.zeros((2, 2), dtype=int)
+    for true, chosen, _ in cases:
+        counts[int(true), int(chosen)] += 1
+    assert measures["confusion"]["counts"] == counts.tolist()
+    assert np.sum(list(measures["confusion"]["lighting"].values()), axis=0).tolist() == counts.tolist()
+
+
+def test_without_lightings_there_are_no_groups_and_one_panel(tmp_path):
+    measures = result(["a", "b"], np.eye(2)).measures()
+    assert measures["lighting"] == {}
+    assert measures["overall"]["accuracy"] == 0
+    assert not math.isnan(measures["overall"]["accuracy"])
+    figure = pictures.confusion(measures)
+    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == ["all (n = 2)"]
+    write_results(tmp_path, {"config": {}, "measures": {"buildings": measures}, "denominators": {}})
+    assert pictures.draw_all(tmp_path)[0].read_bytes().startswith(b"\x89PNG")
+    write_results(tmp_path, {"config": {}, "measures": {}, "denominators": {}})
+    with pytest.raises(DataError, match="holds no choice of buildings"):
+        pictures.draw_all(tmp_path)
+
+
+def test_a_panel_for_each_lighting_and_one_for_all():
+    measures = result(["a", "b", "b"], [[0, 1], [1, 0], [0, 1]], ["cloudy", "night", "night"]).measures()
+    figure = pictures.confusion(measures)
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert titles == ["cloudy (n = 1)", "night (n = 2)", "all (n = 3)"]
+    shown = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert shown == ["100.0 %\n1", "50.0 %\n1", "50.0 %\n1", "100.0 %\n1", "50.0 %\n1", "50.0 %\n1"]
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: result([], np.zeros((0, 2))), "no queries"),
+        (lambda: result(["a"], [[1, 2, 3]]), r"distances of shape \(1, 2\), got \(1, 3\)"),
+        (lambda: result(["a", "c"], np.zeros((2, 2))), "1 of 2 queries are in a building that has no map, .* 'c'"),
+        (lambda: result(["", "a"], np.zeros((2, 2))), r"1 of 2 queries .* '\(unknown\)'"),
+        (lambda: evaluate_buildings(frames(["a"]), ["a"], [[1]], [[0]], [["p"]]), "at least two different ones, got a"),
+        (lambda: evaluate_buildings(frames(["a"]), ["a", "a"], [[1, 1]], [[0, 0]], NAMES), "at least two different"),
+    ],
+)
+def test_mistakes_are_one_sentence(call, says):
+    with pytest.raises(DataError, match=says):
+        call()

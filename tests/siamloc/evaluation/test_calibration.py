@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.calibration import calibration_curve, lost_measures, measures_of
+from siamloc.evaluation.results import read_results, read_rows, write_results
+from siamloc.files import plain
+from tests.oracles import calibration as oracle
+
+
+@given(seed=st.integers(0, 2**32 - 1), bins=st.integers(1, 12))
+def test_every_query_is_in_one_bin_and_the_bins_are_in_order(seed: int, bins: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 60))
+    predicted, error = rng.integers(0, 6, n) / 2, rng.random(n)  # equal predictions occur
+    curve = calibration_curve(predicted, error, bins)
+    assert sum(part["count"] for part in curve) == n
+    assert len(curve) <= bins
+    means = [part["predicted"] for part in curve]
+    assert means == sorted(means)
+    for name, values in (("predicted", predicted), ("observed", error)):
+        assert math.fsum(part["count"] * part[name] for part in curve) == pytest.approx(values.sum())
+
+
+def test_bins_of_distinct_predictions_hold_equally_many() -> None:
+    curve = calibration_curve(np.arange(100)[::-1], np.arange(100)[::-1] + 1.0, 10)
+    assert [part["count"] for part in curve] == [10] * 10
+    for part in curve:
+        assert part["observed"] - part["predicted"] == pytest.approx(1)
+    assert calibration_curve([], []) == []
+
+
+@given(seed=st.integers(0, 2**32 - 1), threshold=st.sampled_from([0.5, 1.0, 2.0]))
+def test_lost_equals_the_loop(seed: int, threshold: float) -> None:
+    rng = np.random.default_rng(seed)
+    predicted, error = rng.integers(0, 6, (2, int(rng.integers(0, 30)))) / 2
+    measures = lost_measures(predicted, error, threshold)
+    called, lost, both = oracle.lost(predicted, error, threshold)
+    assert (measures["called"], measures["lost"], measures["both"]) == (called, lost, both)
+    assert measures["precision"] == both / called if called else math.isnan(measures["precision"])
+    assert measures["recall"] == both / lost if lost else math.isnan(measures["recall"])
+
+
+def test_perfect_reversed_and_shuffled_predictions() -> None:
+    rng = np.random.default_rng(0)
+    error = rng.exponential(1, 2000)
+    columns = {"error": error, "lighting": np.full(2000, ""), "room": np.full(2000, "")}
+    perfect = measures_of({**columns, "error_m": error}, 1.0)["overall"]
+    assert perfect["gap"] == 0
+    assert (perfect["lost"]["precision"], perfect["lost"]["recall"]) == (1, 1)
+    ranks = np.argsort(np.argsort(error))
+    turned = measures_of({**columns, "error_m": np.sort(error)[::-1][ranks]}, 1.0)["overall"]
+    assert turned["gap"] > 1
+    assert turned["lost"]["both"] < 0.2 * turned["lost"]["lost"]
+    shuffled = measures_of({**columns, "error_m": rng.permutation(error)}, 1.0)["overall"]
+    share = shuffled["lost"]["lost"] / 2000
+    assert shuffled["lost"]["precision"] == pytest.approx(share, abs=0.07)
+
+
+def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    columns = {
+        "error": rng.exponential(1, 80),
+        "error_m": rng.exponential(1, 80),
+        "lighting": rng.choice(["cloudy", "night"], 80),
+        "room": rng.choice(["KT-A", ""], 80),
+    }
+    measures = measures_of(columns, 1.5, 4)
+    assert list(measures["lighting"]) == ["cloudy", "night"]
+    assert list(measures["room"]) == ["(unlabelled)", "KT-A"]
+    night = columns["lighting"] == "night"
+    assert measures["lighting"]["night"]["observed"] == columns["error"][night].mean()
+    assert measures["lighting"]["night"]["queries"] == night.sum()
+    write_results(tmp_path, {"config": {}, "measures": measures, "denominators": {}}, columns)
+    again = plain(measures_of(read_rows(tmp_path), 1.5, 4))
+    assert json.dumps(again) == json.dumps(read_results(tmp_path)["measures"])
+
+
+def test_errors() -> None:
+    with pytest.raises(ConfigError, match="bins >= 1, got 0"):
+        calibration_curve([1.0], [1.0], 0)
+    with pytest.raises(ConfigError, match="must be a positive error, got 0"):
+        lost_measures([1.0], [1.0], 0)
+    with pytest.raises(DataError, match=r"got \(1,\) and \(2,\)"):
+        lost_measures([1.0], [1.0, 2.0], 1)
+    with pytest.raises(DataError, match="1 of 2 predicted or observed errors are not finite"):
+        calibration_curve([1.0, np.nan], [1.0, 2.0])

@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from siamloc.errors import DataError
+from siamloc.evaluation import metrics
+from siamloc.evaluation.absolute import evaluate_absolute, neighbours
+from siamloc.evaluation.hierarchical import HierarchicalResult, evaluate_hierarchical, measures_of
+from siamloc.evaluation.results import read_results, read_rows, write_results
+from siamloc.files import plain
+from siamloc.maps import VisualMap
+from siamloc.maps.coarse import CoarseLayer
+from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
+from siamloc.maps.node_ranking import NodeRanking, rank_by_position, rank_by_representatives
+from tests.siamloc.evaluation import scenes
+
+RADII, KS = (0.5, 1 / 3), (1, 5, 10)
+
+
+def layer_of(known: VisualMap, side: float = 1.5, unassigned: int = 0) -> CoarseLayer:
+    """Return squares of the building as nodes, some frames left out of them."""
+    cell = np.floor(known.frames.xy / side).astype(int)
+    labels = np.unique(cell[:, 0] * 100 + cell[:, 1], return_inverse=True)[1]
+    labels[:unassigned] = -1
+    return CoarseLayer.of_labels(known, np.unique(labels, return_inverse=True)[1] - (unassigned > 0))
+
+
+def evaluated(
+    known: VisualMap, layer: CoarseLayer, queries, vectors, candidates: int = 3, ranking: NodeRanking | None = None
+) -> HierarchicalResult:
+    search = HierarchicalSearch(known, layer)
+    ranking = ranking or rank_by_representatives(vectors, layer.representatives, candidates)
+    found = search.search(vectors, ranking, neighbours(KS, len(known)))
+    perfect = search.search(vectors, rank_by_position(queries.xy, known.frames.xy, layer.labels))
+    return evaluate_hierarchical(known, layer, queries, found, perfect, known.search(vectors), RADII, KS)
+
+
+def test_columns_and_measures() -> None:
+    known, queries = scenes.visual_map(), scenes.frames(2, 80)
+    vectors = scenes.describe(queries, seed=2, noise=0.8)
+    layer = layer_of(known, unassigned=10)
+    result = evaluated(known, layer, queries, vectors, candidates=2)
+    measures = result.measures()
+    ranking = rank_by_representatives(vectors, layer.representatives, 2)
+    size = np.bincount(layer.labels[layer.labels >= 0])
+    right = []
+    for i in (0, 17, 79):
+        row = result.rows[i]
+        closest = min(range(150), key=lambda j: math.dist(known.frames.xy[j], queries.xy[i]))
+        assert row["true_node"] == layer.labels[closest]
+        assert row["nodes_tried"] == " ".join(map(str, ranking.nodes[i]))
+        assert row["coarse_correct"] == (layer.labels[closest] in (*ranking.nodes[i], -1))
+        assert row["frames_compared"] == 10 + sum(size[node] for node in ranking.nodes[i])
+        assert row["comparisons"] == row["frames_compared"] + len(layer)
+        assert row["node"] == layer.labels[row["match"]]
+        assert row["node"] in (*ranking.nodes[i], -1)
+    right = result.columns["coarse_correct"]
+    night = queries.lighting == "night"
+    for group, rows in ((measures["overall"], np.ones(80, bool)), (measures["lighting"]["night"], night)):
+        error, compared = result.columns["error"][rows], result.columns["comparisons"][rows]
+        assert group["given_right"]["error"] == metrics.summarize(error[right[rows]])
+        assert group["given_wrong"]["error"] == metrics.summarize(error[~right[rows]])
+        assert group["given_right"]["queries"] + group["given_wrong"]["queries"] == rows.sum()
+        assert group["coarse"]["accuracy"] == right[rows].mean()
+        assert group["comparisons"]["share"] == compared.mean() / 150
+        assert group["absolute"]["error"] == metrics.summarize(result.columns["error_absolute"][rows])
+        assert group["loss"] == error.mean() / group["absolute"]["error"]["mean"] - 1
+    assert 0 < measures["overall"]["coarse"]["accuracy"] < 1
+    assert measures["overall"]["given_wrong"]["error"]["mean"] > measures["overall"]["given_right"]["error"]["mean"]
+    assert sum(group["coarse"]["queries"] for group in measures["room"].values()) == 80
+    assert result.node_columns["frames"].sum() == 140
+    absolute = evaluate_absolute(known, vectors, queries, RADII, KS)
+    np.testing.assert_array_equal(result.columns["error_absolute"], absolute.columns["error"])
+    assert result.with_baseline("absolute", absolute).measures()["overall"]["baselines"]["absolute"]["error"][
+        "mean"
+    ] == pytest.approx(measures["overall"]["absolute"]["error"]["mean"])
+
+
+def test_all_nodes_as_candidates_give_the_figures_of_absolute_localization() -> None:
+    known, queries = scenes.visual_map(), scenes.frames(2, 60)
+    vectors = scenes.describe(queries, seed=2)
+    layer = layer_of(known)
+    result = evaluated(known, layer, queries, vectors, candidates=len(layer))
+    absolute = evaluate_absolute(known, vectors, queries, RADII, KS)
+    for name, column in absolute.columns.items():
+        np.testing.assert_array_equal(result.columns[name], column, err_msg=name)
+    overall = result.measures()["overall"]
+    assert (overall["loss"], overall["coarse"]["accuracy"]) == (0, 1)
+    assert overall["given_wrong"]["queries"] == 0
+    assert overall["comparisons"]["share"] == (150 + len(layer)) / 150
+    assert overall["comparisons"]["frames_share"] == 1
+
+
+def test_a_perfect_and_a_reversed_coarse_layer() -> None:
+    known, queries = scenes.visual_map(400), scenes.frames(2, 60)
+    known = VisualMap(known.frames.xy, known.frames)
+    layer = layer_of(known)
+    perfect = rank_by_position(queries.xy, known.frames.xy, layer.labels)
+    overall = evaluated(known, layer, queries, queries.xy, ranking=perfect).measures()["overall"]
+    assert overall["excess"]["max"] < 1e-6
+    assert overall["error"] == overall["perfect_coarse"]["error"]
+    mirrored = rank_by_representatives([9, 3] - queries.xy, layer.positions, 1)
+    away = np.hypot(*(layer.positions[mirrored.nodes[:, 0]] - queries.xy).T) > 3
+    reverse = evaluated(known, layer, queries, queries.xy, ranking=mirrored)
+    assert away.sum() > 20
+    assert not reverse.columns["coarse_correct"][away].any()
+    assert (reverse.columns["error"][away] > 1).all()
+
+
+def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
+    known, queries = scenes.visual_map(), scenes.frames(2, 80)
+    result = evaluated(known, layer_of(known, unassigned=5), queries, scenes.describe(queries, seed=2, noise=1), 1)
+    results = {"config": {}, "measures": {"it": result.measures()}, "denominators": result.denominators()}
+    write_results(tmp_path, results, result.columns, {"map": result.map_columns, "nodes": result.node_columns})
+    written = read_results(tmp_path)["measures"]["it"]
+    map_frames = len(read_rows(tmp_path, "map")["path"])
+    again = measures_of(read_rows(tmp_path), written["radii"], written["ks"], map_frames, written["unit"])
+    assert json.dumps(plain(again)) == json.dumps(written)
+
+
+@pytest.mark.parametrize("n", [1, 7, 99])
+def test_small_maps_and_nodes_of_one_frame(n: int) -> None:
+    known, queries = scenes.visual_map(n), scenes.frames(2, 10)
+    layer = CoarseLayer.of_labels(known, np.arange(n))
+    measures = evaluated(known, layer, queries, scenes.describe(queries), candidates=2).measures()
+    overall = measures["overall"]
+    assert overall["comparisons"]["mean"] == n + min(n, 2)
+    # In a node of one frame the perfect coarse layer leaves nothing to the fine one.
+    assert overall["perfect_coarse"]["error"] == overall["floor"]
+    if n == 1:
+        assert overall["error"] == overall["floor"]
+        assert math.isnan(overall["given_wrong"]["error"]["mean"])
+
+
+def test_no_map_frame_within_the_radius() -> None:
+    known = scenes.visual_map()
+    queries = scenes.frames(2, 10, x=np.full(10, 100.0))
+    overall = evaluated(known, layer_of(known), queries, scenes.describe(queries)).measures()["overall"]
+    assert [entry["answerable"] for entry in overall["recall"]] == [0] * 6
+    assert overall["error"]["mean"] > 90
+
+
+def test_batches_put_together_are_the_whole() -> None:
+    known, queries = scenes.visual_map(), scenes.frames(2, 20)
+    vectors, layer = scenes.describe(queries), layer_of(known)
+    search, ranking = HierarchicalSearch(known, layer), rank_by_representatives(vectors, layer.representatives, 2)
+    whole = search.search(vectors, ranking, 3)
+    parts = [
+        search.search(vectors[part], NodeRanking(ranking.nodes[part], ranking.compared[part]), 3)
+        for part in (slice(0, 13), slice(13, 20))
+    ]
+    joined = HierarchicalRetrieval.concatenate(parts)
+    np.testing.assert_array_equal(joined.found.indices, whole.found.indices)
+    np.testing.assert_array_equal(joined.compared, whole.compared)
+    np.testing.assert_array_equal(joined.tried, whole.tried)
+
+
+def test_errors() -> None:
+    known, queries = scenes.visual_map(20), scenes.frames(2, 6)
+    vectors, layer = scenes.describe(queries), layer_of(known)
+    search = HierarchicalSearch(known, layer)
+    found = search.search(vectors, rank_by_representatives(vectors, layer.representatives, 1), 10)
+    whole = known.search(vectors)
+    with pytest.raises(DataError, match="labels for 20 frames, the map has 4"):
+        evaluate_hierarchical(known.take([0, 1, 2, 3]), layer, queries, found, found, whole)
+    with pytest.raises(DataError, match="whole map must be that of the 6 queries, got 2"):
+        evaluate_hierarchical(known, layer, queries, found, found, known.search(vectors[:2]))
+    lost = queries.with_columns(x=np.full(6, np.nan))
+    with pytest.raises(DataError, match="6 of 6 queries have no position"):
+        evaluate_hierarchical(known, layer, lost, found, found, whole, ks=(1,))

@@ -1,0 +1,112 @@
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+
+import analytic
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.mapping import closures, evaluate_mapping, mapping_measures
+from siamloc.maps import CoarseLayer, VisualMap
+
+THUMBNAIL = analytic.Thumbnail(1, 2)
+
+
+def lap_twice(frames=40):
+    """A drive around a square, twice: descriptors are the position, rooms its quarters."""
+    turn = np.linspace(0, 4 * np.pi, 2 * frames, endpoint=False)
+    xy = 5 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    quarter = (turn % (2 * np.pi) // (np.pi / 2)).astype(int)
+    table = FrameTable(
+        path=[f"{i}.png" for i in range(len(turn))],
+        x=xy[:, 0],
+        y=xy[:, 1],
+        room=np.array(["n", "w", "s", "e"])[quarter],
+        sequence=["s"] * len(turn),
+    )
+    return VisualMap(xy + np.random.default_rng(0).normal(0, 1e-3, xy.shape), table), quarter
+
+
+def test_a_perfect_layer_has_perfect_purity_and_closures():
+    known, quarter = lap_twice()
+    found = evaluate_mapping(known, CoarseLayer.of_labels(known, quarter), THUMBNAIL, seconds=[0.8]).measures()
+    assert found["nodes"] == 4
+    assert found["purity"]["overall"] == 1
+    assert {room: part["frames"] for room, part in found["purity"]["room"].items()} == dict.fromkeys("enws", 20)
+    assert found["closures"]["precision"] == 1
+    # The second lap, and the last frame of the first, which is near its beginning but in another node.
+    assert (found["closures"]["closed"], found["closures"]["revisits"]) == (40, 41)
+    assert found["ms_per_frame"]["mean"] == pytest.approx(10)
+    assert found["unassigned"] == {"frames": 0, "share": 0}
+    assert found["bytes"] == {"representatives": 4 * 2 * 4, "descriptors": 80 * 2 * 4}
+
+
+def test_shuffled_labels_are_worse_in_every_respect():
+    known, quarter = lap_twice()
+    good = evaluate_mapping(known, CoarseLayer.of_labels(known, quarter), THUMBNAIL).measures()
+    mixed = np.random.default_rng(1).permutation(quarter)
+    bad = evaluate_mapping(known, CoarseLayer.of_labels(known, mixed), THUMBNAIL).measures()
+    for mode in ("nearest", "pooled"):
+        assert bad["silhouette"][mode] < good["silhouette"][mode] - 0.2
+    assert bad["inertia"] > 2 * good["inertia"]
+    assert bad["purity"]["overall"] < 0.5
+    assert bad["closures"]["precision"] < 1
+    assert bad["descriptor_silhouette"] < good["descriptor_silhouette"]
+    assert math.isnan(bad["ms_per_frame"]["mean"])
+
+
+def test_closures_are_the_most_similar_earlier_frames_of_the_node():
+    known, quarter = lap_twice()
+    labels = quarter.copy()
+    labels[7] = -1
+    found = closures(known, labels, THUMBNAIL, gap=30)
+    for i in range(len(known)):
+        allowed = [j for j in range(i - 29) if labels[j] == labels[i] and labels[i] >= 0]
+        distances = [np.linalg.norm(known.descriptors[i] - known.descriptors[j]) for j in allowed]
+        expected = allowed[int(np.argmin(distances))] if allowed else -1
+        assert found[i] == expected, i
+
+
+def test_every_number_follows_from_the_tables(tmp_path):
+    known, quarter = lap_twice()
+    labels = np.where(np.arange(80) % 9 == 0, -1, quarter)
+    reasons = np.where(labels < 0, "NO_CANDIDATE_NODE", "ASSIGNED")
+    layer = CoarseLayer.of_labels(known, labels)
+    result = evaluate_mapping(known, layer, THUMBNAIL, 1.5, 20, np.linspace(0, 0.1, 80), reasons)
+    with (tmp_path / "frames.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(result.columns)
+        writer.writerows(zip(*(column.tolist() for column in result.columns.values()), strict=True))
+    with (tmp_path / "frames.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    columns = {
+        name: np.array([row[name] for row in rows]).astype(column.dtype) for name, column in result.columns.items()
+    }
+    again = mapping_measures(columns, 1.5, 20)
+    measures = result.measures()
+    assert json.dumps({key: measures[key] for key in again}) == json.dumps(again)
+    assert again["reasons"] == {"ASSIGNED": 71, "NO_CANDIDATE_NODE": 9}
+    assert result.nodes["frames"].sum() == 71
+
+
+def test_a_layer_of_one_node_has_no_silhouette():
+    known, _ = lap_twice()
+    found = evaluate_mapping(known, CoarseLayer.of_labels(known, np.zeros(80, dtype=int)), THUMBNAIL).measures()
+    assert math.isnan(found["silhouette"]["nearest"])
+    assert math.isnan(found["descriptor_silhouette"])
+
+
+def test_what_cannot_be_measured():
+    known, quarter = lap_twice()
+    layer = CoarseLayer.of_labels(known, quarter)
+    with pytest.raises(ConfigError, match="the radius of loop closures must not be negative, got -1"):
+        evaluate_mapping(known, layer, THUMBNAIL, radius=-1)
+    with pytest.raises(ConfigError, match="the gap of loop closures must be at least 1 frame, got 0"):
+        evaluate_mapping(known, layer, THUMBNAIL, gap=0)
+    with pytest.raises(DataError, match="the layer has 80 frames and the map 79"):
+        evaluate_mapping(known.take(np.arange(79)), layer, THUMBNAIL)
+    lost = VisualMap(known.descriptors, known.frames.with_columns(x=np.full(80, np.nan)))
+    with pytest.raises(DataError, match="80 of 80 map frames have no position"):
+        evaluate_mapping(lost, layer, THUMBNAIL)

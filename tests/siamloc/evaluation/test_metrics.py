@@ -1,0 +1,254 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation import metrics
+from tests.oracles import metrics as oracle
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def scene(seed: int, n: int = 12, m: int = 30) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return map positions, query positions, and a shuffled ranking of the whole map for each query."""
+    rng = np.random.default_rng(seed)
+    # Quarters of a metre: distances that equal a radius exactly do occur.
+    map_xy, query_xy = rng.integers(0, 20, (m, 2)) / 4, rng.integers(-8, 28, (n, 2)) / 4
+    return map_xy, query_xy, np.argsort(rng.random((n, m)), axis=1)
+
+
+def ranking_by_distance(map_xy: np.ndarray, query_xy: np.ndarray) -> np.ndarray:
+    return np.argsort(np.linalg.norm(map_xy[None] - query_xy[:, None], axis=2), axis=1, kind="stable")
+
+
+@settings(deadline=None)  # the first call imports scipy
+@given(seed=seeds)
+def test_errors_and_floor_equal_the_loops(seed: int) -> None:
+    map_xy, query_xy, retrieved = scene(seed)
+    error = metrics.localization_error(map_xy[retrieved[:, 0]], query_xy)
+    np.testing.assert_allclose(error, oracle.localization_error(map_xy[retrieved[:, 0]], query_xy), rtol=1e-14)
+    floor = metrics.error_floor(map_xy, query_xy)
+    np.testing.assert_allclose(floor, oracle.error_floor(map_xy, query_xy), rtol=1e-14)
+    assert (floor <= error * (1 + 1e-15)).all()
+
+
+def test_error_of_equal_x_and_different_y() -> None:
+    np.testing.assert_array_equal(metrics.localization_error([[1.0, 2.0]], [[1.0, 5.5]]), [3.5])
+
+
+@given(errors=st.lists(st.floats(0, 1e6), min_size=1, max_size=60))
+def test_summary_equals_the_loop(errors: list[float]) -> None:
+    summary, expected = metrics.summarize(errors), oracle.summarize(errors)
+    assert list(summary) == list(expected)
+    for key, value in expected.items():
+        assert math.isclose(summary[key], value, rel_tol=1e-12, abs_tol=1e-150), key
+
+
+def test_summary_of_nothing() -> None:
+    summary = metrics.summarize([])
+    assert summary.pop("count") == 0
+    assert all(math.isnan(value) for value in summary.values())
+    assert len(summary) == 5
+
+
+@settings(max_examples=60)
+@given(seed=seeds, radius=st.sampled_from([0.0, 0.25, 0.5, 1.25, 100.0]), k=st.integers(1, 40))
+def test_recall_equals_the_loop(seed: int, radius: float, k: int) -> None:
+    map_xy, query_xy, retrieved = scene(seed)
+    recall = metrics.recall_at_k(retrieved, map_xy, query_xy, radius, k)
+    hits, answerable = oracle.recall_at_k(retrieved, map_xy, query_xy, radius, k)
+    assert (recall.hits, recall.answerable, recall.queries, recall.k, recall.radius) == (
+        hits,
+        answerable,
+        12,
+        k,
+        radius,
+    )
+    assert recall.recall == hits / 12
+    if answerable:
+        assert recall.recall_answerable == hits / answerable
+    else:
+        assert math.isnan(recall.recall_answerable)
+
+
+@given(seed=seeds)
+def test_recall_grows_with_k_and_radius(seed: int) -> None:
+    map_xy, query_xy, retrieved = scene(seed)
+    shares = [[metrics.recall_at_k(retrieved, map_xy, query_xy, r, k).recall for k in (1, 3, 30)] for r in (0.25, 1, 9)]
+    assert (np.diff(shares, axis=0) >= 0).all()
+    assert (np.diff(shares, axis=1) >= 0).all()
+
+
+def test_perfect_reversed_and_shuffled_retrievers() -> None:
+    rng = np.random.default_rng(0)
+    map_xy = np.column_stack([np.arange(200.0), np.zeros(200)])
+    query_xy = map_xy + rng.uniform(-0.2, 0.2, map_xy.shape)
+    perfect = ranking_by_distance(map_xy, query_xy)
+    assert metrics.recall_at_k(perfect, map_xy, query_xy, 0.5, 1).recall == 1
+    assert metrics.recall_at_one_percent(perfect, map_xy, query_xy, 0.5).recall == 1
+    assert metrics.recall_at_k(perfect[:, ::-1], map_xy, query_xy, 0.5, 1).recall == 0
+    assert metrics.recall_at_one_percent(perfect[:, ::-1], map_xy, query_xy, 0.5).recall == 0
+    shuffled = rng.permuted(perfect, axis=1)
+    # Chance is K / m = 0.1; the bound is five standard deviations wide.
+    assert abs(metrics.recall_at_k(shuffled, map_xy, query_xy, 0.5, 20).recall - 0.1) < 5 * math.sqrt(0.09 / 200)
+
+
+def test_only_one_query_of_several_is_answerable() -> None:
+    recall = metrics.recall_at_k([[0], [0], [0]], [[0.0, 0.0]], [[0, 0.5], [0, 3], [7, 0]], 0.5, 1)
+    assert (recall.hits, recall.queries, recall.answerable) == (1, 3, 1)
+    assert (recall.recall, recall.recall_answerable) == (1 / 3, 1)
+
+
+def test_a_map_of_one_frame() -> None:
+    recall = metrics.recall_at_one_percent([[0], [0]], [[2.0, 2.0]], [[2, 2], [2, 4]], 1)
+    assert (recall.k, recall.hits, recall.answerable) == (1, 1, 1)
+    np.testing.assert_array_equal(metrics.error_floor([[2.0, 2.0]], [[2, 2], [2, 4]]), [0, 2])
+
+
+@pytest.mark.parametrize(("frames", "k"), [(1, 1), (99, 1), (100, 1), (101, 2), (556, 6), (1000, 10)])
+def test_one_percent_of_the_map(frames: int, k: int) -> None:
+    assert metrics.one_percent(frames) == k
+
+
+def test_no_query_has_a_map_frame_near() -> None:
+    recall = metrics.recall_at_k([[0, 1]], [[0.0, 0], [1, 0]], [[50, 50]], 0.5, 2)
+    assert (recall.recall, recall.answerable) == (0, 0)
+    assert math.isnan(recall.recall_answerable)
+
+
+def test_equal_x_and_different_y_is_another_place() -> None:
+    assert metrics.recall_at_k([[0]], [[1.0, 0.0]], [[1.0, 9.0]], 0.5, 1).hits == 0
+
+
+def test_the_first_rank_within_a_radius() -> None:
+    map_xy = [[0.0, 0], [5, 0], [9, 0]]
+    rank = metrics.first_rank_within([[2, 1, 0], [0, 1, 2], [0, 2, 1]], map_xy, [[0, 0], [0, 0], [30, 0]], 0.5)
+    np.testing.assert_array_equal(rank, [3, 1, 0])
+
+
+@given(seed=seeds, margin=st.sampled_from([0.5, 1.0, 2.0]), threshold=st.sampled_from([0.1, 0.5, 1.0]))
+def test_pair_accuracy_equals_the_loop(seed: int, margin: float, threshold: float) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(0, 40))
+    distances, same = rng.integers(0, 13, n) / 4, rng.random(n) < 0.3
+    accuracy = metrics.pair_accuracy(distances, same, margin, threshold)
+    right_same, n_same, right_different, n_different = oracle.pair_accuracy(distances, same, margin, threshold)
+    assert (accuracy.n_same, accuracy.n_different) == (n_same, n_different)
+    for value, right, count in (
+        (accuracy.same, right_same, n_same),
+        (accuracy.different, right_different, n_different),
+        (accuracy.overall, right_same + right_different, n),
+    ):
+        assert math.isnan(value) if count == 0 else math.isclose(value, right / count, rel_tol=1e-15)
+
+
+def test_pairs_at_the_threshold_are_different() -> None:
+    accuracy = metrics.pair_accuracy([1.0, 0.999], np.array([True, True]))
+    assert accuracy.same == 0.5
+
+
+def test_perfect_and_reversed_pairs() -> None:
+    same = np.array([True, False, False])
+    assert metrics.pair_accuracy([0.0, 2.0, 3.0], same).overall == 1
+    assert metrics.pair_accuracy([2.0, 0.0, 0.1], same).overall == 0
+
+
+@given(seed=seeds, margin=st.sampled_from([0.5, 2.0, 3.0]))
+def test_the_threshold_curve_is_the_accuracy_at_every_threshold(seed: int, margin: float) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(0, 40))
+    distances, same = rng.integers(0, 13, n) / 4, rng.random(n) < 0.3
+    steps = np.array([0.125, 0.25, 0.5, 0.75, 1.0])
+    curve = metrics.pair_threshold_curve(distances, same, margin, steps)
+    for i, threshold in enumerate(steps):
+        accuracy = metrics.pair_accuracy(distances, same, margin, threshold)
+        np.testing.assert_array_equal(
+            [curve.same[i], curve.different[i], curve.overall[i]],
+            [accuracy.same, accuracy.different, accuracy.overall],
+        )
+    ordered, couples = oracle.pair_auc(distances, same, margin)
+    assert math.isnan(curve.auc) if couples == 0 else math.isclose(curve.auc, ordered / couples, rel_tol=1e-15)
+
+
+def test_the_threshold_curve_of_perfect_reversed_and_shuffled_pairs() -> None:
+    same = np.arange(1000) < 300
+    curve = metrics.pair_threshold_curve(np.where(same, 0.2, 1.8), same)
+    assert curve.auc == 1
+    assert curve.thresholds.tolist() == [i / 100 for i in range(101)]
+    assert (curve.overall[11:91] == 1).all()
+    assert (curve.same[0], curve.different[0]) == (0, 1)  # at 0 every pair is different
+    assert metrics.pair_threshold_curve(np.where(same, 1.8, 0.2), same).auc == 0
+    assert metrics.pair_threshold_curve(np.ones(1000), same).auc == 0.5
+    shuffled = metrics.pair_threshold_curve(np.random.default_rng(0).uniform(0, 2, 1000), same).auc
+    assert abs(shuffled - 0.5) < 0.06  # three standard deviations
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from("abc")), max_size=40))
+def test_confusion_matrix_equals_the_loop(pairs: list[tuple[str, str]]) -> None:
+    true, predicted = [t for t, _ in pairs], [p for _, p in pairs]
+    matrix = metrics.confusion_matrix(np.array(true, dtype=str), np.array(predicted, dtype=str), ["c", "a", "b", "d"])
+    np.testing.assert_array_equal(matrix, oracle.confusion(true, predicted, ["c", "a", "b", "d"]))
+
+
+@given(st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20)), min_size=1))
+def test_heading_error_equals_the_formula(pairs: list[tuple[float, float]]) -> None:
+    a, b = np.array(pairs).T
+    error = metrics.heading_error(a, b)
+    np.testing.assert_allclose(error, oracle.heading_error(a, b), atol=1e-12)
+    assert ((error >= 0) & (error <= np.pi)).all()
+
+
+def test_headings_on_either_side_of_the_seam() -> None:
+    error = metrics.heading_error([np.pi - 0.1, 0, 2 * np.pi], [-np.pi + 0.1, np.pi, 0])
+    np.testing.assert_allclose(error, [0.2, np.pi, 0], atol=1e-12)
+
+
+XY = [[0.0, 0.0]]
+NAN = [[0.0, math.nan]]
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: metrics.localization_error(NAN, XY), DataError, "1 of 1 estimated positions are unknown"),
+        (lambda: metrics.localization_error(XY, NAN), DataError, "1 of 1 true positions"),
+        (lambda: metrics.localization_error(XY, XY * 2), DataError, "got 1 and 2"),
+        (lambda: metrics.localization_error([0.0], XY), DataError, "shape (n, 2), got (1,)"),
+        (lambda: metrics.error_floor(np.empty((0, 2)), XY), DataError, "the map is empty"),
+        (lambda: metrics.error_floor(NAN, XY), DataError, "1 of 1 map positions"),
+        (lambda: metrics.summarize([1.0, math.nan]), DataError, "1 of 2 errors are not finite"),
+        (lambda: metrics.summarize([[1.0]]), DataError, "shape (n,), got (1, 1)"),
+        (lambda: metrics.recall_at_k([[0]], XY, XY, -1, 1), ConfigError, "radius must not be negative, got -1"),
+        (lambda: metrics.recall_at_k([[0]], XY, XY, math.nan, 1), ConfigError, "radius"),
+        (lambda: metrics.recall_at_k([[0]], XY, XY, 1, 0), ConfigError, "k >= 1, got 0"),
+        (lambda: metrics.recall_at_k([[0]], XY * 3, XY, 1, 2), ConfigError, "recall@2 needs 2 retrieved frames"),
+        (lambda: metrics.recall_at_k([[0]], XY, NAN, 1, 1), DataError, "1 of 1 query positions"),
+        (lambda: metrics.recall_at_k([[1]], XY, XY, 1, 1), DataError, "rows of the map, 0 to 0"),
+        (lambda: metrics.recall_at_k([[-1]], XY, XY, 1, 1), DataError, "rows of the map, 0 to 0"),
+        (lambda: metrics.recall_at_k([[0.0]], XY, XY, 1, 1), DataError, "whole numbers of shape (1, K), got float64"),
+        (lambda: metrics.recall_at_k([[0]], XY, XY * 2, 1, 1), DataError, "whole numbers of shape (2, K)"),
+        (lambda: metrics.recall_at_one_percent([[0]], [], XY, 1), DataError, "map positions must have shape"),
+        (lambda: metrics.pair_accuracy([1.0], [True], margin=0), ConfigError, "margin must be positive, got 0"),
+        (lambda: metrics.pair_accuracy([1.0], [True], threshold=0), ConfigError, "(0, 1], got 0"),
+        (lambda: metrics.pair_threshold_curve([1.0], [1]), DataError, "got int64 of shape (1,)"),
+        (lambda: metrics.pair_threshold_curve([1.0], [True], 2, [0.5, 1.5]), ConfigError, "[0, 1], got 0.5 to 1.5"),
+        (lambda: metrics.pair_accuracy([-1.0], [True]), DataError, "1 of 1 pair distances are negative"),
+        (lambda: metrics.pair_accuracy([math.nan], [True]), DataError, "1 of 1 distances are not finite"),
+        (lambda: metrics.pair_accuracy([1.0], [1]), DataError, "got int64 of shape (1,)"),
+        (lambda: metrics.pair_accuracy([1.0], [[True]]), DataError, "got bool of shape (1, 1)"),
+        (lambda: metrics.confusion_matrix(["a"], ["b"], ["a"]), DataError, "labels 'b' are not among a"),
+        (lambda: metrics.confusion_matrix(["a"], ["a", "a"], ["a"]), DataError, "got shapes (1,) and (2,)"),
+        (lambda: metrics.confusion_matrix(["a"], ["a"], ["a", "a"]), DataError, "must differ"),
+        (lambda: metrics.heading_error([0.0], [0.0, 1.0]), DataError, "got 1 and 2"),
+        (lambda: metrics.heading_error([math.inf], [0.0]), DataError, "1 of 1 estimated headings are not finite"),
+    ],
+)
+def test_errors(call, error: type[Exception], message: str) -> None:
+    with pytest.raises(error) as raised:
+        call()
+    assert message in str(raised.value)

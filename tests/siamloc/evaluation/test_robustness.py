@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analytic import disturb
+from augment import AugmentError
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.robustness import Disturbance, answers, concatenated, curves, locate_disturbed, measures
+from siamloc.maps import Retrieval
+
+ROWS = np.array([4, 9, 11])
+
+
+@pytest.fixture
+def images() -> np.ndarray:
+    return np.random.default_rng(0).integers(40, 200, (3, 3, 16, 72), dtype=np.uint8)
+
+
+def frames(x: list[float]) -> FrameTable:
+    return FrameTable(path=np.array([f"{i}.png" for i in range(len(x))]), x=np.array(x), y=np.zeros(len(x)))
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "level"),
+    [("noise", "noise", 0), ("occlusion", "occlusion", 0), ("turn", "turn", 0), ("turn", "turn", 360)]
+    + [(name, "effect", 0) for name in ("bulb", "darken", "blur", "rotate", "jpeg", "sun_patch", "motion_blur")],
+)
+def test_the_lowest_level_changes_nothing(images: np.ndarray, name: str, kind: str, level: float) -> None:
+    np.testing.assert_array_equal(Disturbance(name, (level,), kind).apply(images, level, ROWS), images)
+
+
+def test_a_left_turn_moves_the_content_to_the_right(images: np.ndarray) -> None:
+    turned = Disturbance("turn", (90,), "turn").apply(images, 90, ROWS)
+    np.testing.assert_array_equal(turned[..., 18:], images[..., :-18])
+
+
+def test_noise_has_the_variance_and_bars_cover_the_share() -> None:
+    grey = np.full((2, 3, 64, 200), 128, dtype=np.uint8)
+    noisy = Disturbance("noise", (0.01,), "noise").apply(grey, 0.01, np.arange(2))
+    assert np.var(noisy / 255.0 - 128 / 255) == pytest.approx(0.01, rel=0.05)
+    hidden = Disturbance("occlusion", (0.2,), "occlusion").apply(grey, 0.2, np.arange(2))
+    np.testing.assert_array_equal((hidden == 0).all(axis=(1, 2)).sum(axis=1), 40)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "level"),
+    [
+        ("noise", "noise", 0.02),
+        ("occlusion", "occlusion", 0.3),
+        ("bulb", "effect", 1.0),
+        ("sun_patch", "effect", 0.5),
+    ],
+)
+def test_draws_follow_from_seed_and_query_alone(images: np.ndarray, name: str, kind: str, level: float) -> None:
+    one = Disturbance(name, (level,), kind)
+    whole = one.apply(images, level, ROWS)
+    for i in range(3):
+        np.testing.assert_array_equal(one.apply(images[i : i + 1], level, ROWS[i : i + 1])[0], whole[i])
+    assert (one.apply(images, level, ROWS + 1) != whole).any()
+    assert (one.apply(images, level, ROWS, seed=1) != whole).any()
+    same = one.apply(np.stack([images[0]] * 3), level, ROWS)
+    assert (same[0] != same[1]).any(), "each query has a draw of its own"
+
+
+def test_stronger_effects_change_more_at_the_same_place() -> None:
+    grey = np.full((3, 3, 64, 256), 100, dtype=np.uint8)
+    bulb = Disturbance("bulb", (0.25, 0.5, 1), "effect")
+    change = [np.abs(bulb.apply(grey, level, ROWS).astype(int) - 100) for level in bulb.levels]
+    assert change[0].sum() < change[1].sum() < change[2].sum()
+    for image in range(3):
+        brightest = [np.unravel_index(part[image, 0].argmax(), (64, 256)) for part in change]
+        assert np.ptp(np.array(brightest), axis=0).max() <= 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "says"),
+    [
+        (("noise", (-0.1,), "noise"), ConfigError, "levels of noise"),
+        (("noise", (float("nan"),), "noise"), ConfigError, "levels of noise"),
+        (("occlusion", (0.1, 1.5), "occlusion"), ConfigError, "from 0 to 1"),
+        (("turn", (), "turn"), ConfigError, "levels of turn"),
+        (("turn", (5, 5), "turn"), ConfigError, "that differ"),
+        (("turn", (5,), "turn", False), ConfigError, "cannot be turned"),
+        (("bulb", (2,), "effect"), ConfigError, "from -1 to 1"),
+        (("bulbs", (1,), "effect"), AugmentError, "did you mean 'bulb'"),
+        (("noise", (0,), "fog"), ConfigError, "of kind"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(arguments: tuple, error: type[Exception], says: str) -> None:
+    with pytest.raises(error, match=says):
+        Disturbance(*arguments)
+
+
+def test_unchanged_images_are_located_once(images: np.ndarray) -> None:
+    asked = []
+
+    def locate(changed: np.ndarray) -> Retrieval:
+        asked.append(changed)
+        return Retrieval(np.full((3, 1), len(asked)), np.zeros((3, 1)))
+
+    wanted = [Disturbance("noise", (0, 0.01), "noise"), Disturbance("turn", (0, 90, 360), "turn")]
+    found = locate_disturbed(locate, images, ROWS, wanted)
+    assert len(asked) == 3
+    assert list(found) == [("noise", 0), ("noise", 0.01), ("turn", 0), ("turn", 90), ("turn", 360)]
+    assert found["turn", 0] is found["noise", 0] is found["turn", 360]
+    assert found["turn", 90][0] != found["noise", 0.01][0]
+
+
+def test_curves_are_those_of_a_loop_over_the_answers() -> None:
+    rng = np.random.default_rng(1)
+    known, queries = frames([0, 1, 2, 3]), frames([0.2, 1.4, 2.9, 8.0])
+    wanted = [Disturbance("noise", (0, 0.5), "noise"), Disturbance("bulb", (0, 1), "effect")]
+    found = {(one.name, level): rng.integers(0, 4, 4) for one in wanted for level in one.levels}
+    columns = concatenated([answers("a", known, queries, found), answers("b", known, queries, found)])
+    table = curves(columns, 0.5, 4)
+    assert len(table["method"]) == 8
+    for i in range(8):
+        match = found[table["disturbance"][i], table["level"][i]]
+        errors = [abs(known.x[m] - x) for m, x in zip(match, queries.x, strict=True)]
+        assert table["mean"][i] == pytest.approx(sum(errors) / 4)
+        assert table["median"][i] == pytest.approx(sum(sorted(errors)[1:3]) / 2)
+        assert table["within"][i] == sum(error <= 0.5 for error in errors)
+        assert table["share"][i] == table["within"][i] / 4
+        assert (table["queries"][i], table["map_frames"][i], table["answerable"][i]) == (4, 4, 3)
+        assert table["floor"][i] == pytest.approx((0.2 + 0.4 + 0.1 + 5) / 4)
+        assert table["excess"][i] == pytest.approx(table["mean"][i] - table["floor"][i])
+    told = measures(table, wanted, "m", 2)
+    assert told["queries"] == 4
+    assert told["radius"] == 0.5
+    assert told["methods"]["b"]["bulb"][1]["mean"] == table["mean"][-1]
+    assert [one["levels"] for one in told["disturbances"]] == [[0, 0.5], [0, 1]]
+
+
+def test_a_perfect_search_stays_at_the_floor() -> None:
+    known, queries = frames([0, 1, 2]), frames([0.1, 1.2])
+    table = curves(answers("a", known, queries, {("turn", 90.0): np.array([0, 1])}), 0, 3)
+    assert table["mean"][0] == pytest.approx(0.15)
+    assert table["excess"][0] == 0
+    assert table["within"][0] == 0
+
+
+def test_errors() -> None:
+    known = frames([0, 1])
+    with pytest.raises(DataError, match="at least one query"):
+        answers("a", known, frames([]), {("turn", 0.0): np.zeros(0, dtype=int)})
+    with pytest.raises(DataError, match="unknown or not finite"):
+        answers("a", known, frames([np.nan]), {("turn", 0.0): np.zeros(1, dtype=int)})
+    with pytest.raises(ConfigError, match="radius"):
+        curves(answers("a", known, known, {("turn", 0.0): np.arange(2)}), -1, 2)
+
+
+def test_the_published_levels() -> None:
+    Disturbance("noise", disturb.NOISE_LEVELS, "noise")
+    Disturbance("occlusion", disturb.OCCLUSION_LEVELS, "occlusion")

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation import metrics
+from siamloc.evaluation.results import read_rows, write_results
+from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
+from siamloc.maps import VisualMap
+from tests.siamloc.evaluation import scenes
+
+
+def test_pairs_by_lighting(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(50, 4)), rng.normal(size=(50, 4)) * 0.7
+    same, lighting = rng.random(50) < 0.4, rng.choice(["cloudy", "night"], 50)
+    names = np.array([f"{i}.jpeg" for i in range(50)])
+    result = evaluate_pairs(first, second, same, 2.5, 0.6, lighting, {"first_path": names})
+    distance = np.array([math.dist(a, b) for a, b in zip(first, second, strict=True)])
+    np.testing.assert_allclose(result.columns["distance"], distance, rtol=1e-14)
+    measures = result.measures()
+    assert (measures["margin"], measures["threshold"]) == (2.5, 0.6)
+    night = lighting == "night"
+    by_night = dict(measures["lighting"]["night"])
+    curve = by_night.pop("curve")
+    for group, rows in ((measures["overall"], slice(None)), (by_night, night)):
+        accuracy = vars(metrics.pair_accuracy(distance[rows], same[rows], 2.5, 0.6))
+        assert group == {**accuracy, "auc": metrics.pair_threshold_curve(distance[rows], same[rows], 2.5).auc}
+    at_threshold = {name: by_night[name] for name in ("same", "different", "overall")}
+    assert curve[60] == {"threshold": 0.6, **at_threshold}
+    assert len(curve) == 101
+    assert measures["auc"] == measures["overall"]["auc"]
+    assert len(measures["curve"]) == 101
+    assert measures["curve"][60] == {
+        "threshold": 0.6,
+        **{name: measures["overall"][name] for name in ("same", "different", "overall")},
+    }
+    assert 0 < measures["overall"]["overall"] < 1
+    assert result.columns["correct"].mean() == measures["overall"]["overall"]
+    results = {"config": {}, "measures": measures, "denominators": {"pairs": len(result)}}
+    write_results(tmp_path, results, tables={"pairs": result.columns})
+    for name, column in read_rows(tmp_path, "pairs").items():
+        np.testing.assert_array_equal(column, result.columns[name], err_msg=name)
+
+
+def test_pairs_without_lighting_and_without_same_rooms() -> None:
+    measures = evaluate_pairs([[0.0]], [[5.0]], np.array([False])).measures()
+    assert measures["lighting"] == {}
+    assert math.isnan(measures["overall"]["same"])
+    assert measures["overall"]["different"] == 1
+
+
+def test_rooms_by_the_nearest_frame() -> None:
+    known, queries = scenes.visual_map(), scenes.frames(2, 90)
+    descriptors = scenes.describe(queries, seed=2, noise=0.6)
+    result = evaluate_rooms(known, descriptors, queries)
+    match = known.search(descriptors, 1).indices[:, 0]
+    correct = [known.frames.room[match[i]] == queries.room[i] for i in range(90)]
+    measures = result.measures()
+    assert measures["overall"] == {"accuracy": sum(correct) / 90, "correct": sum(correct), "queries": 90}
+    assert 0.5 < measures["overall"]["accuracy"] < 1
+    sunny = [c for c, lighting in zip(correct, queries.lighting, strict=True) if lighting == "sunny"]
+    assert measures["lighting"]["sunny"]["accuracy"] == sum(sunny) / len(sunny)
+    counts = np.array(measures["confusion"]["counts"])
+    assert measures["confusion"]["labels"] == ["CR-A", "KT-A", "ST-A"]
+    assert counts.sum() == 90
+    assert np.trace(counts) == sum(correct)
+    assert counts.sum(axis=1).tolist() == [measures["room"][label]["queries"] for label in result.labels]
+    by_lighting = {label: np.array(part) for label, part in measures["confusion"]["lighting"].items()}
+    assert list(by_lighting) == ["cloudy", "night", "sunny"]
+    assert (sum(by_lighting.values()) == counts).all()
+    taken = [
+        (truth, found)
+        for truth, found, lighting in zip(queries.room, result.columns["predicted_room"], queries.lighting, strict=True)
+        if lighting == "sunny"
+    ]
+    assert by_lighting["sunny"][0].tolist() == [taken.count(("CR-A", label)) for label in result.labels]
+    assert measures["rooms_missing_in_map"] == []
+    given = evaluate_rooms(known, descriptors, queries, known.search(descriptors, 5))
+    assert given.measures() == measures
+
+
+def test_a_room_the_map_lacks_is_named_and_wrong() -> None:
+    known = scenes.visual_map(4, room=np.array(["CR-A", "CR-A", "KT-A", "XX-A"]))
+    queries = scenes.frames(2, 3, room=np.array(["CR-A", "LO-A", "LO-A"]))
+    measures = evaluate_rooms(known, scenes.describe(queries), queries).measures()
+    assert measures["rooms_missing_in_map"] == ["LO-A"]
+    assert measures["room"]["LO-A"] == {"accuracy": 0, "correct": 0, "queries": 2}
+    assert measures["confusion"]["labels"] == ["CR-A", "KT-A", "LO-A", "XX-A"]
+
+
+def test_equal_room_codes_of_two_buildings_are_different_rooms() -> None:
+    known = scenes.visual_map(3, room=np.array(["KT"] * 3), building=np.array(["saar"] * 3))
+    queries = scenes.frames(2, 2, room=np.array(["KT"] * 2), building=np.array(["saar", "frei"]))
+    result = evaluate_rooms(known, scenes.describe(queries), queries)
+    assert result.columns["correct"].tolist() == [True, False]
+    assert result.missing == ("frei/KT",)
+
+
+def test_errors() -> None:
+    known, queries = scenes.visual_map(5), scenes.frames(2, 4)
+    descriptors = scenes.describe(queries)
+    bare = queries.with_columns(room=np.array(["KT-A", "", "", "KT-A"]))
+    with pytest.raises(DataError, match="2 of 4 queries have no room label, the first is run2/0001"):
+        evaluate_rooms(known, descriptors, bare)
+    unlabelled = VisualMap(known.descriptors, known.frames.with_columns(room=np.array([""] * 5)))
+    with pytest.raises(DataError, match="5 of 5 map frames have no room label"):
+        evaluate_rooms(unlabelled, descriptors, queries)
+    with pytest.raises(DataError, match="4 queries need descriptors"):
+        evaluate_rooms(known, descriptors[:3], queries)
+    with pytest.raises(DataError, match="that of the 4 queries, got one of 2"):
+        evaluate_rooms(known, descriptors, queries, known.search(descriptors[:2]))
+    same = np.array([True, False])
+    with pytest.raises(DataError, match=r"one shape \(n, D\), got \(2, 3\) and \(2, 4\)"):
+        evaluate_pairs(np.ones((2, 3)), np.ones((2, 4)), same)
+    with pytest.raises(DataError, match="1 of 2 pairs hold values that are not finite"):
+        evaluate_pairs([[1.0], [np.nan]], [[1.0], [1.0]], same)
+    with pytest.raises(DataError, match="one True or False per pair"):
+        evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), np.array([1, 0]))
+    with pytest.raises(DataError, match=r"column 'lighting' of the pairs has shape \(1,\), expected \(2,\)"):
+        evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), same, lighting=["night"])
+    with pytest.raises(ConfigError, match="the column 'same' of a pair is taken"):
+        evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), same, labels={"same": [1, 2]})
+    with pytest.raises(ConfigError, match="margin must be positive"):
+        evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), same, margin=-1)
