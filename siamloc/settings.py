@@ -1,0 +1,251 @@
+"""Settings: what a call can be told, by name, type and range, written down once.
+
+A group of settings is a frozen dataclass. Its annotations say what each value may be; they are checked when the object
+is made, with one sentence for every mistake. The same class gives a function its keywords (`takes`) and the command
+line its defaults (`defaults_of`).
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Filter(Settings):
+    ...     WHERE = "task.filter"
+    ...     window: Count = 5
+    ...     share: Share | None = None
+    >>> Filter(window=7)
+    Filter(window=7, share=None)
+    >>> Filter(window=0)
+    Traceback (most recent call last):
+    siamloc.errors.ConfigError: task.filter.window must be a whole number from 1, got 0
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import types
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from siamloc.errors import ConfigError, hint
+
+Result = TypeVar("Result")
+Kind = TypeVar("Kind", bound="Settings")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a value must hold beyond its type.
+
+    Attributes:
+        words: what is expected, in place of the type's own words.
+        holds: whether a value of the right type is one.
+    """
+
+    words: str
+    holds: Callable[[Any], bool]
+
+
+Natural = Annotated[int, Rule("a whole number from 0", lambda value: value >= 0)]
+Count = Annotated[int, Rule("a whole number from 1", lambda value: value >= 1)]
+Positive = Annotated[float, Rule("a number above 0", lambda value: value > 0)]
+NotNegative = Annotated[float, Rule("a number from 0", lambda value: value >= 0)]
+Share = Annotated[float, Rule("a number from 0 to 1", lambda value: 0 <= value <= 1)]
+Probability = Annotated[float, Rule("a number between 0 and 1", lambda value: 0 < value < 1)]
+Size = Annotated[tuple[Count, Count], Rule("[rows, columns] in pixels", lambda value: True)]
+
+
+class Settings:
+    """Base of a group of settings: a frozen dataclass whose fields are checked when it is made.
+
+    Attributes:
+        WHERE: what the command line calls the group, such as "pairs"; it begins the keys in error messages.
+    """
+
+    WHERE: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for name, kind in fields_of(type(self)).items():
+            object.__setattr__(self, name, checked(getattr(self, name), kind, self._key(name)))
+
+    @classmethod
+    def of(cls: type[Kind], values: Mapping[str, Any]) -> Kind:
+        """Make the settings from plain values, as a configuration file holds them; what is missing has its default.
+
+        Raises:
+            ConfigError: an unknown key, with the nearest valid one; a key without a default that is missing; or a
+                value of another type or out of range.
+        """
+        known = fields_of(cls)
+        for key in values:
+            if key not in known:
+                raise ConfigError(f"unknown key {cls._key(str(key))}: {hint(str(key), known)}")
+        for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+            if field.name not in values and _default(field) is dataclasses.MISSING:
+                key = cls._key(field.name)
+                raise ConfigError(f"{key} is not set: give it as {key}=VALUE")
+        return cls(**values)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the settings as plain values, which `of` reads back."""
+        return {name: _plain(getattr(self, name)) for name in fields_of(type(self))}
+
+    @classmethod
+    def _key(cls, name: str) -> str:
+        return f"{cls.WHERE}.{name}" if cls.WHERE else name
+
+
+def fields_of(kind: type) -> dict[str, Any]:
+    """Return the names of a settings class's fields with their annotations."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+def defaults_of(kind: type[Settings]) -> dict[str, Any]:
+    """Return the defaults of a settings class as plain values; fields without one are left out."""
+    values = {field.name: _default(field) for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    return {name: _plain(value) for name, value in values.items() if value is not dataclasses.MISSING}
+
+
+def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Let a function be called with the fields of a settings class as keywords.
+
+    The function itself has one keyword, `settings`; a caller gives either that or the fields. What it is called with
+    is shown by `help` and by a notebook's completion, field by field.
+    """
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        own = inspect.signature(function)
+        # Only the function's own keywords are told from settings by name; `settings` is what they become.
+        parameters = [one for one in own.parameters.values() if one.name != "settings"]
+        fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+
+        @wraps(function)
+        def call(*arguments: Any, settings: Settings | None = None, **keywords: Any) -> Result:
+            given = {name: keywords.pop(name) for name in list(keywords) if name in fields}
+            for name in keywords:
+                if name not in own.parameters:
+                    raise ConfigError(f"{function.__name__} has no setting {name!r}: {hint(name, fields)}")
+            if settings is not None and given:
+                raise ConfigError(f"{function.__name__} takes settings=... or {', '.join(given)}, not both")
+            return function(*arguments, settings=settings if settings is not None else kind.of(given), **keywords)
+
+        shown = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_shown(field), annotation=field.type)
+            for name, field in fields.items()
+        ]
+        call.__signature__ = own.replace(parameters=[*parameters, *shown])  # type: ignore[attr-defined]
+        return call
+
+    return decorate
+
+
+def checked(value: Any, kind: Any, key: str) -> Any:
+    """Return a value in the form that its annotation asks for: lists as tuples, whole numbers as float where needed.
+
+    Raises:
+        ConfigError: naming the key, what it should be, and what it is.
+    """
+    fits, found = _fit(value, kind, key)
+    if not fits:
+        raise ConfigError(f"{key} must be {words_for(kind)}, got {value!r}")
+    return found
+
+
+def words_for(kind: Any) -> str:
+    """Return what a value of an annotation is, in words for an error message."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return next((part.words for part in parts[1:] if isinstance(part, Rule)), words_for(parts[0]))
+    if origin in (Union, types.UnionType):
+        return ", or ".join("null" if part is type(None) else words_for(part) for part in parts)
+    if origin is Literal:
+        return " or ".join(str(part) for part in parts)
+    if origin in (tuple, list, Sequence):
+        if origin is tuple and parts[-1] is not Ellipsis:
+            return f"a list of {len(parts)}: {', '.join(words_for(part) for part in parts)}"
+        return f"a list, each item {words_for(parts[0])}"
+    if origin in (dict, Mapping) or kind in (dict, Mapping):
+        return "a mapping of keys to values"
+    if isinstance(kind, type) and issubclass(kind, Settings):
+        return f"a group with the keys {', '.join(fields_of(kind))}"
+    return _WORDS.get(kind, getattr(kind, "__name__", str(kind)))
+
+
+_WORDS = {
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    str: "a text",
+    Path: "a path",
+    type(None): "null",
+}
+
+
+def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
+    """Say whether a value is of a kind, and return it in that kind's form."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return True, value
+    if origin is Annotated:
+        fits, found = _fit(value, parts[0], key)
+        return fits and all(rule.holds(found) for rule in parts[1:] if isinstance(rule, Rule)), found
+    if origin in (Union, types.UnionType):
+        for part in parts:
+            fits, found = _fit(value, part, key)
+            if fits:
+                return True, found
+        return False, value
+    if origin is Literal:
+        return isinstance(value, str | int) and not isinstance(value, bool) and value in parts, value
+    if origin in (tuple, list, Sequence):
+        return _fit_list(value, origin, parts, key)
+    if origin in (dict, Mapping) or kind in (dict, Mapping):
+        return isinstance(value, Mapping), dict(value) if isinstance(value, Mapping) else value
+    if isinstance(kind, type) and issubclass(kind, Settings):
+        return (True, kind.of(value)) if isinstance(value, Mapping) else (isinstance(value, kind), value)
+    return _fit_plain(value, kind)
+
+
+def _fit_list(value: Any, origin: Any, parts: tuple[Any, ...], key: str) -> tuple[bool, Any]:
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        return False, value
+    fixed = origin is tuple and parts[-1] is not Ellipsis
+    kinds = parts if fixed else [parts[0]] * len(value)
+    if len(kinds) != len(value):
+        return False, value
+    found = [_fit(item, kind, key) for item, kind in zip(value, kinds, strict=True)]
+    return all(fits for fits, _ in found), tuple(item for _, item in found)
+
+
+def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
+    if isinstance(value, bool) and kind is not bool:
+        return False, value
+    if kind is float:
+        return isinstance(value, int | float) and math.isfinite(value), value
+    if kind is Path:
+        return isinstance(value, str | Path), Path(value).expanduser() if isinstance(value, str) else value
+    return not isinstance(kind, type) or isinstance(value, kind), value
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return field.default
+
+
+def _shown(field: dataclasses.Field[Any]) -> Any:
+    default = _default(field)
+    return inspect.Parameter.empty if default is dataclasses.MISSING else default
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Settings):
+        return value.plain()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value

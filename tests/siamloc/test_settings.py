@@ -1,0 +1,117 @@
+import inspect
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from siamloc.errors import ConfigError
+from siamloc.settings import (
+    Count,
+    Natural,
+    NotNegative,
+    Positive,
+    Probability,
+    Settings,
+    Share,
+    Size,
+    defaults_of,
+    takes,
+)
+
+
+@dataclass(frozen=True)
+class Inner(Settings):
+    WHERE = "train.inner"
+
+    rate: Positive = 0.5
+    name: Literal["sgd", "adam"] = "sgd"
+
+
+@dataclass(frozen=True)
+class Training(Settings):
+    WHERE = "train"
+
+    epochs: Count = 30
+    seed: Natural = 0
+    decay: NotNegative = 0.0
+    share: Share | None = None
+    chance: Probability = 0.5
+    size: Size = (128, 512)
+    radii: tuple[Positive, ...] = (0.5, 1.0)
+    where: Path | None = None
+    flag: bool = False
+    names: tuple[str, ...] | None = None
+    inner: Inner = field(default_factory=Inner)
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"epochs": 0}, "train.epochs must be a whole number from 1, got 0"),
+        ({"epochs": 1.5}, "train.epochs must be a whole number from 1, got 1.5"),
+        ({"epochs": True}, "train.epochs must be a whole number from 1, got True"),
+        ({"seed": "abc"}, "train.seed must be a whole number from 0, got 'abc'"),
+        ({"decay": float("nan")}, "train.decay must be a number from 0, got nan"),
+        ({"share": 3}, "train.share must be a number from 0 to 1, or null, got 3"),
+        ({"chance": 1}, "train.chance must be a number between 0 and 1, got 1"),
+        ({"size": [128]}, r"train.size must be \[rows, columns\] in pixels, got \[128\]"),
+        ({"size": [128, 0]}, r"train.size must be \[rows, columns\] in pixels"),
+        ({"radii": "abc"}, "train.radii must be a list, each item a number above 0, got 'abc'"),
+        ({"radii": [1, -1]}, "train.radii must be a list, each item a number above 0"),
+        ({"where": 3}, "train.where must be a path, or null, got 3"),
+        ({"flag": 1}, "train.flag must be true or false, got 1"),
+        ({"inner": 3}, "train.inner must be a group with the keys rate, name, got 3"),
+        ({"inner": {"name": "lion"}}, "train.inner.name must be sgd or adam, got 'lion'"),
+        ({"inner": {"rte": 1}}, "unknown key train.inner.rte: did you mean 'rate'"),
+        ({"epoch": 3}, "unknown key train.epoch: did you mean 'epochs'"),
+    ],
+)
+def test_a_mistake_is_one_sentence_that_names_the_key(values, says):
+    with pytest.raises(ConfigError, match=says):
+        Training.of(values)
+
+
+def test_values_take_the_form_that_the_annotation_asks_for():
+    made = Training.of({"size": [64, 256], "radii": [1], "where": "runs/a", "inner": {"rate": 1}})
+    assert made.size == (64, 256)
+    assert made.radii == (1,)
+    assert made.where == Path("runs/a")
+    assert made.inner == Inner(rate=1)
+    assert Training.of(made.plain()) == made
+
+
+def test_defaults_are_plain_and_leave_out_what_has_none():
+    @dataclass(frozen=True)
+    class Reader(Settings):
+        root: str
+        inner: Inner = field(default_factory=Inner)
+
+    assert defaults_of(Reader) == {"inner": {"rate": 0.5, "name": "sgd"}}
+    with pytest.raises(ConfigError, match="root is not set: give it as root=VALUE"):
+        Reader.of({})
+
+
+@takes(Training)
+def fit(network, *, run=None, settings):
+    return network, run, settings
+
+
+def test_a_function_takes_the_fields_as_keywords_and_shows_them():
+    assert fit("net", run="r", epochs=3)[2] == Training(epochs=3)
+    assert fit("net", settings=Training(epochs=4))[2].epochs == 4
+    assert list(inspect.signature(fit).parameters)[:4] == ["network", "run", "epochs", "seed"]
+    assert inspect.signature(fit).parameters["epochs"].default == 30
+
+
+@pytest.mark.parametrize(
+    ("keywords", "says"),
+    [
+        ({"epoch": 3}, "fit has no setting 'epoch': did you mean 'epochs'"),
+        ({"epochs": 0}, "train.epochs must be a whole number from 1, got 0"),
+        ({"settings": Training(), "epochs": 3}, "fit takes settings=... or epochs, not both"),
+    ],
+)
+def test_a_function_refuses_what_it_does_not_know(keywords, says):
+    with pytest.raises(ConfigError, match=says):
+        fit("net", **keywords)
