@@ -72,3 +72,20 @@ HEAVY = ("torch", "torchvision", "lightning", "matplotlib", "pandas", "hydra")
 
 def test_every_package_is_typed():
     assert all((ROOT / package / "py.typed").is_file() for package in PACKAGES)
+
+
+@pytest.mark.parametrize("package", sorted({path.parent for path in MODULES if path.name == "__init__.py"}), ids=str)
+def test_no_public_name_is_that_of_a_module_which_would_hide_it(package):
+    tree = ast.parse((ROOT / package / "__init__.py").read_text(encoding="utf-8"))
+    homes = [node.value for node in ast.walk(tree) if isinstance(node, ast.Assign) and "_HOMES" in ast.dump(node)]
+    names = {
+        key.value
+        for home in homes
+        if isinstance(home, ast.Dict)
+        for key, value in zip(home.keys, home.values, strict=True)
+        if value.value
+    }
+    hidden = sorted(
+        name for name in names if (ROOT / package / f"{name}.py").is_file() or (ROOT / package / name).is_dir()
+    )
+    assert not hidden, f"importing the module {hidden} of {package} would hide the name"

@@ -19,7 +19,7 @@ from siamloc.cli.searching import check_apart, parts_of, saved_map
 from siamloc.cli.steps import Roles, build_map, finished_run, identity_of, label_of, make_descriptor, map_file
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.evaluation.buildings import evaluate_buildings
+from siamloc.evaluation.building_choice import evaluate_buildings
 from siamloc.maps import VisualMap, match
 from siamloc.results import write_results
 from siamloc.runs import Run

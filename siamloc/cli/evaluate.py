@@ -30,7 +30,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.pairs import PairSampler
 from siamloc.errors import ConfigError, DataError, SiamlocError, hint
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.beside import located_columns
+from siamloc.evaluation.estimates import located_columns
 from siamloc.evaluation.room_retrieval import PairResult, evaluate_pairs, evaluate_rooms
 from siamloc.maps import VisualMap, WithHeading
 

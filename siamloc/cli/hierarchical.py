@@ -22,9 +22,9 @@ from siamloc.cli.tables import print_hierarchical
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.absolute import neighbours
-from siamloc.evaluation.beside import located_columns
+from siamloc.evaluation.estimates import located_columns
 from siamloc.evaluation.columns import room_names
-from siamloc.evaluation.hierarchical import HierarchicalResult, evaluate_hierarchical
+from siamloc.evaluation.hierarchy import HierarchicalResult, evaluate_hierarchical
 from siamloc.maps import CoarseLayer, Retrieval, VisualMap, WithHeading, match
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
 from siamloc.maps.layers import BUILDS

@@ -21,7 +21,7 @@ from siamloc.cli.steps import (
     usable,
 )
 from siamloc.errors import ConfigError, FormatError
-from siamloc.evaluation.mapping import evaluate_mapping
+from siamloc.evaluation.layers import evaluate_mapping
 from siamloc.files import read_json, storage_errors, write_json, write_text
 from siamloc.maps import CoarseLayer, VisualMap
 from siamloc.maps.layers import BUILDS, Built, build_layer

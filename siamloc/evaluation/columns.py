@@ -17,6 +17,19 @@ def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
     return [table.room if len(buildings) <= 1 else table.place for table in tables]
 
 
+def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
+    """Return which rooms of the queries the map lacks and what to do about it; nothing if it has all."""
+    in_map, rooms = room_names(known, queries)
+    missing = sorted(set(rooms.tolist()) - set(in_map.tolist()) - {""})
+    if not missing:
+        return ""
+    count = int(np.isin(rooms, missing).sum())
+    return (
+        f"{count} of {len(rooms)} queries are in rooms that the map lacks ({', '.join(missing)}), and cannot be found "
+        "there: add frames of these rooms to the map, or leave those queries out"
+    )
+
+
 def retrieve(
     visual_map: VisualMap, descriptors: ArrayLike | None, frames: FrameTable, k: int, retrieval: Retrieval | None
 ) -> Retrieval:

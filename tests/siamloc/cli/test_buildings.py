@@ -11,7 +11,7 @@ import pytest
 
 import analytic
 from siamloc.cli import main
-from siamloc.evaluation.buildings import measures_of
+from siamloc.evaluation.building_choice import measures_of
 from siamloc.files import plain
 from siamloc.maps import CoarseLayer
 from siamloc.results import read_results, read_rows

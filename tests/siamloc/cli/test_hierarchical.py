@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from siamloc.cli import main
-from siamloc.evaluation import absolute, beside, calibration, hierarchical
+from siamloc.evaluation import absolute, estimates, calibration, hierarchical
 from siamloc.evaluation.error_model import ErrorModel
 from siamloc.files import plain
 from siamloc.maps import CoarseLayer

@@ -8,7 +8,7 @@ import json
 import pytest
 
 from siamloc.cli import main
-from siamloc.evaluation.robustness import curves
+from siamloc.evaluation.disturbed import curves
 from siamloc.results import read_rows
 from tests.drawn import write_manifest
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
-from siamloc.evaluation.buildings import evaluate_buildings
+from siamloc.evaluation.building_choice import evaluate_buildings
 from siamloc.report import buildings as pictures
 from siamloc.results import write_results
 

@@ -10,7 +10,7 @@ import pytest
 from siamloc.errors import DataError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.hierarchical import evaluate_hierarchical, measures_of
+from siamloc.evaluation.hierarchy import evaluate_hierarchical, measures_of
 from siamloc.evaluation.result import Result
 from siamloc.files import plain
 from siamloc.maps import VisualMap

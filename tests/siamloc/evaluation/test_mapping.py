@@ -8,7 +8,7 @@ import pytest
 import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.mapping import closures, evaluate_mapping, mapping_measures
+from siamloc.evaluation.layers import closures, evaluate_mapping, mapping_measures
 from siamloc.maps import CoarseLayer, VisualMap
 
 THUMBNAIL = analytic.Thumbnail(1, 2)

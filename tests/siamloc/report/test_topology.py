@@ -13,7 +13,7 @@ from PIL import Image
 from analytic.mapper.closure import Similarity, prominences, similarity_curve
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
-from siamloc.evaluation.mapping import evaluate_mapping
+from siamloc.evaluation.layers import evaluate_mapping
 from siamloc.maps import VisualMap
 from siamloc.maps.layers import build_layer
 from siamloc.report import decision_picture, decisions, growth, sweeps, topology

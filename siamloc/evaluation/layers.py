@@ -4,19 +4,72 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import AnalyticError, Descriptor
+from analytic import Descriptor
+from analytic.measures.closures import ClosureScores, closure_scores
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.result import Result
+from siamloc.maps import Built
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns
+from siamloc.settings import Count, NotNegative, Settings, takes
+
+
+@dataclass(frozen=True)
+class MapMeasures(Settings):
+    """Loop closures.
+
+    Attributes:
+        closure_radius: a loop closure is right if its two frames lie this near, in the unit of the positions.
+        closure_gap: frames that it has to bridge.
+    """
+
+    WHERE = "task"
+
+    closure_radius: NotNegative = 1.0
+    closure_gap: Count = 30
+
+
+@takes(MapMeasures)
+def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings: MapMeasures) -> Result:
+    """Measure the nodes of a map: how compact they are, how they fit the rooms, which loops they close, their cost.
+
+    Positions are needed only for what they measure: without them the result holds the rest.
+
+    Args:
+        known: the map, its frames in capture order.
+        built: nodes over its frames, from `siamloc.maps.group`.
+        name: what the results are called.
+        settings: instead of its fields as keywords.
+    """
+    reasons = [decision.reason.name for decision in built.decisions]
+    result = evaluate_mapping(
+        known,
+        built.layer,
+        known.descriptor,
+        settings.closure_radius,
+        settings.closure_gap,
+        built.seconds,
+        np.array(reasons) if reasons else None,
+    )
+    return replace(
+        result,
+        name=name or known.descriptor.name,
+        about={
+            "data": {"map": {**known.made.get("data", {}), "sequences": list(known.frames.rows_by("sequence"))}},
+            "descriptor": known.descriptor.identity,
+            "layer": built.layer.made,
+            "edges": built.layer.edges,
+        },
+        settings={"task": settings.plain(), "data": known.made.get("data", {})},
+    )
 
 
 def evaluate_mapping(
@@ -31,7 +84,7 @@ def evaluate_mapping(
     """Measure a coarse layer.
 
     Args:
-        known: n frames in capture order, all with positions.
+        known: n frames in capture order; what positions measure is left out for frames without one.
         layer: nodes over them.
         descriptor: what described the map; loop closures are its most similar earlier frames.
         radius: a closure is right if its frames lie within it, in units of x and y.
@@ -41,17 +94,14 @@ def evaluate_mapping(
 
     Raises:
         ConfigError: a radius or gap out of range.
-        DataError: a layer of another map, or frames without positions.
+        DataError: a layer of another map.
     """
     if not (radius >= 0 and math.isfinite(radius)):
         raise ConfigError(f"the radius of loop closures must not be negative, got {radius}")
     if gap < 1:
         raise ConfigError(f"the gap of loop closures must be at least 1 frame, got {gap}")
     if len(layer.labels) != len(known):
-        raise DataError(f"the layer has {len(layer.labels)} frames and the map {len(known)}: build the layer anew")
-    if not known.frames.has_position.all():
-        missing = int((~known.frames.has_position).sum())
-        raise DataError(f"{missing} of {len(known)} map frames have no position (x, y): leave them out")
+        raise DataError(f"the layer has {len(layer.labels)} frames and the map {len(known)}: build the layer again")
     frames = known.frames
     rooms = room_names(frames)[0]
     took = np.full(len(known), np.nan) if seconds is None else np.asarray(seconds, dtype=np.float64)
@@ -91,15 +141,16 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
 
     Returns:
         frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
-        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); `purity` per room and
-        overall, with its denominators; `closures` with precision, recall, F1 and theirs; `ms_per_frame` as mean,
+        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); both of the frames that
+        have a position, NaN where none has; `purity` per room and overall, with its denominators; `closures` with
+        precision, recall, F1 and theirs, NaN unless all frames have a position; `ms_per_frame` as mean,
         median and p95, NaN where it was not measured; `reasons`, counted, where there are any.
     """
     from analytic import measures
 
     labels = np.asarray(columns["node"])
     xy = np.column_stack([columns["x"], columns["y"]])
-    pairs = np.column_stack([columns["frame"], columns["closes_with"]])
+    placed = np.isfinite(xy).all(axis=1)
     pure = measures.purity(labels, columns["room"])
     ms = 1000 * np.asarray(columns["seconds"], dtype=np.float64)
     known = bool(np.isfinite(ms).all())
@@ -108,14 +159,14 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
         "frames": len(labels),
         "nodes": len(set(labels[labels >= 0].tolist())),
         "unassigned": {"frames": unassigned, "share": unassigned / len(labels)},
-        "silhouette": {mode: _silhouette(xy, labels, mode) for mode in ("nearest", "pooled")},
-        "inertia": measures.moment_of_inertia(xy, labels) if (labels >= 0).any() else math.nan,
+        "silhouette": {mode: _silhouette(xy[placed], labels[placed], mode) for mode in ("nearest", "pooled")},
+        "inertia": float(np.nansum(inertias)) if np.isfinite(inertias := _inertias(xy, labels)).any() else math.nan,
         "purity": {
             "overall": pure.overall,
             "room": {room: {"purity": pure.rooms[room], "frames": pure.frames_per_room[room]} for room in pure.rooms},
             "frames": pure.counted,
         },
-        "closures": asdict(measures.closure_scores(pairs[pairs[:, 1] >= 0], xy, radius, gap)),
+        "closures": asdict(_closure_scores(columns, xy, radius, gap)),
         "ms_per_frame": {
             "mean": float(ms.mean()) if known else math.nan,
             "median": float(np.median(ms)) if known else math.nan,
@@ -148,12 +199,9 @@ def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor
 def _silhouette(values: NDArray, labels: NDArray[np.int64], mode: str) -> float:
     from analytic import measures
 
-    try:
-        return measures.silhouette(values, labels, mode)
-    except AnalyticError:
-        if len(set(labels[labels >= 0].tolist())) < 2:
-            return math.nan
-        raise
+    if len(set(labels[labels >= 0].tolist())) < 2:
+        return math.nan
+    return measures.silhouette(values, labels, mode)
 
 
 def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
@@ -172,5 +220,24 @@ def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
         "y": layer.positions[:, 1],
         "room": np.array([rooms.get(node, "") for node in numbers], dtype=np.str_),
         "purity": np.array([shares.get(node, math.nan) for node in numbers]),
-        "inertia": measures.moments_of_inertia(xy, layer.labels),
+        "inertia": _inertias(xy, layer.labels),
     }
+
+
+def _inertias(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the moment of inertia of each node (k,) from its frames that have a position; NaN where none has."""
+    from analytic import measures
+
+    used = np.isfinite(xy).all(axis=1) & (labels >= 0)
+    found = np.full(int(labels.max(initial=-1)) + 1, math.nan)
+    if used.any():
+        found[np.unique(labels[used])] = measures.moments_of_inertia(xy[used], labels[used])
+    return found
+
+
+def _closure_scores(columns: Mapping[str, NDArray], xy: NDArray[np.float64], radius: float, gap: int) -> ClosureScores:
+    pairs = np.column_stack([columns["frame"], columns["closes_with"]])
+    pairs = pairs[pairs[:, 1] >= 0]
+    if np.isfinite(xy).all():
+        return closure_scores(pairs, xy, radius, gap)
+    return ClosureScores(math.nan, math.nan, math.nan, 0, len(pairs), 0, 0, 0, float(radius), int(gap))

@@ -9,16 +9,129 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic import Descriptor
 from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.roles import Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
-from siamloc.maps.search import Retrieval
+from siamloc.evaluation.result import Result
+from siamloc.evaluation.session import Baselines, Session
+from siamloc.maps import Retrieval, VisualMap, match
+from siamloc.progress import track
 from siamloc.results import Columns
+from siamloc.settings import Count, NotNegative, Settings, takes
 
 Images = NDArray[np.uint8]
 Locate = Callable[[Images], Retrieval]
 _NAMES = {"noise": "variance", "occlusion": "share of the columns", "turn": "degrees"}
 _KINDS = ("noise", "occlusion", "turn", "effect")
+
+
+@dataclass(frozen=True)
+class Robustness(Settings):
+    """What happens to the queries' images; the map stays clean.
+
+    Attributes:
+        every: take every k-th query.
+        radius: share of the queries located this near, in the unit of the positions.
+        noise: variances on images in [0, 1]; those of the thesis if None, none if ().
+        occlusion: shares of the columns behind bars; those of the thesis if None, none if ().
+        turn: degrees that the robot has turned left.
+        effects: effects of `augment`, such as "bulb", "darken" or "blur".
+        strengths: of each effect: 0 does nothing, 1 is the far end of its ranges.
+    """
+
+    WHERE = "task.robustness"
+
+    every: Count = 5
+    radius: NotNegative = 0.5
+    noise: tuple[float, ...] | None = None
+    occlusion: tuple[float, ...] | None = None
+    turn: tuple[float, ...] = (0, 1, 5, 15, 45, 90, 180)
+    effects: tuple[str, ...] = ()
+    strengths: tuple[float, ...] = (0, 0.25, 0.5, 0.75, 1)
+
+    def disturbances(self, circular: bool) -> list[Disturbance]:
+        """Return what the settings ask for.
+
+        Raises:
+            ConfigError: nothing is asked for, something twice, or levels out of range.
+        """
+        from analytic.disturb import NOISE_LEVELS, OCCLUSION_LEVELS
+
+        wanted = [
+            ("noise", "noise", NOISE_LEVELS if self.noise is None else self.noise),
+            ("occlusion", "occlusion", OCCLUSION_LEVELS if self.occlusion is None else self.occlusion),
+            ("turn", "turn", self.turn if circular or self.turn != type(self).turn else ()),
+            *((name, "effect", self.strengths) for name in self.effects),
+        ]
+        names = [name for name, _, _ in wanted]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ConfigError(f"task.robustness.effects names {twice!r} twice, or a disturbance that is there already")
+        made = [
+            Disturbance(name, tuple(map(float, levels)), kind, circular)
+            for name, kind, levels in wanted
+            if levels or kind == "effect"
+        ]
+        if not made:
+            raise ConfigError("task.robustness has no levels at all: give noise, occlusion, turn or effects")
+        return made
+
+
+@takes(Robustness)
+def robustness(
+    known: VisualMap,
+    images: PanoramaLibrary,
+    queries: FrameTable,
+    *,
+    protocol: Protocol | str = "cross_run",
+    baselines: Baselines = (),
+    name: str | None = None,
+    seed: int = 0,
+    settings: Robustness,
+) -> Result:
+    """Measure how errors grow when the queries' images are disturbed.
+
+    Args:
+        known: the map; frames without a position are left out, of the queries too.
+        images: panoramas of the queries (and of the map's frames for baselines).
+        queries: frames to be located.
+        protocol: who may be compared with whom; see `localization`.
+        baselines: descriptors measured on the same frames; see `localization`.
+        name: what the results are called.
+        seed: of the noise, the bars and the effects' places.
+        settings: instead of its fields as keywords.
+
+    Returns:
+        The tables "robustness", a row per method, disturbance and level, and "answers", a row per query as well.
+    """
+    session = Session(known, images, queries, protocol=protocol, baselines=baselines, name=name, seed=seed)
+    disturbances = settings.disturbances(images.circular)
+    placed, scored = session.with_positions()
+    rows = np.arange(0, len(scored), settings.every)
+    parts, tables = [], []
+    for label, other in {session.name: known.descriptor, **session.baselines}.items():
+        own = placed if label == session.name else session.map_by(other).placed()
+        found = _located(session, own, scored.take(rows), rows, disturbances, label)
+        parts.append(answers(label, own.frames, scored.take(rows), found))
+        tables.append(curves(parts[-1], settings.radius, len(own)))
+    table = concatenated(tables)
+    measured = measures(table, disturbances, known.unit, settings.every)
+    return Result(
+        name=session.name,
+        parts={"robustness": measured},
+        tables={"robustness": table, "answers": concatenated(parts)},
+        denominators={
+            "queries": len(rows),
+            "queries_of_the_role": len(scored),
+            "map_frames": measured["map_frames"],
+        },
+        skipped=session.skipped,
+        about=session.about(),
+        settings=session.settings(settings),
+    )
 
 
 @dataclass(frozen=True)
@@ -54,8 +167,8 @@ class Disturbance:
             )
         if self.kind == "turn" and not self.circular:
             raise ConfigError(
-                "images whose columns do not wrap around cannot be turned: set task.robustness.turn=[], or "
-                "data.circular=true for panoramas"
+                "images whose columns do not wrap around cannot be turned: leave turn out "
+                "(task.robustness.turn=[]), or say that they do (circular=true)"
             )
         if self.kind == "effect":
             self._effect()
@@ -163,8 +276,8 @@ def answers(
         raise DataError("robustness needs at least one query and one disturbance")
     floor = error_floor(known.xy, queries.xy)
     parts = []
-    for (name, level), match in found.items():
-        error = localization_error(known.xy[match], queries.xy)
+    for (name, level), row in found.items():
+        error = localization_error(known.xy[row], queries.xy)
         parts.append(
             {
                 "method": np.full(len(queries), method),
@@ -173,7 +286,7 @@ def answers(
                 "path": queries.path,
                 "lighting": queries.lighting,
                 "room": queries.room,
-                "match_path": known.path[match],
+                "match_path": known.path[row],
                 "error": error,
                 "floor": np.minimum(floor, error),
             }
@@ -254,3 +367,26 @@ def measures(
         ],
         "methods": methods,
     }
+
+
+def _located(
+    session: Session,
+    known: VisualMap,
+    queries: FrameTable,
+    rows: NDArray[np.int64],
+    disturbances: list[Disturbance],
+    name: str,
+) -> dict[tuple[str, float], NDArray[np.int64]]:
+    """Locate queries, batch by batch, at every level of every disturbance."""
+    describer: Descriptor = known.descriptor
+
+    def locate(images: Images) -> Retrieval:
+        return match(known, describer.describe(images), 1)
+
+    batches = track(session.images.batches(queries), len(queries), f"disturbed queries, {name}", size=len)
+    found, start = [], 0
+    for images in batches:
+        part = rows[start : start + len(images)]
+        found.append(locate_disturbed(locate, images, part, disturbances, session.seed))
+        start += len(images)
+    return {key: np.concatenate([part[key] for part in found]) for key in found[0]}
