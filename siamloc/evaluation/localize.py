@@ -1,4 +1,4 @@
-"""Localization: where a query was taken, and in which room, by the map frame that looks most like it ([T] 5.3.4-5.3.5)."""
+"""Where a query was taken, and in which room, by the map frame that looks most like it ([T] 5.3.4-5.3.5)."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
 
 def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:
     """Measure one descriptor; `main` for the map's own, whose queries without a pose are located as well."""
-    queries, images = session.queries, session.images
+    queries = session.queries
     skipped: dict[str, str] = {}
     searches: dict[str, Search] = {}
     if "absolute" in settings.names:
@@ -230,10 +230,8 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         labelled = queries.take(search.rows)
         found = room_retrieval.evaluate_rooms(search.known, None, labelled, search.retrieval, search.excluded)
         result = result.joined(found)
-        if vectors is not None and (
-            judged := _pairs(session, settings, known, vectors[search.rows], labelled, skipped)
-        ):
-            result = result.joined(judged)
+        if vectors is not None:
+            result = _with_pairs(result, session, settings, known, vectors[search.rows], labelled, skipped)
         if main and (text := missing_rooms(known.frames, queries)):
             skipped["rooms"] = text
     if search := searches.get("located"):
@@ -270,30 +268,30 @@ def _located(result: Result, session: Session, settings: Localization, search: S
     return replace(result, tables={**result.tables, "located": columns}, error_model=model, about=about)
 
 
-def _pairs(
+def _with_pairs(
+    result: Result,
     session: Session,
     settings: Localization,
     known: VisualMap,
     vectors: NDArray[np.float32],
     queries: FrameTable,
     skipped: dict[str, str],
-) -> Result | None:
-    """Judge pairs of queries by the distance of their descriptors, for a descriptor that has a margin."""
+) -> Result:
+    """Return the result with pairs of queries judged by the distance of their descriptors, where there is a margin."""
     margin = getattr(known.descriptor, "margin", None)
     if margin is None:
-        skipped["room_pairs"] = f"{known.descriptor.name} has no margin to tell same from different rooms by"
-        return None
+        skipped["room_pairs"] = f"{known.descriptor.name} has no margin by which to judge pairs"
+        return result
     wanted = settings.pairs
     try:
         sampler = PairSampler(queries, "room", wanted.same_room_share, wanted.count, seed=session.seed)
     except SiamlocError as error:
         skipped["room_pairs"] = str(error)
-        return None
+        return result
     pairs = sampler.epoch(0)
     one, other = queries.lighting[pairs.first], queries.lighting[pairs.second]
     first, second = np.where(one <= other, one, other), np.where(one <= other, other, one)
     lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))
     labels = {"first": queries.path[pairs.first], "second": queries.path[pairs.second]}
-    return room_retrieval.evaluate_pairs(
-        vectors[pairs.first], vectors[pairs.second], pairs.same, margin, 0.5, lighting, labels
-    )
+    one_each, another = vectors[pairs.first], vectors[pairs.second]
+    return result.joined(room_retrieval.evaluate_pairs(one_each, another, pairs.same, margin, 0.5, lighting, labels))

@@ -204,7 +204,7 @@ class Session:
         }
 
     def _check_apart(self) -> None:
-        """Make sure that no query, and no validation frame, comes from the map's own run unless the protocol says so."""
+        """Refuse queries and validation frames of the map's own run, unless the protocol allows for them."""
         if self.validation is not None and (what := shared_with(self.known.frames, self.validation)):
             raise ConfigError(
                 f"{what} is in the map and in the validation, so that nothing could be learned of the errors on "
