@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from siamloc.data.checks import check
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
@@ -30,6 +31,7 @@ __all__ = [
     "Protocol",
     "Role",
     "azimuth_column",
+    "check",
     "column_azimuth",
     "concatenate",
     "read",
