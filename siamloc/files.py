@@ -6,6 +6,7 @@ import errno
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -41,6 +42,33 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         finally:
             with suppress(FileNotFoundError):
                 temporary.unlink()
+
+
+@contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary folder beside `path` that becomes `path` when the block ends without an error.
+
+    What was there before is replaced as a whole. After an error nothing is left behind and the older folder stays as
+    it was; after a kill a folder `.<name>.<letters>.tmp` is left.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    path = Path(path)
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
+        try:
+            temporary.chmod(0o777 & ~_umask())
+            yield temporary
+            if path.exists():
+                with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent) as old:
+                    path.rename(Path(old, "old"))
+                    temporary.rename(path)
+            else:
+                temporary.rename(path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextmanager
@@ -86,7 +114,7 @@ def read_json(path: str | Path) -> Any:
     except FileNotFoundError as error:
         raise FormatError(f"{path} does not exist") from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FormatError(f"{path} is not whole JSON ({error}): write it anew") from error
+        raise FormatError(f"{path} is not whole JSON ({error}): write it again") from error
 
 
 def plain(value: Any) -> Any:

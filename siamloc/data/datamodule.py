@@ -103,8 +103,9 @@ class PairBatches(Dataset[dict[str, Any]]):
     ) -> None:
         self._change = change
         self._library = library
-        self._first = frames.index[pairs.first]
-        self._second = frames.index[pairs.second]
+        rows = library.rows(frames)
+        self._first = rows[pairs.first]
+        self._second = rows[pairs.second]
         self._pairs = pairs
         self._batch_size = batch_size
 
