@@ -9,8 +9,8 @@ from omegaconf import DictConfig
 from siamloc.cli.compose import plain
 from siamloc.cli.steps import finished_run, identity_of, image_size, label_of, make_descriptor
 from siamloc.errors import ConfigError
-from siamloc.evaluation.error_model import ErrorModel
 from siamloc.maps import VisualMap
+from siamloc.maps.error_model import ErrorModel
 from siamloc.models import SiameseModule
 from siamloc.runtime.bundle import learned_on, write_bundle
 

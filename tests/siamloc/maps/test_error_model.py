@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.evaluation.error_model import SCORES, ErrorModel, ratio_score
 from siamloc.maps import Retrieval
+from siamloc.maps.error_model import SCORES, ErrorModel, ratio_score
 from tests.oracles import calibration as oracle
 
 MODEL = ErrorModel("ratio", 1.0, 5, (0.2, 0.5, 0.9), (0.1, 0.4, 3.0), 50)
@@ -125,7 +125,7 @@ def test_the_prediction_needs_numpy_only() -> None:
     code = (
         "import sys, numpy as np\n"
         "from siamloc.maps.search import Retrieval\n"
-        "from siamloc.evaluation.error_model import ErrorModel\n"
+        "from siamloc.maps.error_model import ErrorModel\n"
         f"model = ErrorModel.from_dict({MODEL.as_dict()!r})\n"
         "found = Retrieval(np.array([[0, 1]]), np.array([[0.35, 1.0]]))\n"
         "print(model.predict(found, [[0.0, 0.0], [9.0, 0.0]])[0])\n"
