@@ -13,7 +13,7 @@ from analytic import Description
 from analytic.distances import DISTANCES
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.roles import Protocol
+from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.evaluation.metrics import confusion_matrix
 from siamloc.evaluation.result import Result

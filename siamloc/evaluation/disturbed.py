@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analytic import Descriptor
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.roles import Protocol
+from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
 from siamloc.evaluation.result import Result

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.roles import Protocol
+from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import absolute
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler
-from siamloc.data.roles import Protocol
+from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.evaluation import room_retrieval
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours, with_baseline

@@ -13,7 +13,7 @@ from analytic import Description, Descriptor, Thumbnail, descriptor
 from siamloc import maps
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.roles import Protocol
+from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Retrieval, VisualMap, WithHeading, estimated_headings, match
 from siamloc.maps.sequence_filter import frame_distances
@@ -163,7 +163,7 @@ class Session:
         if has.all():
             return ""
         text = f"{int((~has).sum())} of {len(has)} {what}"
-        if has.any() and self.images.on_error == "raise":
+        if has.any() and self.images.settings()["on_error"] == "raise":
             raise DataError(f"{text}: on_error=skip leaves them out")
         return text
 
@@ -210,7 +210,7 @@ class Session:
                 f"{what} is in the map and in the validation, so that nothing could be learned of the errors on "
                 "another day: validate on another sequence"
             )
-        if self.protocol.kind == "same_run" or self.protocol.keeps_apart:
+        if self.protocol.kind == "same_run" or self.protocol.excludes:
             return
         if what := shared_with(self.known.frames, self.queries):
             raise ConfigError(
