@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from siamloc.errors import ConfigError, FormatError
-from siamloc.evaluation.results import versions
 from siamloc.files import read_json, write_json
+from siamloc.results import versions
 
 FORMAT = "siamloc-run"
 VERSION = 1

@@ -20,8 +20,8 @@ from siamloc.cli.steps import Roles, build_map, finished_run, identity_of, label
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.evaluation.buildings import evaluate_buildings
-from siamloc.evaluation.results import write_results
 from siamloc.maps import VisualMap, match
+from siamloc.results import write_results
 from siamloc.runs import Run
 
 

@@ -15,7 +15,6 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import beside, calibration
 from siamloc.evaluation.absolute import AbsoluteResult, neighbours
-from siamloc.evaluation.columns import Columns
 from siamloc.evaluation.error_model import ErrorModel
 from siamloc.evaluation.interpolation import interpolate_poses
 from siamloc.evaluation.metrics import localization_error
@@ -23,6 +22,7 @@ from siamloc.maps import VisualMap
 from siamloc.maps.filter_learning import temperature_of_map, tune_filter
 from siamloc.maps.motion import MotionModel
 from siamloc.maps.sequence_filter import SequenceFilter
+from siamloc.results import Columns
 
 MATCHES = 20  # that an error model looks at
 

@@ -11,10 +11,9 @@ from omegaconf import DictConfig
 from analytic import Descriptor
 from siamloc.cli.compose import plain
 from siamloc.evaluation.absolute import AbsoluteResult
-from siamloc.evaluation.columns import Columns
 from siamloc.evaluation.error_model import ErrorModel
-from siamloc.evaluation.results import write_results
 from siamloc.evaluation.room_retrieval import PairResult, RoomResult
+from siamloc.results import Columns, write_results
 
 
 @dataclass

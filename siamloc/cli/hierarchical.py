@@ -23,13 +23,13 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.absolute import neighbours
 from siamloc.evaluation.beside import located_columns
-from siamloc.evaluation.columns import Columns, room_names
+from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.hierarchical import HierarchicalResult, evaluate_hierarchical
-from siamloc.evaluation.results import read_results, read_rows, write_results
 from siamloc.maps import CoarseLayer, Retrieval, VisualMap, WithHeading, match
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
 from siamloc.maps.layers import BUILDS
 from siamloc.maps.node_ranking import NodeRanking, rank_by_position
+from siamloc.results import Columns, read_results, read_rows, write_results
 from siamloc.runs import Run
 
 

@@ -22,11 +22,11 @@ from siamloc.cli.steps import (
 )
 from siamloc.errors import ConfigError, FormatError
 from siamloc.evaluation.mapping import evaluate_mapping
-from siamloc.evaluation.results import write_results
 from siamloc.files import read_json, storage_errors, write_json, write_text
 from siamloc.maps import CoarseLayer, VisualMap
 from siamloc.maps.layers import BUILDS, Built, build_layer
 from siamloc.progress import track
+from siamloc.results import write_results
 from siamloc.runs import Run
 
 

@@ -15,11 +15,10 @@ from siamloc.cli.searching import check_apart, saved_map
 from siamloc.cli.steps import Roles, build_map, finished_run, label_of, make_descriptor, usable
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError
-from siamloc.evaluation.columns import Columns
-from siamloc.evaluation.results import write_results
 from siamloc.evaluation.robustness import Disturbance, answers, concatenated, curves, locate_disturbed, measures
 from siamloc.maps import Retrieval, VisualMap, match
 from siamloc.progress import track
+from siamloc.results import Columns, write_results
 
 
 def measure(config: DictConfig) -> None:

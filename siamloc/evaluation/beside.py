@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
-from siamloc.evaluation.columns import Columns, room_names, rows_by_label
+from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.error_model import ErrorModel
 from siamloc.evaluation.metrics import heading_error, localization_error, recall_from_ranks, summarize
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
+from siamloc.results import Columns, rows_by_label
 
 
 def estimate_columns(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,33 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
-from siamloc.evaluation.columns import Columns, rows_by_label
 from siamloc.evaluation.metrics import confusion_matrix
-
-
-@dataclass(frozen=True, eq=False)
-class BuildingResult:
-    """The building that each query was taken for, as columns.
-
-    Attributes:
-        columns: arrays of length n by name: what `queries.csv` holds.
-        labels: the buildings that have a map: the order of the confusion matrix.
-    """
-
-    columns: Columns
-    labels: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.columns["building"])
-
-    def measures(self) -> dict[str, Any]:
-        """Return all measures, as `measures_of`."""
-        return measures_of(self.columns, self.labels)
+from siamloc.evaluation.result import Result
+from siamloc.results import Columns, rows_by_label
 
 
 def evaluate_buildings(
     frames: FrameTable, labels: Sequence[str], apart: ArrayLike, nearest: ArrayLike, names: Sequence[ArrayLike]
-) -> BuildingResult:
+) -> Result:
     """Take the building of the nearest representative for each query's building; of equally near ones the first.
 
     Args:
@@ -92,7 +72,12 @@ def evaluate_buildings(
     }
     for number, label in enumerate(known):
         columns[f"distance_{label}"] = distance[:, number]
-    return BuildingResult(columns, known)
+    return Result(
+        name="buildings",
+        parts={"buildings": measures_of(columns, known)},
+        tables={"queries": columns},
+        denominators={"queries": len(frames), "maps": len(known)},
+    )
 
 
 def measures_of(columns: Columns, labels: Sequence[str]) -> dict[str, Any]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,20 +9,6 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-
-Columns = dict[str, NDArray[Any]]
-UNLABELLED = "(unlabelled)"
-
-
-def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
-    """Return the row numbers of each label, labels in alphabetic order.
-
-    Rows without a label come under "(unlabelled)"; where no row carries one there are no groups at all.
-    """
-    names, inverse = np.unique(labels, return_inverse=True)
-    if names.tolist() == [""]:
-        return {}
-    return {str(name) or UNLABELLED: np.flatnonzero(inverse == i) for i, name in enumerate(names)}
 
 
 def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:

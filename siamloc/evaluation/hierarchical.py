@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,36 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
 from siamloc.evaluation import absolute
-from siamloc.evaluation.absolute import AbsoluteResult, evaluate_absolute
-from siamloc.evaluation.columns import Columns, rows_by_label
+from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.evaluation.metrics import localization_error, summarize
+from siamloc.evaluation.result import Result
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval
 from siamloc.maps.node_ranking import rank_by_position
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-
-
-@dataclass(frozen=True, eq=False)
-class HierarchicalResult(AbsoluteResult):
-    """What became of each query, as `AbsoluteResult`, with what the coarse layer did.
-
-    Further columns: `node` of the estimate and `true_node`, that of the geometrically nearest map frame (-1 for none);
-    `nodes_tried`, numbers in one text, the best first; `coarse_correct`, whether the true node was tried (a frame in no
-    node is always searched, so that a query whose true frame is in none counts as correct); `frames_compared` and
-    `comparisons`, which counts the comparisons with the coarse layer as well; `error_perfect_coarse` and
-    `error_absolute`, the errors on the same query of a search in the true node alone and in the whole map.
-    `map_columns` have the `node` of each frame.
-
-    Attributes:
-        node_columns: node, name, x, y, frames: what `nodes.csv` holds.
-    """
-
-    node_columns: Columns
-
-    def measures(self) -> dict[str, Any]:
-        """Return all measures, as `measures_of`."""
-        return measures_of(self.columns, self.radii, self.ks, len(self.map_columns["path"]), self.unit)
+from siamloc.results import Columns, rows_by_label
 
 
 def evaluate_hierarchical(
@@ -55,8 +34,16 @@ def evaluate_hierarchical(
     radii: Sequence[float] = (0.5, 1.0),
     ks: Sequence[int] = (1, 5, 10, 20),
     headings: ArrayLike | None = None,
-) -> HierarchicalResult:
+) -> Result:
     """Compare what hierarchical search found with the queries' true poses.
+
+    The table "queries" is that of `evaluate_absolute` with further columns: `node` of the estimate and `true_node`,
+    that of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one text, the best first;
+    `coarse_correct`, whether the true node was tried (a frame in no node is always searched, so that a query whose true
+    frame is in none counts as correct); `frames_compared` and `comparisons`, which counts the comparisons with the
+    coarse layer as well; `error_perfect_coarse` and `error_absolute`, the errors on the same query of a search in the
+    true node alone and in the whole map. The table "map" has the `node` of each frame, the table "nodes" a row for each
+    node.
 
     Args:
         visual_map: m frames, all with positions.
@@ -82,7 +69,7 @@ def evaluate_hierarchical(
     known = visual_map.frames.xy
     true = rank_by_position(frames.xy, known, layer.labels).nodes[:, 0]
     columns: Columns = {
-        **base.columns,
+        **base.tables["queries"],
         "node": found.node,
         "true_node": true,
         "nodes_tried": np.array([_listed(row) for row in found.tried.tolist()], dtype=np.str_),
@@ -99,8 +86,16 @@ def evaluate_hierarchical(
         "y": layer.positions[:, 1],
         "frames": np.bincount(layer.labels[layer.labels != UNASSIGNED], minlength=len(layer)),
     }
-    map_columns = {**base.map_columns, "node": layer.labels}
-    return HierarchicalResult(columns, map_columns, base.radii, base.ks, base.unit, node_columns)
+    map_columns = {**base.tables["map"], "node": layer.labels}
+    held = base.parts["absolute"]
+    measures = measures_of(columns, held["radii"], held["ks"], held["map_frames"], held["unit"])
+    return replace(
+        base,
+        name="hierarchical",
+        parts={"hierarchical": measures},
+        tables={"queries": columns, "map": map_columns, "nodes": node_columns},
+        denominators={**base.denominators, "nodes": len(layer)},
+    )
 
 
 def measures_of(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,43 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import AnalyticError, Descriptor
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import Columns, room_names
+from siamloc.evaluation.columns import room_names
+from siamloc.evaluation.result import Result
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
-
-
-@dataclass(frozen=True, eq=False)
-class MappingResult:
-    """A coarse layer frame by frame, as columns; what follows from the descriptors, as numbers.
-
-    Attributes:
-        columns: of `frames.csv`: frame, path, sequence, room, x, y, node, closes_with, seconds, and reason where there
-            are reasons.
-        nodes: of `nodes.csv`: node, name, frames, x, y, room, purity, inertia.
-        descriptor_silhouette: of the descriptors, by [C] 8-11; NaN if it cannot be told.
-        bytes: what representatives take, and what the descriptors of all frames take.
-        radius: within which a loop closure is right.
-        gap: frames between which it is trivial.
-        unit: of x and y.
-    """
-
-    columns: Columns
-    nodes: Columns
-    descriptor_silhouette: float
-    bytes: dict[str, int]
-    radius: float
-    gap: int
-    unit: str
-
-    def measures(self) -> dict[str, Any]:
-        """Return all measures, as `mapping_measures`, with those of the descriptors."""
-        found = mapping_measures(self.columns, self.radius, self.gap)
-        return {
-            **found,
-            "unit": self.unit,
-            "descriptor_silhouette": self.descriptor_silhouette,
-            "bytes": self.bytes,
-        }
+from siamloc.results import Columns
 
 
 def evaluate_mapping(
@@ -59,7 +27,7 @@ def evaluate_mapping(
     gap: int = 30,
     seconds: ArrayLike | None = None,
     reasons: ArrayLike | None = None,
-) -> MappingResult:
+) -> Result:
     """Measure a coarse layer.
 
     Args:
@@ -104,7 +72,18 @@ def evaluate_mapping(
     if not descriptor.aligned:
         silhouette = _silhouette(known.descriptors, layer.labels, "nearest")
     sizes = {"representatives": layer.representatives.nbytes, "descriptors": known.descriptors.nbytes}
-    return MappingResult(columns, _nodes(layer, columns), silhouette, sizes, float(radius), int(gap), known.unit)
+    measures = {
+        **mapping_measures(columns, float(radius), int(gap)),
+        "unit": known.unit,
+        "descriptor_silhouette": silhouette,
+        "bytes": sizes,
+    }
+    return Result(
+        name="mapping",
+        parts={"mapping": measures},
+        tables={"frames": columns, "nodes": _nodes(layer, columns)},
+        denominators={"frames": len(known), "nodes": len(layer)},
+    )
 
 
 def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) -> dict[str, Any]:

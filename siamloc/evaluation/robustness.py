@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import Columns
 from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
 from siamloc.maps.search import Retrieval
+from siamloc.results import Columns
 
 Images = NDArray[np.uint8]
 Locate = Callable[[Images], Retrieval]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from siamloc import __version__
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.evaluation.results import read_results, read_rows, versions, write_results
+from siamloc.results import read_results, read_rows, versions, write_results
 
 RESULTS = {
     "config": {"seed": 0, "margin": np.float64(2)},

@@ -1,4 +1,7 @@
-"""Result files: `results.json` with the measures and all that they rest on, and tables with one row per query."""
+"""Result files: `results.json` with the measures and all that they rest on, and tables with one row per query.
+
+A table is a dictionary of columns of equal length (`Columns`).
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,10 @@ from numpy.typing import NDArray
 
 from siamloc import __version__
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.evaluation.columns import Columns
 from siamloc.files import read_json, write_json, write_text
+
+Columns = dict[str, NDArray[Any]]
+UNLABELLED = "(unlabelled)"
 
 _SCHEMA = "siamloc-results"
 _VERSION = 1
@@ -131,6 +136,20 @@ def read_rows(folder: str | Path, table: str = "queries") -> Columns:
     except (ValueError, KeyError, csv.Error, UnicodeDecodeError) as error:
         raise FormatError(f"{path} is not what results.json describes ({error}): evaluate again") from error
     return parsed
+
+
+def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
+    """Return the row numbers of each label, labels in alphabetic order.
+
+    Rows without a label come under "(unlabelled)"; where no row has one there are no groups at all.
+
+    >>> rows_by_label(np.array(["night", "cloudy", "night"]))
+    {'cloudy': array([1]), 'night': array([0, 2])}
+    """
+    names, inverse = np.unique(labels, return_inverse=True)
+    if names.tolist() == [""]:
+        return {}
+    return {str(name) or UNLABELLED: np.flatnonzero(inverse == i) for i, name in enumerate(names)}
 
 
 def versions() -> dict[str, str]:
