@@ -1,4 +1,4 @@
-"""Checkpoints that are whole or not there, and the training curves that travel in them."""
+"""What a training keeps: checkpoints that are whole or not there, and the curves that travel in them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import torch
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import StorageError
-from siamloc.files import atomic_path, storage_errors, write_text
+from siamloc.files import atomic_path, write_text
+from siamloc.runs import Run
 
 ensure_torchvision()
 from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
@@ -25,7 +26,7 @@ _SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter faile
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
-    """Writes a checkpoint beside its final name and renames it, so that a killed run leaves the one before."""
+    """Write a checkpoint under a temporary name and rename it, so that a killed run leaves the one before."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
         """Save a checkpoint of the trainer.
@@ -37,7 +38,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
             try:
                 torch.save(checkpoint, temporary)
             except RuntimeError as error:
-                # torch writes past Python, and tells of a short write only by where the file's end is not.
+                # torch writes past Python, and reports a short write only by where the file does not end.
                 if not any(sign in str(error) for sign in _SHORT_WRITE):
                     raise
                 raise StorageError(
@@ -45,23 +46,8 @@ class AtomicCheckpoints(TorchCheckpointIO):
                 ) from error
 
 
-def remove_leftovers(folder: str | Path) -> list[Path]:
-    """Remove the half-written checkpoints that killed runs left in a folder, and return their paths.
-
-    Call it before training starts or resumes, when nothing else writes there. A missing folder has none.
-
-    Raises:
-        StorageError: removing them is not permitted.
-    """
-    leftovers = sorted(Path(folder).glob(".*.ckpt.*.tmp.ckpt"))
-    for path in leftovers:
-        with storage_errors(path):
-            path.unlink(missing_ok=True)
-    return leftovers
-
-
 def checkpoint_callbacks(folder: Path, *, validated: bool) -> list[Callback]:
-    """Return the callbacks that keep `last.ckpt` after every epoch and `best.ckpt` by the validation loss."""
+    """Make the callbacks that keep `last.ckpt` after every epoch and `best.ckpt` by the validation loss."""
     last = ModelCheckpoint(
         dirpath=folder,
         filename="last",
@@ -85,20 +71,25 @@ def checkpoint_callbacks(folder: Path, *, validated: bool) -> list[Callback]:
 
 
 class Curves(Checkpoint):
-    """Writes a row per epoch of everything that is logged per epoch into a CSV file.
+    """Write a row per epoch of everything that is logged per epoch into a CSV file, and a line to the screen.
 
     The rows are kept in the checkpoint, so that the file of a resumed run is the file of a run that never stopped. It
     counts as a checkpoint callback because those come last: after the module has logged its epoch.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, run: Run) -> None:
+        self._run = run
         self._rows: list[dict[str, float]] = []
         self._start = (0.0, 0)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Note when and where the training begins."""
+        """Note when and where the training begins, and which file TensorBoard's logger has opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
+        if trainer.is_global_zero:
+            before = set(self._run.tensorboard.glob("events.*"))
+            for logger in trainer.loggers:
+                _ = logger.experiment  # opens its file
+            self._run.record_written(sorted(set(self._run.tensorboard.glob("events.*")) - before))
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Take down the epoch's figures."""
@@ -108,11 +99,10 @@ class Curves(Checkpoint):
         self._rows.append({"epoch": trainer.current_epoch, "step": trainer.global_step, **values})
         if trainer.is_global_zero:
             self._write()
-            if trainer.progress_bar_callback is None:
-                self._say(trainer, values)
+            self._say(trainer, values)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the rows so far."""
+        """Give the checkpoint the rows so far."""
         return {"rows": self._rows}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
@@ -124,7 +114,8 @@ class Curves(Checkpoint):
         done, total = trainer.current_epoch + 1, trainer.max_epochs or 0
         left = (time.monotonic() - start) / (done - first) * (total - done)
         figures = ", ".join(f"{name} {values[name]:.4f}" for name in _SAID if name in values)
-        print(f"epoch {done} of {total}: {figures}, {left:.0f} s left", file=sys.stderr, flush=True)
+        say = print if trainer.progress_bar_callback is None else trainer.progress_bar_callback.print
+        say(f"epoch {done} of {total}: {figures}, {left:.0f} s left", file=sys.stderr)
 
     def _write(self) -> None:
         names = sorted({name for row in self._rows for name in row} - {"epoch", "step"})
@@ -132,4 +123,4 @@ class Curves(Checkpoint):
         writer = csv.DictWriter(text, ["epoch", "step", *names], restval="", lineterminator="\n")
         writer.writeheader()
         writer.writerows(self._rows)
-        write_text(self._path, text.getvalue())
+        write_text(self._run.metrics, text.getvalue())
