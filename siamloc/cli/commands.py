@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
-from typing import Any
 
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig
 
 from siamloc.cli.compose import composed, plain
 from siamloc.cli.objects import (
-    baselines_of,
     data_of,
     descriptor_of,
+    files_in,
     heading_of,
     images_named,
     label_of,
@@ -23,6 +21,7 @@ from siamloc.cli.objects import (
     run_of,
     suggestion,
     training_folder,
+    way_of,
 )
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError, DataError
@@ -83,8 +82,7 @@ def train(config: DictConfig) -> None:
         validation=roles.get("validation"),
         augmentation={key: value for key, value in plain(config.augment).items() if key != "where"},
         trainer=plain(config.trainer),
-        protocol=Protocol.of(plain(config.protocol)),
-        name=config.data.name,
+        protocol=Protocol.of(plain(config.protocol)).plain(),
         resume=config.resume,
         overwrite=config.overwrite,
         settings=settings,
@@ -111,9 +109,9 @@ def map_frames(config: DictConfig) -> None:
         print(f"next: siamloc evaluate run={run.folder}{'' if needs_network(config) else f' descriptor={label}'}")
         return
     folder = run.layer(label, label_of(config.build))
-    built = maps.group(known, **_way(config))
+    built = maps.group(known, **way_of(config))
     built.save(folder, known)
-    run.record_written([folder])
+    run.record_written(files_in(folder))
     print(built.summary(folder))
     print(f"next: siamloc evaluate run={run.folder} task=hierarchical build={label_of(config.build)}")
 
@@ -124,15 +122,17 @@ def evaluate(config: DictConfig) -> None:
 
     names = list(config.task.names)
     known = [name for name in names if name in TASKS]
-    if len(names) != 1 and set(names) != {"absolute", "room_retrieval"} or len(known) != len(names):
+    if (len(names) != 1 and set(names) != {"absolute", "room_retrieval"}) or len(known) != len(names):
         raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
     run = run_of(config)
     result = result_of(config, run)
     folder = run.evaluation(result.name)
     pictures = result.save(folder, pictures=config.task.plots)
-    run.record_written([folder])
+    run.record_written(files_in(folder))
     data = result.about["data"]
-    print(f"data: {config.data.name or data.get('queries', data['map']).get('kind')}, {data['map'].get('kind', '')} map")
+    print(
+        f"data: {config.data.name or data.get('queries', data['map']).get('kind')}, {data['map'].get('kind', '')} map"
+    )
     print(result.table())
     for path in pictures:
         print(f"picture: {path}")
@@ -156,7 +156,8 @@ def export(config: DictConfig) -> None:
     images = {} if known is not None else {"preprocessing": data_of(config).preprocessing(plain(config.unwrap))}
     folder = Path(config.bundle) if config.bundle is not None else run.bundle
     bundle = runtime.export(network, known, folder, errors=errors, **images)
-    run.record_written([folder])
+    if folder == run.bundle:
+        run.record_written(files_in(folder))
     print(bundle.summary())
     if known is not None and known.heading is None:
         print(f"for a heading as well: siamloc map run={run.folder} heading=hog, then export again")
@@ -235,26 +236,26 @@ def preview(config: DictConfig) -> None:
 def demo(config: DictConfig) -> None:
     """Simulate, train, map, evaluate, export, localize, report."""
     from siamloc.data.frames import image_files
-    from siamloc.training import check_free
+    from siamloc.runs import Run
 
-    folder, begin = Path(config.run), time.monotonic()
-    check_free(folder, overwrite=config.overwrite)
-    data, overwrite = folder / "data", ["overwrite=true"] if config.overwrite else []
+    run, data, begin = Run(config.run), Path(config.data), time.monotonic()
+    if run.record.is_file() and not config.overwrite:
+        raise ConfigError(f"{run.folder} holds a run already: replace it by overwrite=true, or choose another run=")
+    overwrite = ["overwrite=true"] if config.overwrite else []
     mini = ["building=mini", f"seed={config.seed}", f"out={data}"]
     runs = "cloudy1,cloudy2,cloudy3,night1,night2,sunny1,sunny2"
     _step("simulate", [*mini, "camera=panorama", f"runs=[{runs}]", "spacing=0.2", *overwrite])
     _step("simulate", [*mini, "runs=[cloudy1,night1,sunny1]", "preview=true"])
-    own = [f"data.root={data}", f"data.cache={folder / 'panoramas'}", f"seed={config.seed}"]
-    here = [f"run={folder}"]
-    _step("train", ["experiment=demo", *own, "overwrite=true", *here])
+    here = [f"run={run.folder}"]
+    _step("train", ["experiment=demo", f"data.root={data / 'mini'}", f"seed={config.seed}", *overwrite, *here])
     _step("map", [*here, "heading=hog"])
-    _step("evaluate", [*here, "experiment/task=demo", "task.error_model=true"])
+    _step("evaluate", [*here, "task.radii=[0.5]", "task.baselines=[hog,thumbnail,untrained]", "task.error_model=true"])
     _step("export", here)
-    photograph = image_files(next(data.glob("*/part_*/*night2/omni_cam")))[0]
+    photograph = image_files(next((data / "mini").glob("part_*/*night2/omni_cam")))[0]
     _step("localize", [*here, f"images=['{photograph}']"])
     _step("report", here)
-    print(f"\nEverything lies in {folder}, the building's pictures in {data / 'mini' / 'preview'}, curves for")
-    print(f"tensorboard --logdir {folder / 'tensorboard'}; {time.monotonic() - begin:.0f} s in all.")
+    print(f"\nThe run is {run.folder}, the building {data / 'mini'} with pictures in preview; curves for")
+    print(f"tensorboard --logdir {run.tensorboard}; {time.monotonic() - begin:.0f} s in all.")
 
 
 def _step(command: str, words: list[str]) -> None:

@@ -25,7 +25,7 @@ def settings_of(config: DictConfig, *, whole: bool) -> dict[str, Any] | None:
     record = run if run.record.is_file() or other is None else Run(Path(other))
     kept: dict[str, Any] = {}
     if record.record.is_file():
-        kept = _of_record(record.settings(), whole)
+        kept = _of_record(record.settings, whole)
     made = _made(run, config)
     if made is not None and not whole:
         if "data" not in kept and "data" in made:

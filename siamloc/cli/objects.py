@@ -122,7 +122,7 @@ def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | Non
     from siamloc import models
 
     trained = Run(Path(parameters["run"])) if parameters.get("run") else run
-    network = models.load(trained, which=config.checkpoint, untrained=name == "untrained")
+    network = models.load(trained, which="untrained" if name == "untrained" else config.checkpoint)
     _check_architecture(config, network, trained)
     return models.as_descriptor(network, device=device(config))
 
@@ -166,6 +166,17 @@ def device(config: DictConfig) -> str:
     if kind == "cuda" and not torch.cuda.is_available():
         raise ConfigError("device=cuda, but torch finds no GPU here: use device=cpu or auto")
     return str(config.device)
+
+
+def way_of(config: DictConfig) -> dict[str, Any]:
+    """Return how the configuration groups frames into nodes, as `siamloc.maps.group` takes it."""
+    options = {key: value for key, value in plain(config.build).items() if key != "label"}
+    return {"way": options.pop("name"), "seed": config.seed, **options}
+
+
+def files_in(folder: Path) -> list[Path]:
+    """Return all files in a folder, for the record of what was written into a run."""
+    return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 def _check_architecture(config: DictConfig, network: Any, run: Run) -> None:

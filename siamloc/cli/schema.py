@@ -28,13 +28,15 @@ _READS_DATA = ("expand", "preview")
 def _of_config() -> dict[str, dict[str, Any]]:
     """Return the nodes of the configuration of most commands by group."""
     from analytic.descriptors.registry import DESCRIPTORS, parameters
+    from siamloc.data.pairs import PairSettings
     from siamloc.evaluation.disturbed import Robustness
     from siamloc.evaluation.hierarchy import Hierarchical
     from siamloc.evaluation.layers import MapMeasures
     from siamloc.evaluation.localize import Localization
     from siamloc.maps.layers import WAYS
+    from siamloc.models.registry import Optimizer
     from siamloc.settings import defaults_of
-    from siamloc.training.settings import Optimizer, PairSettings, Training
+    from siamloc.training.settings import Training
 
     training = defaults_of(Training)
     descriptors = {
@@ -89,7 +91,5 @@ def _fields(camera: type) -> dict[str, Any]:
     import dataclasses
 
     return {
-        field.name: field.default
-        for field in dataclasses.fields(camera)
-        if field.default is not dataclasses.MISSING
+        field.name: field.default for field in dataclasses.fields(camera) if field.default is not dataclasses.MISSING
     }

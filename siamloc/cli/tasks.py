@@ -13,11 +13,13 @@ from siamloc.cli.compose import plain
 from siamloc.cli.objects import (
     baselines_of,
     descriptor_of,
+    files_in,
     heading_of,
     label_of,
     map_file,
     open_roles,
     options_of,
+    way_of,
 )
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol
 from siamloc.errors import ConfigError
@@ -129,7 +131,7 @@ def _buildings(config: DictConfig, run: Run) -> Result:
     layers = None
     if config.build.name != "none":
         parts = evaluation.by_building(candidates)
-        layers = {building: maps.group(part, **_way(config)).layer for building, part in parts.items()}
+        layers = {building: maps.group(part, **way_of(config)).layer for building, part in parts.items()}
         label = f"{label}-{label_of(config.build)}"
     result = evaluation.buildings(
         candidates,
@@ -171,20 +173,16 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
 def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[Built, Path]:
     """Return the configured layer over a map and its folder: the one that was built before, if it fits."""
     if config.build.name == "none":
-        raise ConfigError(f"task={config.task.names[0]} needs a coarse layer: choose one with build={'|'.join(maps.WAYS)}")
+        raise ConfigError(
+            f"task={config.task.names[0]} needs a coarse layer: choose one with build={'|'.join(maps.WAYS)}"
+        )
     folder = run.layer(label, label_of(config.build))
-    built = Built.load(folder, known, **_way(config))
+    built = Built.load(folder, known, **way_of(config))
     if built is None:
-        built = maps.group(known, **_way(config))
+        built = maps.group(known, **way_of(config))
         built.save(folder, known)
-        run.record_written([folder])
+        run.record_written(files_in(folder))
     return built, folder
-
-
-def _way(config: DictConfig) -> dict[str, Any]:
-    """Return how the configuration groups frames into nodes, as `siamloc.maps.group` takes it."""
-    options = {key: value for key, value in plain(config.build).items() if key != "label"}
-    return {"way": options.pop("name"), "seed": config.seed, **options}
 
 
 def _own(config: DictConfig, kind: type) -> dict[str, Any]:
