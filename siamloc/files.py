@@ -6,6 +6,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -42,6 +43,18 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         finally:
             with suppress(FileNotFoundError):
                 temporary.unlink()
+
+
+def temporary_of(path: str | Path) -> str:
+    """Return the name of the file that a temporary one of `atomic_path` was to become, "" for any other file.
+
+    A killed process leaves its temporary files behind; this is how to recognize them.
+
+    >>> temporary_of("data/.camera.json.k3x_0a9z.tmp.json"), temporary_of("data/camera.json")
+    ('camera.json', '')
+    """
+    match = re.fullmatch(r"\.(.+)\.[a-z0-9_]{8}\.tmp(\.[^.]+)?", Path(path).name)
+    return match[1] if match and Path(match[1]).suffix == (match[2] or "") else ""
 
 
 @contextmanager

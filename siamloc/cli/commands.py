@@ -129,10 +129,7 @@ def evaluate(config: DictConfig) -> None:
     folder = run.evaluation(result.name)
     pictures = result.save(folder, pictures=config.task.plots)
     run.record_written(files_in(folder))
-    data = result.about["data"]
-    print(
-        f"data: {config.data.name or data.get('queries', data['map']).get('kind')}, {data['map'].get('kind', '')} map"
-    )
+    print(f"data: {config.data.name}")
     print(result.table())
     for path in pictures:
         print(f"picture: {path}")
