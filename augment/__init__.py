@@ -5,8 +5,8 @@
     brighter = effect.apply(batch, params)                          # the same picture, whenever it is repeated
 
 A batch has shape (B, 3, H, W), RGB, uint8 or float32 in [0, 1]; columns are azimuth and wrap around unless
-`circular=False` says otherwise. `augment.policy` combines effects by chance.
-`augment.expand` writes expanded data sets to disk. Importing the package does not
+`circular=False` says otherwise. `augment.policy` combines effects by chance; `augment.Augment` makes either a torch
+module and a torchvision transform. `augment.expand` writes expanded data sets to disk. Importing the package does not
 load torch.
 """
 
@@ -25,10 +25,12 @@ if TYPE_CHECKING:
     from augment.contact_sheet import preview
     from augment.policies import policy, policy_from_config
     from augment.registry import effect
+    from augment.transforms import Augment
 
 __all__ = [
     "EFFECTS",
     "POLICIES",
+    "Augment",
     "AugmentError",
     "Effect",
     "Policy",
@@ -40,6 +42,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Augment": "augment.transforms",
     "Effect": "augment.base",
     "Policy": "augment.compose",
     "effect": "augment.registry",
