@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import augment
-from augment.ranges import Range, spread
+from augment.base import Range, spread
 
 
 @given(st.floats(-100, 100, width=32), st.floats(0, 100, width=32), st.integers(0, 999))
@@ -52,7 +52,7 @@ def test_a_number_is_a_range_of_one_value():
         ("gamma", {"gamma": (1, 2, 3)}, "must be a number or a pair"),
         ("gamma", {"gamma": True}, "must be a number or a pair"),
         ("gamma", {"gamma": float("nan")}, "gamma of gamma must be finite"),
-        ("brighten", {"amount": 3.5}, "amount of brighten must be made of whole numbers, got 3.5"),
+        ("brighten", {"amount": 3.5}, "amount of brighten must be a whole number or a pair of them, got 3.5"),
         ("occlude", {"share": (0, 1.5)}, r"share of occlude must lie in \[0, 1\]"),
         ("blur", {"size": 4}, "size of blur must be an odd number of pixels, got 4"),
         ("blur", {"size": True}, "size of blur must be an odd number of pixels, got True"),
