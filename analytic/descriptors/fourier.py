@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from analytic.descriptors import circular
 from analytic.descriptors.base import Alignment, Description
 from analytic.descriptors.image import ImageDescriptor, divisors_near
-from analytic.errors import AnalyticError
+from analytic.errors import AnalyticError, hint
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -115,7 +115,7 @@ class FourierSignature(ImageDescriptor):
                 f"orientation_columns={self.orientation_columns}: use more turns or fewer columns"
             )
         if self.heading not in _HEADINGS:
-            raise AnalyticError(f"unknown heading {self.heading!r} of fs: valid: {', '.join(_HEADINGS)}")
+            raise AnalyticError(f"unknown heading {self.heading!r} of fs: {hint(self.heading, _HEADINGS)}")
 
     def _check_size(self, height: int, width: int) -> None:
         for key in ("rows", "orientation_rows"):

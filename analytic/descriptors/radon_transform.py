@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.descriptors.image import divisors_near, grey_tensor, image_tensor
-from analytic.errors import AnalyticError
+from analytic.errors import AnalyticError, hint
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -94,7 +94,7 @@ def check_geometry(name: str, step: float, size: int, source: str) -> None:
     if size < 2 or size % 2:
         raise AnalyticError(f"{name} needs an even size of at least 2 pixels, got size={size}")
     if source not in SOURCES:
-        raise AnalyticError(f"unknown source {source!r} of {name}: valid: {', '.join(SOURCES)}")
+        raise AnalyticError(f"unknown source {source!r} of {name}: {hint(source, SOURCES)}")
 
 
 def check_image(name: str, source: str, height: int, width: int) -> None:
