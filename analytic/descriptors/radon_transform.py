@@ -42,8 +42,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors.image import divisors_near, grey_tensor, image_tensor
+from analytic.descriptors.base import divisors_near
 from analytic.errors import AnalyticError, hint
+from analytic.images import grey_tensor, image_tensor, unit_tensor
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -73,7 +74,7 @@ def radon_transform(
 
     check_geometry("radon_transform", step, size, source)
     with torch.inference_mode():
-        grey = grey_tensor(image_tensor(batch), device)
+        grey = grey_tensor(unit_tensor(image_tensor(batch), device))
         check_image("radon_transform", source, int(grey.shape[1]), int(grey.shape[2]))
         found = harmonics(grey, step, size, size // 2, source)
         return orientations(found, steps(step)).to(torch.float32).cpu().numpy()

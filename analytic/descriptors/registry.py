@@ -6,7 +6,7 @@ from dataclasses import fields
 from importlib import import_module
 from typing import Any, cast
 
-from analytic.descriptors.image import ImageDescriptor
+from analytic.descriptors.base import ImageDescriptor
 from analytic.errors import AnalyticError, hint
 
 DESCRIPTORS: dict[str, tuple[str, str]] = {
