@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from analytic import DISTANCES, AnalyticError, Description, distance
-from analytic.descriptors import circular
-from analytic.descriptors.aligned import AlignedDescriptor
+from analytic.descriptors.base import AlignedDescriptor
 
 STEPS, FEATURES = 12, 5
 
@@ -72,7 +71,7 @@ def test_small_parts_give_the_same(name, monkeypatch):
     q, r = MADE.describe(images(0, 4)), MADE.describe(images(1, 7))
     whole = MADE.pairwise(q, r, name)
     for held in (1, STEPS * 3, STEPS * 15):
-        monkeypatch.setattr(circular, "_VALUES", held)
+        monkeypatch.setattr("analytic.alignment._VALUES", held)
         np.testing.assert_allclose(MADE.pairwise(q, r, name), whole, rtol=1e-5)
 
 
