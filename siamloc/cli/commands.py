@@ -8,14 +8,13 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from siamloc.cli.compose import composed, plain
+from siamloc.cli.inherit import label_of, map_file
 from siamloc.cli.objects import (
     data_of,
     descriptor_of,
     files_in,
     heading_of,
     images_named,
-    label_of,
-    map_file,
     needs_network,
     open_roles,
     run_of,
@@ -206,28 +205,40 @@ def report(config: DictConfig) -> None:
 
 def expand(config: DictConfig) -> None:
     """Write an augmented data set in the layout of the one it is made of."""
-    from siamloc.data.expansion import expand_frames
+    from siamloc import data
 
-    data = data_of(config)
-    frames = data.read()
+    settings = data_of(config)
+    frames = settings.read()
     if config.sequences:
         frames = frames.select(sequence=[str(name) for name in config.sequences])
-    keys = ("depth", "seed", "resume", "workers")
-    done = expand_frames(frames, config.out, data, plain(config.unwrap), **{key: config[key] for key in keys})
-    print(done.summary())
+    expanded = data.expand(
+        frames,
+        config.out,
+        unwrap=plain(config.unwrap),
+        **{key: getattr(settings, key) for key in ("image_size", "circular", "on_error")},
+        **{key: config[key] for key in ("depth", "seed", "resume", "workers")},
+    )
+    print(expanded.summary())
 
 
 def preview(config: DictConfig) -> None:
     """Draw a labelled contact sheet of all effects at several strengths."""
-    from siamloc.data.decoding import Preprocessing
-    from siamloc.report.draw.sheet import contact_sheet
+    import torch
+
+    import augment
+    from siamloc import data, simulate
+    from siamloc.files import write_picture
 
     paths = [str(path) for path in images_named(config.images)] if config.images else []
     if not paths and (config.data.get("manifest") or config.data.get("root")):
         paths = data_of(config).read().path.tolist()
-    decode = Preprocessing.checked(tuple(config.data.image_size), plain(config.unwrap))
-    effects, panoramas = contact_sheet(Path(config.out), paths, config.count, decode)
-    print(f"{config.out}: {effects} effects on {panoramas} panoramas")
+    if paths:
+        decode = data.Preprocessing.checked(tuple(config.data.image_size), plain(config.unwrap))
+        panoramas = decode.panoramas(paths, config.count)
+    else:
+        panoramas = simulate.panoramas(config.count)
+    write_picture(config.out, augment.preview(torch.from_numpy(panoramas)))
+    print(f"{config.out}: {len(augment.EFFECTS)} effects on {len(panoramas)} panoramas")
 
 
 def demo(config: DictConfig) -> None:

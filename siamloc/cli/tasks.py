@@ -10,13 +10,12 @@ from omegaconf import DictConfig
 
 from siamloc import evaluation, maps
 from siamloc.cli.compose import plain
+from siamloc.cli.inherit import label_of, map_file
 from siamloc.cli.objects import (
     baselines_of,
     descriptor_of,
     files_in,
     heading_of,
-    label_of,
-    map_file,
     open_roles,
     options_of,
     way_of,
