@@ -1,9 +1,14 @@
-"""The exceptions of siamloc: one base class, one clear sentence each."""
+"""What siamloc says when something is wrong: its exceptions, and its warning about what it leaves out."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+
+logger = logging.getLogger("siamloc")
+
+ON_ERROR = ("skip", "raise")
 
 
 class SiamlocError(Exception):
@@ -36,3 +41,31 @@ def hint(name: str, valid: Iterable[str]) -> str:
     close = get_close_matches(str(name), options, n=1, cutoff=0.5)
     listed = ", ".join(options) if options else "none"
     return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {listed}"
+
+
+def check_policy(on_error: str) -> None:
+    """Raise ConfigError unless `on_error` is "skip" or "raise"."""
+    if on_error not in ON_ERROR:
+        raise ConfigError(f"on_error={on_error!r} is not a policy; {hint(on_error, ON_ERROR)}")
+
+
+def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> None:
+    """Report the things that had to be left out: one warning line, or an error for the strict.
+
+    Args:
+        problems: one text for each thing left out.
+        total: how many things there were.
+        what: the things and their fault in words, such as "images listed in FILE do not exist".
+        on_error: "skip" or "raise".
+
+    Raises:
+        DataError: something was left out and `on_error` is "raise", or nothing remains.
+    """
+    if not problems:
+        return
+    message = f"{len(problems)} of {total} {what}, the first: {problems[0]}"
+    if len(problems) == total:
+        raise DataError(f"{message}; nothing remains")
+    if on_error == "raise":
+        raise DataError(f"{message} (on_error=skip leaves them out)")
+    logger.warning("%s; left out", message)

@@ -6,6 +6,8 @@ import errno
 import hashlib
 import json
 import os
+import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -41,6 +43,45 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         finally:
             with suppress(FileNotFoundError):
                 temporary.unlink()
+
+
+def temporary_of(path: str | Path) -> str:
+    """Return the name of the file that a temporary one of `atomic_path` was to become, "" for any other file.
+
+    A killed process leaves its temporary files behind; this is how to recognize them.
+
+    >>> temporary_of("data/.camera.json.k3x_0a9z.tmp.json"), temporary_of("data/camera.json")
+    ('camera.json', '')
+    """
+    match = re.fullmatch(r"\.(.+)\.[a-z0-9_]{8}\.tmp(\.[^.]+)?", Path(path).name)
+    return match[1] if match and Path(match[1]).suffix == (match[2] or "") else ""
+
+
+@contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary folder beside `path` that becomes `path` when the block ends without an error.
+
+    What was there before is replaced as a whole. After an error nothing is left behind and the older folder stays as
+    it was; after a kill a folder `.<name>.<letters>.tmp` is left.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    path = Path(path)
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
+        try:
+            temporary.chmod(0o777 & ~_umask())
+            yield temporary
+            if path.exists():
+                with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent) as old:
+                    path.rename(Path(old, "old"))
+                    temporary.rename(path)
+            else:
+                temporary.rename(path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextmanager
@@ -86,7 +127,7 @@ def read_json(path: str | Path) -> Any:
     except FileNotFoundError as error:
         raise FormatError(f"{path} does not exist") from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FormatError(f"{path} is not whole JSON ({error}): write it anew") from error
+        raise FormatError(f"{path} is not whole JSON ({error}): write it again") from error
 
 
 def plain(value: Any) -> Any:

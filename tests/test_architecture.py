@@ -72,3 +72,15 @@ HEAVY = ("torch", "torchvision", "lightning", "matplotlib", "pandas", "hydra")
 
 def test_every_package_is_typed():
     assert all((ROOT / package / "py.typed").is_file() for package in PACKAGES)
+
+
+@pytest.mark.parametrize("package", sorted({path.parent for path in MODULES if path.name == "__init__.py"}), ids=str)
+def test_no_public_name_is_that_of_a_module_which_would_hide_it(package):
+    tree = ast.parse((ROOT / package / "__init__.py").read_text(encoding="utf-8"))
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and "_HOMES" in ast.dump(node) and isinstance(node.value, ast.Dict):
+            homes = zip(node.value.keys, node.value.values, strict=True)
+            names |= {name.value for name, home in homes if home.value}
+    modules = {path.stem for path in (ROOT / package).iterdir()}
+    assert not names & modules, f"importing these modules of {package} would hide the names"

@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from siamloc.data.frames import FrameTable, image_files
-from siamloc.data.names import parse_name
-from siamloc.data.policy import check_policy, leave_out, logger
-from siamloc.data.sequences import SequenceName, name_sequence
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.data.names import SequenceName, name_sequence, parse_name
+from siamloc.errors import ConfigError, DataError, check_policy, hint, leave_out, logger
 
 CAMERAS = ("omni_cam", "std_cam")
 

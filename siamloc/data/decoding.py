@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, unwrap
+from siamloc.data.panorama import (
+    CAMERAS,
+    HyperbolicMirror,
+    OmnidirectionalCamera,
+    PanoramaView,
+    PolarRing,
+    camera_from_config,
+    unwrap,
+)
 from siamloc.errors import ConfigError, DataError
+from siamloc.files import plain
 
 
 class UnreadableImageError(Exception):
@@ -26,6 +36,13 @@ class Preprocessing:
     Attributes:
         view: size of the panorama, and the elevations that unwrapping gives it.
         camera: the camera whose omnidirectional images are unwrapped; None to resize only.
+
+    Example:
+        >>> ring = Preprocessing.checked((64, 256), {"kind": "polar", "inner": 30})
+        >>> ring.camera
+        PolarRing(centre=None, inner=30, outer=None, forward=0.0, mirrored=True, inside_up=False)
+        >>> Preprocessing.of(ring.parameters()) == ring
+        True
     """
 
     view: PanoramaView
@@ -33,31 +50,75 @@ class Preprocessing:
 
     @classmethod
     def checked(
-        cls, image_size: tuple[int, int], camera: OmnidirectionalCamera | None, view: PanoramaView | None
+        cls,
+        image_size: Sequence[int],
+        unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
+        view: PanoramaView | None = None,
     ) -> Preprocessing:
-        """Check the three against each other.
+        """Check the parts against each other.
+
+        Args:
+            image_size: rows and columns (H, W) of a panorama.
+            unwrap: the camera, or plain values as `conf/unwrap` holds them (`camera_from_config`); None to resize.
+            view: what an unwrapped panorama shows; the elevations among the plain values, or the default ones, if
+                None. Its size has to be `image_size`.
 
         Raises:
-            ConfigError: an impossible size, a view of another size, or a camera whose parameters cannot be told.
+            ConfigError: an impossible size, a view of another size, or a camera whose parameters cannot be read.
         """
         size = tuple(image_size)
         if len(size) != 2 or any(int(side) != side for side in size):
             raise ConfigError(f"image_size is (rows, columns) in whole pixels, got {image_size}")
         height, width = (int(side) for side in size)
+        camera: Any = unwrap
+        given = PanoramaView(height, width)
+        if isinstance(unwrap, Mapping):
+            camera, given = camera_from_config(unwrap, (height, width))
         if view is None:
-            view = PanoramaView(height, width)
+            view = given
         elif (view.height, view.width) != (height, width):
             raise ConfigError(f"image_size is {height} x {width}, but the view has {view.height} x {view.width} pixels")
         if camera is not None and not dataclasses.is_dataclass(camera):
-            raise ConfigError(f"a camera must be a dataclass, so that its parameters can be told; got {camera!r}")
+            raise ConfigError(f"a camera must be a dataclass, so that its parameters can be stored; got {camera!r}")
         return cls(view, camera)
 
+    @classmethod
+    def of(cls, parameters: Mapping[str, Any]) -> Preprocessing:
+        """Return what `parameters` describes: its inverse.
+
+        Raises:
+            ConfigError: a camera of one's own, which cannot be made again from plain values, or missing values.
+        """
+        try:
+            values = dict(parameters)
+            options = values.pop("camera")
+            view = PanoramaView(**values)
+            options = dict(options) if options is not None else None
+            kind = options.pop("kind") if options is not None else None
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"these values do not say how images become panoramas: {parameters}") from error
+        if options is None:
+            return cls(view, None)
+        for camera in (PolarRing, HyperbolicMirror):
+            if camera.__name__ == kind:
+                return cls(view, camera.of(options))
+        raise ConfigError(f"a camera of kind {kind} cannot be made from its parameters: give the camera object itself")
+
     def parameters(self) -> dict[str, Any]:
-        """Return what decides the panorama's pixels, as plain values."""
+        """Return what decides the panorama's pixels, as plain values that `of` reads back."""
         if self.camera is None:
             return {"height": self.view.height, "width": self.view.width, "camera": None}
         camera = {"kind": type(self.camera).__name__, **dataclasses.asdict(self.camera)}  # type: ignore[call-overload]
         return {**dataclasses.asdict(self.view), "camera": camera}
+
+    def unwrap_settings(self) -> dict[str, Any]:
+        """Return the camera and the elevations as plain values, as `conf/unwrap` holds them; `checked` reads them."""
+        if self.camera is None:
+            return {"kind": "none"}
+        kinds = {camera: kind for kind, camera in CAMERAS.items()}
+        options = dataclasses.asdict(self.camera)  # type: ignore[call-overload]
+        kind = kinds.get(type(self.camera), type(self.camera).__name__)
+        return plain({"kind": kind, **options, "top": self.view.top, "bottom": self.view.bottom})
 
     def panorama(self, path: str | Path) -> NDArray[np.uint8]:
         """Read an image and return its panorama (3, H, W), uint8, RGB.

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import COLUMNS
-from siamloc.data.names import NamedPose, format_name, parse_name
-from siamloc.data.sequences import name_sequence
+from siamloc.data.names import NamedPose, format_name, name_sequence, parse_name
 from siamloc.errors import DataError
 from siamloc.files import write_json, write_text
 

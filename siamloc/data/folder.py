@@ -8,8 +8,7 @@ from typing import Any
 
 from siamloc.data.frames import FrameTable, image_files
 from siamloc.data.names import lighting_in, parse_name
-from siamloc.data.policy import check_policy, leave_out
-from siamloc.errors import DataError
+from siamloc.errors import DataError, check_policy, leave_out
 
 _LAYOUT = "<split>/<room>/<image>, such as test_cloudy/KT-A/t1152889564.947_x0.2_y0.1_a0.0.jpeg"
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from os.path import abspath
 from pathlib import Path
 from typing import Any
 
@@ -14,30 +16,45 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")
-_NUMBER = ("x", "y", "theta", "time")
+_COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class FrameTable:
     """Frames as columns of equal length, in capture order inside each sequence.
 
     Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a
-    missing label is the empty text. Columns that are left out are filled with these.
+    missing label is the empty text. Columns that are left out are filled with these. A frame is known by its sequence
+    and its path; rows have no number of their own that would outlive a selection.
+
+    Headings run counter-clockwise seen from above, in radians, 0 along +x. The columns of a panorama run clockwise,
+    and its middle column looks straight ahead, along theta: when theta grows, what the picture shows moves right.
 
     Attributes:
         path: image files (n,).
-        x: metres (n,), or whatever unit the data set counts in.
-        y: metres (n,).
-        theta: heading in radians (n,), counter-clockwise, 0 along +x.
+        x: positions in `unit` (n,).
+        y: positions in `unit` (n,).
+        theta: headings in radians (n,), counter-clockwise, 0 along +x.
         room: room labels (n,).
         sequence: names of the drives the frames belong to (n,).
         lighting: "cloudy", "night", "sunny", or "" (n,).
         time: seconds (n,).
         building: name of the building, so that equal room codes of two buildings stay apart (n,).
-        index: row number in the table the reader returned (n,); selections keep it.
+        unit: what x and y count; only used in texts. Selections keep it, equality ignores it.
+        source: what `siamloc.data.read(**source)` reads the frames from; empty if unknown. Selections keep it,
+            equality ignores it.
 
     Raises:
         DataError: columns of different lengths.
+
+    Example:
+        >>> frames = FrameTable(path=["1.jpg", "2.jpg", "3.jpg"], x=[0, 1, 2], y=[0, 0, 0], room=["A", "A", "B"])
+        >>> frames
+        FrameTable(3 frames; sequences: (unnamed) 3; rooms: A, B; lightings: none; positions: all, in m)
+        >>> frames.select(room="A").path.tolist()
+        ['1.jpg', '2.jpg']
+        >>> frames.spaced(2).x.tolist()
+        [0.0, 2.0]
     """
 
     path: NDArray[np.str_]
@@ -49,11 +66,12 @@ class FrameTable:
     lighting: NDArray[np.str_] = None  # type: ignore[assignment]
     time: NDArray[np.float64] = None  # type: ignore[assignment]
     building: NDArray[np.str_] = None  # type: ignore[assignment]
-    index: NDArray[np.int64] = None  # type: ignore[assignment]
+    unit: str = "m"
+    source: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.path)
-        for name in (field.name for field in fields(self)):
+        for name in _COLUMNS:
             value = getattr(self, name)
             column = _filled(name, n) if value is None else _as_column(name, value)
             if column.shape != (n,):
@@ -96,16 +114,21 @@ class FrameTable:
         prefix = np.where(self.building != "", np.char.add(self.building, "/"), "")
         return np.char.add(prefix, self.room)
 
+    def identities(self) -> list[tuple[str, str]]:
+        """Return what each frame is known by (n): its sequence, and the absolute path of its image."""
+        paths = [abspath(path) for path in self.path.tolist()]  # noqa: PTH100 (ten thousands of paths)
+        return list(zip(self.sequence.tolist(), paths, strict=True))
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in _COLUMNS}
 
     def take(self, rows: ArrayLike | slice) -> FrameTable:
         """Return the rows given by positions, a mask (n,) or a slice, in that order."""
         key: Any = rows if isinstance(rows, slice) else np.asarray(rows)
         if not isinstance(key, slice) and key.size == 0:
             key = key.astype(np.int64)
-        return FrameTable(**{name: column[key] for name, column in self.columns().items()})
+        return self.with_columns(**{name: column[key] for name, column in self.columns().items()})
 
     def select(self, **wanted: str | Iterable[str]) -> FrameTable:
         """Return the frames whose labels are among the wanted ones.
@@ -181,29 +204,51 @@ class FrameTable:
         return replace(self, **columns)  # type: ignore[arg-type]
 
     def describe(self) -> str:
-        """Say in one line how many frames there are and of which sequences, rooms and lightings."""
-        counts = ", ".join(f"{name or '(unnamed)'} {len(rows)}" for name, rows in self.rows_by("sequence").items())
-        rooms = sorted(set(self.room.tolist()) - {""})
-        lightings = sorted(set(self.lighting.tolist()) - {""})
+        """Say in one line how many frames there are, of which sequences, rooms and lightings, and where."""
+        sequences = [f"{name or '(unnamed)'} {len(rows)}" for name, rows in self.rows_by("sequence").items()]
         return (
-            f"{len(self)} frames; sequences: {counts}; rooms: {', '.join(rooms) or 'none'}; "
-            f"lightings: {', '.join(lightings) or 'none'}"
+            f"{len(self)} frames; sequences: {_listed(sequences)}; rooms: {_listed(_labels(self.room))}; "
+            f"lightings: {_listed(_labels(self.lighting))}; positions: {self._positions()}"
         )
+
+    def __repr__(self) -> str:
+        return f"FrameTable({self.describe()})"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name, own in self.rows_by("sequence").items():
+            part = self.take(own)
+            labels = [_listed(_labels(column)) for column in (part.lighting, part.room)]
+            rows.append([name or "(unnamed)", len(part), *labels, part._positions()])
+        return html_table(f"{len(self)} frames", ["sequence", "frames", "lighting", "rooms", "positions"], rows)
+
+    def _positions(self) -> str:
+        known = int(self.has_position.sum())
+        if known == 0:
+            return "none"
+        return f"{'all' if known == len(self) else f'{known} of {len(self)}'}, in {self.unit}"
 
     @classmethod
     def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> FrameTable:
         """Build a table from dictionaries; keys that are missing become NaN or the empty text."""
-        names = [field.name for field in fields(cls) if field.name != "index"]
-        empty = {name: "" if name in _TEXT else np.nan for name in names}
-        return cls(**{name: [row.get(name, empty[name]) for row in rows] for name in names})  # type: ignore[arg-type]
+        empty = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
+        return cls(**{name: [row.get(name, empty[name]) for row in rows] for name in _COLUMNS})  # type: ignore[arg-type]
 
 
 def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
-    """Join tables one after the other; `index` counts anew."""
+    """Join tables one after the other. What they all have as `unit` and `source` is kept.
+
+    Raises:
+        DataError: the tables count their positions in different units.
+    """
     if not tables:
         return FrameTable(path=np.array([], dtype=np.str_))
-    names = [name for name in tables[0].columns() if name != "index"]
-    return FrameTable(**{name: np.concatenate([getattr(table, name) for table in tables]) for name in names})
+    units = list(dict.fromkeys(table.unit for table in tables))
+    if len(units) > 1:
+        raise DataError(f"tables whose positions count in {' and '.join(units)} cannot be joined")
+    joined = {name: np.concatenate([getattr(table, name) for table in tables]) for name in _COLUMNS}
+    source = tables[0].source if all(table.source == tables[0].source for table in tables) else {}
+    return FrameTable(**joined, unit=units[0], source=source)
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -212,12 +257,28 @@ def image_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
 
 
+def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a small HTML table, as notebooks show it; the texts are escaped."""
+    lines = [
+        "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in cells)
+        for tag, cells in [("th", header), *(("td", row) for row in rows)]
+    ]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"
+
+
+def _labels(column: NDArray[np.str_]) -> list[str]:
+    return sorted(set(column.tolist()) - {""})
+
+
+def _listed(names: Sequence[str], most: int = 12) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return (", ".join(names[:most]) or "none") + more
+
+
 def _filled(name: str, n: int) -> NDArray[Any]:
-    if name == "index":
-        return np.arange(n)
     return np.full(n, "", dtype=np.str_) if name in _TEXT else np.full(n, np.nan)
 
 
 def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
-    dtype: Any = np.str_ if name in _TEXT else np.float64 if name in _NUMBER else np.int64
-    return np.array(value, dtype=dtype)
+    return np.array(value, dtype=np.str_ if name in _TEXT else np.float64)

@@ -1,79 +1,208 @@
-"""Decoded panoramas of many sequences behind one index: one store per sequence, shared by all roles."""
+"""`PanoramaLibrary`: the panoramas of a table of frames, decoded once and gathered in batches."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import html
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.data.frames import FrameTable, concatenate
-from siamloc.data.store import PanoramaStore
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.frames import FrameTable
+from siamloc.data.panorama import OmnidirectionalCamera
+from siamloc.data.store import Store, open_store
+from siamloc.errors import ConfigError, DataError, check_policy
+from siamloc.files import read_json
+
+CACHE = ".siamloc/panoramas"
 
 
 class PanoramaLibrary:
-    """The panoramas of a table of frames.
+    """The panoramas of a table of frames: (B, 3, rows, columns), uint8, RGB.
 
-    Each sequence has a store of its own, so that changing which sequences train, form the map or are queried never
-    decodes an image twice.
+    Images are decoded when the library is made for the first time, and opened from the cache from then on. Each
+    sequence has a store of its own, so that a library of whole sequences serves every selection of them: changing
+    which sequences train, form the map or are queried never decodes an image twice.
 
     Args:
-        frames: the frames wanted; whole sequences, so that their stores serve every selection of them.
-        cache: folder of the stores.
-        **preprocessing: passed to `PanoramaStore.open_or_build`.
+        frames: the frames wanted.
+        cache: folder of the decoded panoramas; the environment variable SIAMLOC_CACHE or `.siamloc/panoramas` if None.
+        image_size: rows and columns (H, W) of a panorama.
+        unwrap: camera of omnidirectional images, or plain values as `conf/unwrap` holds them, such as
+            {"kind": "polar", "inner": 60}. None for panoramas and ordinary pictures, which are resized by area.
+        circular: the columns wrap around; False for ordinary cameras.
+        on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
+        workers: decoding threads; one for each core, up to 16, if None.
 
     Attributes:
-        frames: the frames whose image could be read, in the order given; its `index` counts from 0 and addresses
-            `batch`.
-        rejected: images that were left out, as dictionaries of path and reason.
+        frames: the frames whose image could be read, in the order given; row i of the library shows frame i.
+        rejected: images that were left out, each as {"path": ..., "reason": ...}.
+        image_size: rows and columns (H, W).
+        circular: whether the columns wrap around.
+        preprocessing: how an image becomes a panorama.
+
+    Raises:
+        ConfigError: a size, camera, number of workers or policy that makes no sense, or simulated images that `unwrap`
+            does not fit.
+        DataError: no frames, none readable, or an unreadable one and `on_error` is "raise".
+        FormatError: a store was written by a newer version.
+        StorageError: the disk is full or refuses.
+
+    Example:
+        >>> import cv2, tempfile
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> _ = cv2.imwrite(str(folder / "1.png"), np.full((20, 80, 3), 7, np.uint8))
+        >>> library = PanoramaLibrary(FrameTable(path=[folder / "1.png"]), folder / "cache", image_size=(8, 32))
+        >>> library.batch([0, 0]).shape
+        (2, 3, 8, 32)
     """
 
-    def __init__(self, frames: FrameTable, cache: str | Path, **preprocessing: Any) -> None:
-        self._stores: list[PanoramaStore] = []
-        self.rejected: list[dict[str, str]] = []
-        tables, owner, row = [], [], []
+    def __init__(
+        self,
+        frames: FrameTable,
+        cache: str | Path | None = None,
+        *,
+        image_size: Sequence[int] = (128, 512),
+        unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
+        circular: bool = True,
+        on_error: str = "skip",
+        workers: int | None = None,
+    ) -> None:
+        check_policy(on_error)
+        if len(frames) == 0:
+            raise DataError("there are no frames to decode: the table is empty")
+        self.preprocessing = Preprocessing.checked(image_size, unwrap)
+        self.image_size = (self.preprocessing.view.height, self.preprocessing.view.width)
+        self.circular = circular
+        self._on_error = on_error
+        self._cache = Path(cache or os.environ.get("SIAMLOC_CACHE") or CACHE).expanduser().absolute()
+        _check_simulated(frames, self.preprocessing)
+        self._stores: list[Store] = []
+        store_of = np.full(len(frames), -1, dtype=np.int64)
+        row_in = np.full(len(frames), -1, dtype=np.int64)
         for number, rows in enumerate(frames.rows_by("sequence").values()):
-            store = PanoramaStore.open_or_build(frames.take(rows), Path(cache), **preprocessing)
+            paths = frames.path[rows].tolist()
+            store = open_store(paths, self._cache, self.preprocessing, on_error=on_error, workers=workers)
             self._stores.append(store)
-            self.rejected.extend(store.rejected)
-            tables.append(store.frames)
-            owner.append(np.full(len(store.frames), number))
-            row.append(np.arange(len(store.frames)))
-        self.frames = concatenate(tables)
-        origin = np.concatenate([table.index for table in tables]) if tables else np.zeros(0, dtype=np.int64)
-        self._row_of_origin = {int(index): row for row, index in enumerate(origin)}
-        self._owner = np.concatenate(owner) if owner else np.zeros(0, dtype=np.int64)
-        self._row = np.concatenate(row) if row else np.zeros(0, dtype=np.int64)
+            store_of[rows[store.kept]] = number
+            row_in[rows[store.kept]] = np.arange(len(store.kept))
+        kept = store_of >= 0
+        self.frames = frames.take(kept)
+        self.rejected = [fault for store in self._stores for fault in store.rejected]
+        self._store_of, self._row_in = store_of[kept], row_in[kept]
+        self._row_of = dict.fromkeys(frames.take(~kept).identities(), -1)
+        self._row_of.update({key: row for row, key in reversed(list(enumerate(self.frames.identities())))})
 
     def __len__(self) -> int:
         return len(self.frames)
 
+    def __repr__(self) -> str:
+        return f"PanoramaLibrary({self._summary()}; {self.frames.describe()})"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(self._summary())}</p>{self.frames._repr_html_()}"
+
+    def _summary(self) -> str:
+        rows, columns = self.image_size
+        left_out = f", {len(self.rejected)} images left out" if self.rejected else ""
+        return f"{len(self)} panoramas of {rows} x {columns} px in {self._cache}{left_out}"
+
     @property
-    def image_shape(self) -> tuple[int, ...]:
+    def image_shape(self) -> tuple[int, int, int]:
         """Shape (3, H, W) of a panorama."""
-        return tuple(self._stores[0].panoramas.shape[1:])
+        return (3, *self.image_size)
 
-    def select(self, frames: FrameTable) -> FrameTable:
-        """Return the readable ones among frames of the table that the library was made of, in their order."""
-        rows = [self._row_of_origin.get(index) for index in frames.index.tolist()]
-        return self.frames.take([row for row in rows if row is not None])
+    def settings(self) -> dict[str, Any]:
+        """Return plain values that make this library again: `PanoramaLibrary(frames, **settings)`."""
+        return {
+            "cache": str(self._cache),
+            "image_size": list(self.image_size),
+            "unwrap": self.preprocessing.unwrap_settings(),
+            "circular": self.circular,
+            "on_error": self._on_error,
+        }
 
-    def batch(self, index: ArrayLike) -> NDArray[np.uint8]:
-        """Return panoramas (B, 3, H, W) uint8 by the `index` column of `frames`."""
-        index = np.asarray(index, dtype=np.int64)
-        owners = self._owner[index]
-        first = owners[0] if len(owners) else 0
-        if (owners == first).all():
-            return self._stores[first].batch(self._row[index])
-        images = np.empty((len(index), *self.image_shape), dtype=np.uint8)
-        for owner in np.unique(owners):
-            mine = np.flatnonzero(owners == owner)
-            images[mine] = self._stores[owner].batch(self._row[index[mine]])
+    def rows(self, frames: FrameTable) -> NDArray[np.int64]:
+        """Return the library's row of each frame (n,), found by its sequence and its path.
+
+        Raises:
+            DataError: a frame that the library does not hold.
+        """
+        rows = self._found(frames)
+        if (rows < 0).any():
+            wrong = np.flatnonzero(rows < 0)
+            path = str(frames.path[wrong[0]])
+            reason = next((item["reason"] for item in self.rejected if item["path"] == path), "unreadable")
+            raise DataError(
+                f"{len(wrong)} of {len(frames)} frames have no panorama, the first is {path} ({reason}): "
+                "leave them out with library.readable(frames)"
+            )
+        return rows
+
+    def readable(self, frames: FrameTable) -> FrameTable:
+        """Return those of the library's frames whose image could be read, in the order given.
+
+        Raises:
+            DataError: a frame that the library was not made of.
+        """
+        return frames.take(self._found(frames) >= 0)
+
+    def batch(self, rows: ArrayLike) -> NDArray[np.uint8]:
+        """Return panoramas (B, 3, H, W), uint8, RGB, by row numbers (B,) in any order, repeated or not.
+
+        Raises:
+            IndexError: a row outside 0 ... N - 1, or rows that are no whole numbers.
+        """
+        wanted = np.asarray(rows)
+        if wanted.size == 0:
+            wanted = wanted.astype(np.intp)
+        if wanted.ndim != 1 or wanted.dtype.kind not in "iu":
+            raise IndexError(f"rows must be whole numbers (B,), got shape {wanted.shape} of {wanted.dtype}")
+        if wanted.size and (wanted.min() < 0 or wanted.max() >= len(self)):
+            wrong = wanted[(wanted < 0) | (wanted >= len(self))][0]
+            raise IndexError(f"row {wrong} is outside the library, whose rows are 0 ... {len(self) - 1}")
+        images = np.empty((len(wanted), *self.image_shape), dtype=np.uint8)
+        places = zip(self._store_of[wanted].tolist(), self._row_in[wanted].tolist(), strict=True)
+        for image, (store, row) in zip(images, places, strict=True):
+            image[...] = self._stores[store].panoramas[row]
         return images
 
     def batches(self, frames: FrameTable, size: int = 64) -> Iterator[NDArray[np.uint8]]:
-        """Yield the panoramas of some of the frames in batches of at most `size`, in order."""
-        for start in range(0, len(frames), size):
-            yield self.batch(frames.index[start : start + size])
+        """Yield the panoramas of frames in batches of at most `size`, in order.
+
+        Raises:
+            DataError: a frame that the library does not hold.
+        """
+        rows = self.rows(frames)
+        for start in range(0, len(rows), size):
+            yield self.batch(rows[start : start + size])
+
+    def _found(self, frames: FrameTable) -> NDArray[np.int64]:
+        """Return the row of each frame, -1 for unreadable ones."""
+        keys = frames.identities()
+        unknown = [key for key in keys if key not in self._row_of]
+        if unknown:
+            raise DataError(
+                f"{len(unknown)} of {len(frames)} frames are not among those that the library was made of, the first "
+                f"is {unknown[0][1]} of sequence {unknown[0][0]!r}: make the library of all frames that are needed"
+            )
+        return np.array([self._row_of[key] for key in keys], dtype=np.int64)
+
+
+def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
+    """Compare what simulated images are, as the note next to them says, with how they would be unwrapped."""
+    kind = preprocessing.unwrap_settings()["kind"]
+    for folder in sorted({Path(path).absolute().parents[1] for path in frames.path.tolist()}):
+        if not (folder / "camera.json").is_file():
+            continue
+        images = read_json(folder / "camera.json").get("images")
+        fitting = {"panorama": ("none",), "omnidirectional": ("polar", "hyperbolic")}.get(images)
+        if fitting is not None and kind not in fitting:
+            raise ConfigError(
+                f"{folder} holds simulated images of kind {images}, which unwrap={kind} does not fit: "
+                f"use unwrap={fitting[-1]}" + (", or simulate with camera=panorama" if images != "panorama" else "")
+            )

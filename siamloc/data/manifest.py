@@ -11,17 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from siamloc.data.frames import FrameTable
-from siamloc.data.policy import check_policy, leave_out, logger
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError, check_policy, leave_out, logger
 
 COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
 
 _NUMBERS = ("x", "y", "theta", "time")
 
 
-def read_manifest(
-    path: str | Path | None = None, *, manifest: str | Path | None = None, on_error: str = "skip"
-) -> FrameTable:
+def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
     """Read a manifest.
 
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
@@ -31,19 +28,18 @@ def read_manifest(
     order of time; the others are taken as they stand.
 
     Args:
-        path: the CSV file, in UTF-8.
-        manifest: the same under another name; give one of the two.
+        manifest: the CSV file, in UTF-8.
         on_error: "skip" or "raise", for images that do not exist.
 
     Raises:
-        ConfigError: no file given, two given, or an unknown policy.
+        ConfigError: an unknown policy.
         DataError: the file is missing or empty, a column or cell cannot be used (with line, column and value), or an
             image stands twice in one sequence.
     """
     check_policy(on_error)
-    if (path is None) == (manifest is None):
-        raise ConfigError("a manifest is read from one CSV file: give either path=FILE or manifest=FILE")
-    file = Path(path if path is not None else manifest).expanduser()  # type: ignore[arg-type]
+    file = Path(manifest).expanduser()
+    if file.exists() and not file.is_file():
+        raise DataError(f"the manifest {file} is no regular file: give a CSV table with one row for each image")
     lines = _lines(file)
     header = next(lines, None)
     if header is None:

@@ -11,15 +11,16 @@ ahead, and the middle of column c has the azimuth (W/2 - c - 1/2) * 2 pi / W.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.settings import NotNegative, Positive, Settings
 
 Array = NDArray[Any]
 
@@ -87,7 +88,7 @@ class OmnidirectionalCamera(Protocol, Hashable):
 
 
 @dataclass(frozen=True)
-class PolarRing:
+class PolarRing(Settings):
     """Polar unwrapping: the ring between two radii, rows even in the radius.
 
     Attributes:
@@ -100,9 +101,11 @@ class PolarRing:
             the floor side); otherwise the outer rim does.
     """
 
+    WHERE: ClassVar[str] = "unwrap"
+
     centre: tuple[float, float] | None = None
-    inner: float | None = None
-    outer: float | None = None
+    inner: NotNegative | None = None
+    outer: Positive | None = None
     forward: float = 0.0
     mirrored: bool = True
     inside_up: bool = False
@@ -122,7 +125,7 @@ class PolarRing:
 
 
 @dataclass(frozen=True)
-class HyperbolicMirror:
+class HyperbolicMirror(Settings):
     """A pinhole camera below a hyperbolic mirror with a single viewpoint.
 
     The mirror is the sheet r(u) = p / (1 - e u_z) around its focus, u being the unit direction of the scene; the
@@ -144,20 +147,21 @@ class HyperbolicMirror:
             looks higher than the mirror shows.
     """
 
-    fx: float = 340.0
-    fy: float = 340.0
+    WHERE: ClassVar[str] = "unwrap"
+
+    fx: Positive = 340.0
+    fy: Positive = 340.0
     cx: float = 319.5
     cy: float = 239.5
     eccentricity: float = 1.4
-    focal_parameter: float = 0.03
+    focal_parameter: Positive = 0.03
     forward: float = 0.0
     mirrored: bool = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.eccentricity > 1:
             raise ConfigError(f"a hyperbolic mirror has an eccentricity above 1, got {self.eccentricity}")
-        if not (self.focal_parameter > 0 and self.fx > 0 and self.fy > 0):
-            raise ConfigError("the mirror's focal parameter and the camera's focal lengths must be positive")
 
     @property
     def camera_depth(self) -> float:
@@ -212,6 +216,13 @@ class HyperbolicMirror:
         return pixels[..., 0], pixels[..., 1]
 
 
+CAMERAS: dict[str, type[PolarRing] | type[HyperbolicMirror] | None] = {
+    "none": None,
+    "polar": PolarRing,
+    "hyperbolic": HyperbolicMirror,
+}
+
+
 def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | None = None) -> Array:
     """Unwrap an omnidirectional image to a panorama by bilinear sampling.
 
@@ -247,20 +258,10 @@ def camera_from_config(
     """
     parameters = dict(options)
     kind = parameters.pop("kind", "none")
+    if kind not in CAMERAS:
+        raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, CAMERAS)}")
     view = PanoramaView(*image_size, **{key: parameters.pop(key) for key in ("top", "bottom") if key in parameters})
-    kinds: dict[str, type[Any] | None] = {"none": None, "polar": PolarRing, "hyperbolic": HyperbolicMirror}
-    if kind not in kinds:
-        raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, kinds)}")
-    camera = kinds[kind]
-    if camera is None:
-        return None, view
-    valid = [item.name for item in fields(camera)]
-    for key in parameters:
-        if key not in valid:
-            raise ConfigError(f"unknown key unwrap.{key} for {kind}: {hint(key, valid)}")
-    if parameters.get("centre") is not None:
-        parameters["centre"] = tuple(parameters["centre"])
-    return camera(**parameters), view
+    return (CAMERAS[kind].of(parameters) if CAMERAS[kind] is not None else None), view
 
 
 @lru_cache(maxsize=8)

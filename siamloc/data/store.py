@@ -1,157 +1,306 @@
-"""`PanoramaStore`: the panoramas of a frame table, decoded once and memory-mapped from then on."""
+"""Decoded panoramas on disk: `<cache>/<key>/{panoramas.npy, store.json}`, made once, whole or not at all."""
 
 from __future__ import annotations
 
+import errno
+import json
+import os
+import shutil
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from siamloc.data.decoding import Preprocessing
-from siamloc.data.frames import FrameTable
-from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView
-from siamloc.data.policy import check_policy, logger
-from siamloc.data.store_files import StoreContents, build_store, load_store, store_key
-from siamloc.errors import ConfigError, DataError
+from siamloc.data.decoding import Preprocessing, UnreadableImageError
+from siamloc.errors import ConfigError, DataError, FormatError, StorageError, leave_out, logger
+from siamloc.files import atomic_folder, content_key, storage_errors, write_json
+from siamloc.progress import track
+
+VERSION = 1
+
+_HEADER_BYTES = 192
+_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL)
 
 
-class PanoramaStore:
-    """Decoded panoramas on disk, one row for each frame whose image could be read.
+@dataclass(frozen=True)
+class Store:
+    """The panoramas of a list of images.
 
     Attributes:
-        frames: the frames of the rows; row i of the store shows frame i.
+        folder: where they lie. Its name is the store's key: a hash of the images' names, sizes and times and of the
+            preprocessing.
         panoramas: (N, 3, H, W), uint8, RGB, memory-mapped and read-only.
+        kept: which images of the list they show (N,).
         rejected: images that could not be read, each as {"path": ..., "reason": ...}.
-        key: name of the store in its cache: a hash of the images' names, sizes and times and of the preprocessing.
-            Poses and labels are not part of it.
     """
 
-    def __init__(self, folder: Path, contents: StoreContents, frames: FrameTable) -> None:
-        self.folder = folder
-        self.key = folder.name
-        self.rejected: list[dict[str, str]] = contents.rejected
-        self.frames = frames
-        self.panoramas: NDArray[np.uint8] = contents.panoramas
-        order = np.argsort(frames.index, kind="stable")
-        self._sorted_index = frames.index[order]
-        self._row_of_sorted = order
-
-    @classmethod
-    def open_or_build(
-        cls,
-        frames: FrameTable,
-        cache: str | Path,
-        *,
-        image_size: tuple[int, int] = (128, 512),
-        unwrap: OmnidirectionalCamera | None = None,
-        view: PanoramaView | None = None,
-        workers: int | None = None,
-        on_error: str = "skip",
-    ) -> PanoramaStore:
-        """Open the store of these frames in a cache folder, or decode the images and make it first.
-
-        Two processes that ask for the same store build it once: the second one waits. What an interrupted build
-        leaves behind is never taken for a store, and the next build removes it.
-
-        Args:
-            frames: whose images to decode.
-            cache: folder of the stores, made if need be.
-            image_size: rows and columns (H, W) of a panorama.
-            unwrap: camera of omnidirectional images; None if the images are panoramas or ordinary pictures, which
-                are resized by area.
-            view: what the unwrapped panorama shows; the default elevations if None. Its size has to be `image_size`.
-            workers: decoding threads; one for each core, up to 16, if None.
-            on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
-
-        Raises:
-            ConfigError: a size, view, camera, number of workers or policy that makes no sense.
-            DataError: no frames, none readable, or an unreadable one and `on_error` is "raise".
-            FormatError: the store was written by a newer version.
-            StorageError: the disk is full or refuses.
-        """
-        check_policy(on_error)
-        if len(frames) == 0:
-            raise DataError("there are no frames to decode: the table is empty")
-        if workers is not None and workers < 1:
-            raise ConfigError(f"decoding needs at least one worker, got {workers}")
-        preprocessing = Preprocessing.checked(image_size, unwrap, view)
-        folder = Path(cache).expanduser().absolute() / store_key(frames.path.tolist(), preprocessing)
-        contents = load_store(folder, len(frames))
-        if contents is None:
-            contents = build_store(folder, frames.path.tolist(), preprocessing, workers, on_error)
-        if contents.rejected:
-            first = contents.rejected[0]
-            text = f"{len(contents.rejected)} of {len(frames)} images cannot be read, the first: "
-            text += f"{first['path']} ({first['reason']})"
-            if on_error == "raise":
-                raise DataError(f"{text}; on_error=skip leaves them out")
-            logger.warning("%s; left out", text)
-        return cls(folder, contents, frames.take(contents.kept))
-
-    def __len__(self) -> int:
-        return len(self.panoramas)
-
-    def __repr__(self) -> str:
-        _, _, height, width = self.panoramas.shape
-        return f"PanoramaStore({len(self)} panoramas of {height} x {width}, {self.folder})"
+    folder: Path
+    panoramas: NDArray[np.uint8]
+    kept: NDArray[np.int64]
+    rejected: list[dict[str, str]]
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A memory map would be pickled as all its bytes; another process opens the file instead.
-        return _reopened, (self.folder, self.frames, len(self) + len(self.rejected))
+        return _reopened, (self.folder, len(self.kept) + len(self.rejected))
 
-    def batch(self, rows: ArrayLike, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """Gather panoramas.
 
-        Args:
-            rows: row numbers (B,), in any order, repeated or not.
-            out: where to put them (B, 3, H, W), uint8 and C-contiguous; a new array if None.
+def open_store(
+    paths: Sequence[str],
+    cache: str | Path,
+    preprocessing: Preprocessing,
+    *,
+    on_error: str = "skip",
+    workers: int | None = None,
+) -> Store:
+    """Open the store of these images in a cache folder, or decode them and make it first.
 
-        Returns:
-            (B, 3, H, W), uint8, RGB.
+    Two processes that ask for the same store build it once: the second one waits. What an interrupted build leaves
+    behind is never taken for a store, and the next build removes it.
 
-        Raises:
-            IndexError: a row outside 0 ... N - 1, or rows that are no whole numbers.
-            ValueError: `out` of another shape or type.
-        """
-        wanted = np.asarray(rows)
-        if wanted.size == 0:
-            wanted = wanted.astype(np.intp)
-        if wanted.ndim != 1 or wanted.dtype.kind not in "iu":
-            raise IndexError(f"rows must be whole numbers (B,), got shape {wanted.shape} of {wanted.dtype}")
-        if wanted.size and (wanted.min() < 0 or wanted.max() >= len(self)):
-            wrong = wanted[(wanted < 0) | (wanted >= len(self))][0]
-            raise IndexError(f"row {wrong} is outside the store, whose rows are 0 ... {len(self) - 1}")
-        shape = (len(wanted), *self.panoramas.shape[1:])
-        if out is None:
-            out = np.empty(shape, dtype=np.uint8)
-        elif out.shape != shape or out.dtype != np.uint8 or not out.flags.c_contiguous:
-            raise ValueError(f"out must be contiguous uint8 {shape}, got {out.dtype} {out.shape}")
-        # With mode="raise" numpy would gather into a buffer first and copy; the rows are checked already.
-        np.take(self.panoramas, wanted, axis=0, out=out, mode="clip")
-        return out
+    Args:
+        paths: images to decode.
+        cache: folder of the stores, made if need be.
+        preprocessing: how an image becomes a panorama.
+        on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
+        workers: decoding threads; one for each core, up to 16, if None.
 
-    def rows_of(self, frames: FrameTable) -> NDArray[np.int64]:
-        """Return the store's rows (n,) that show the frames of a sub-table of `frames`, matched by `index`.
+    Raises:
+        ConfigError: a camera that does not fit the images, or a number of workers that makes no sense.
+        DataError: no image readable, or an unreadable one and `on_error` is "raise".
+        FormatError: the store was written by a newer version.
+        StorageError: the disk is full or refuses, or has no locks.
+    """
+    if workers is not None and workers < 1:
+        raise ConfigError(f"decoding needs at least one worker, got {workers}")
+    folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing)
+    store = _load(folder, len(paths))
+    if store is None:
+        store = _build(folder, paths, preprocessing, workers or _default_workers(), on_error)
+    faults = [f"{item['path']} ({item['reason']})" for item in store.rejected]
+    leave_out(faults, len(paths), "images cannot be read", on_error)
+    return store
 
-        Raises:
-            DataError: a frame that the store does not hold, or a table of other frames.
-        """
-        at = np.searchsorted(self._sorted_index, frames.index).clip(max=len(self) - 1)
-        rows = self._row_of_sorted[at]
-        wrong = np.flatnonzero((self.frames.index[rows] != frames.index) | (self.frames.path[rows] != frames.path))
-        if wrong.size:
-            path = str(frames.path[wrong[0]])
-            reason = next((f": {item['reason']}" for item in self.rejected if item["path"] == path), "")
-            raise DataError(
-                f"{wrong.size} of {len(frames)} frames are not in the store {self.folder}, the first {path}{reason}; "
-                "take the frames from the store's own table (store.frames)"
+
+def _key(paths: Sequence[str], preprocessing: Preprocessing) -> str:
+    """Return the name of a store: a hash of the images' names, sizes and times, and of the preprocessing."""
+    files: list[list[Any]] = []
+    for path in paths:
+        try:
+            status = os.stat(path)  # noqa: PTH116 (ten thousands of paths)
+            files.append([os.path.abspath(path), status.st_size, status.st_mtime_ns])  # noqa: PTH100
+        except (OSError, ValueError):
+            files.append([os.path.abspath(path), None, None])  # noqa: PTH100
+    return content_key({"version": VERSION, "preprocessing": preprocessing.parameters(), "files": files})
+
+
+def _load(folder: Path, total: int) -> Store | None:
+    """Open a store of `total` images, or return None if there is none that is whole.
+
+    Raises:
+        FormatError: the store was written by a newer version.
+    """
+    try:
+        record = json.loads((folder / "store.json").read_text(encoding="utf-8"))
+        version = record["version"]
+        if isinstance(version, int) and version > VERSION:
+            raise FormatError(
+                f"the store {folder} has format version {version}, this siamloc reads up to {VERSION}: "
+                "update siamloc, or use another cache folder"
             )
-        return rows
+        rejected = record["rejected"]
+        gone = np.array([item["row"] for item in rejected], dtype=np.int64)
+        kept = np.delete(np.arange(total), gone)
+        panoramas = np.asarray(np.load(folder / "panoramas.npy", mmap_mode="r", allow_pickle=False))
+        whole = (
+            version == VERSION
+            and record["images"] == total
+            and panoramas.dtype == np.uint8
+            and panoramas.shape == (len(kept), 3, *record["image_size"])
+            and len(kept) > 0
+        )
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except FormatError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError):
+        whole = False
+    if not whole:
+        logger.warning("the store %s is damaged or cut short; it is built again", folder)
+        return None
+    faults = [{"path": item["path"], "reason": item["reason"]} for item in rejected]
+    return Store(folder, panoramas, kept, faults)
 
 
-def _reopened(folder: Path, frames: FrameTable, total: int) -> PanoramaStore:
-    contents = load_store(folder, total)
-    if contents is None:
-        raise DataError(f"the store {folder} is gone or cut short: build it anew")
-    return PanoramaStore(folder, contents, frames)
+def _reopened(folder: Path, total: int) -> Store:
+    store = _load(folder, total)
+    if store is None:
+        raise DataError(f"the store {folder} is gone or cut short: open its library again to rebuild it")
+    return store
+
+
+def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> Store:
+    """Decode the images into a new store, or take the one that another process makes in the meantime."""
+    _require_a_folder(paths)
+    with storage_errors(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with _locked(folder):
+            store = _load(folder, len(paths))
+            if store is not None:
+                return store
+            _remove_stale(folder)
+            with atomic_folder(folder) as temporary:
+                _write(temporary, paths, preprocessing, workers, on_error)
+    store = _load(folder, len(paths))
+    if store is None:
+        raise FormatError(f"the store {folder} was damaged right after it was built: check the disk")
+    return store
+
+
+def _require_a_folder(paths: Sequence[str]) -> None:
+    """Tell lists that came without their images from images that cannot be read.
+
+    Raises:
+        DataError: there are paths, and none of their folders exists.
+    """
+    folders = list(dict.fromkeys(Path(path).parent for path in paths))
+    if folders and not any(folder.exists() for folder in folders):
+        others = f" (nor do {len(folders) - 1} others)" if len(folders) > 1 else ""
+        raise DataError(
+            f"the images' folder {folders[0]} does not exist{others}: these lists come without images; "
+            "add the images, or name the folder that holds them"
+        )
+
+
+def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> None:
+    """Fill a folder with panoramas.npy and store.json."""
+    height, width = preprocessing.view.height, preprocessing.view.width
+    rejected: list[dict[str, Any]] = []
+    kept = 0
+    with (folder / "panoramas.npy").open("wb", buffering=0) as file:
+        _reserve(file, _HEADER_BYTES + len(paths) * 3 * height * width)
+        file.seek(_HEADER_BYTES)
+        decoded = _decoded(paths, preprocessing, workers)
+        for row, result in enumerate(track(decoded, len(paths), "decoding images")):
+            if isinstance(result, UnreadableImageError):
+                if on_error == "raise":
+                    raise DataError(f"{paths[row]} cannot be read: {result} (on_error=skip leaves it out)")
+                rejected.append({"row": row, "path": paths[row], "reason": str(result)})
+            else:
+                _write_all(file, result)
+                kept += 1
+        if kept == 0:
+            first = rejected[0]
+            raise DataError(
+                f"none of the {len(paths)} images can be read, the first: {first['path']} ({first['reason']})"
+            )
+        file.truncate()
+        file.seek(0)
+        _write_all(file, np.frombuffer(_header((kept, 3, height, width)), dtype=np.uint8))
+        os.fsync(file.fileno())
+    record = {
+        "version": VERSION,
+        "images": len(paths),
+        "image_size": [height, width],
+        "preprocessing": preprocessing.parameters(),
+        "rejected": rejected,
+    }
+    write_json(folder / "store.json", record)
+
+
+def _decoded(
+    paths: Sequence[str], preprocessing: Preprocessing, workers: int
+) -> Iterator[NDArray[np.uint8] | UnreadableImageError]:
+    """Yield the panoramas in order, decoded by threads that run only a little ahead."""
+
+    def decode(path: str) -> NDArray[np.uint8] | UnreadableImageError:
+        try:
+            return preprocessing.panorama(path)
+        except UnreadableImageError as error:
+            return error
+
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="decode")
+    try:
+        ahead: deque[Future[NDArray[np.uint8] | UnreadableImageError]] = deque()
+        for path in paths:
+            ahead.append(pool.submit(decode, path))
+            if len(ahead) > 4 * workers:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _reserve(file: BinaryIO, size: int) -> None:
+    """Ask the disk for all the space at once, so that a full one refuses before the work is done."""
+    if hasattr(os, "posix_fallocate"):
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS, errno.ENODEV):
+                raise
+
+
+def _write_all(file: BinaryIO, array: NDArray[np.uint8]) -> None:
+    data = array.reshape(-1).data
+    while len(data):
+        data = data[file.write(data) :]
+
+
+def _header(shape: tuple[int, ...]) -> bytes:
+    """Return the header of a .npy file of version 1.0, padded to a size that does not depend on the shape."""
+    text = repr({"descr": "|u1", "fortran_order": False, "shape": shape})
+    room = _HEADER_BYTES - 10
+    return b"\x93NUMPY\x01\x00" + room.to_bytes(2, "little") + f"{text:<{room - 1}}\n".encode("latin1")
+
+
+@contextmanager
+def _locked(folder: Path, wait: bool = True) -> Iterator[bool]:
+    """Hold the lock of a store, and yield whether it could be had; the system frees it if the process dies."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(_lock_of(folder), mode=0o666)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        if wait:
+            logger.warning("another process is building the store %s; waiting for it", folder)
+            lock.acquire()
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        raise StorageError(
+            f"the file system of {folder.parent} has no locks: keep panoramas elsewhere, with cache=FOLDER or the "
+            "environment variable SIAMLOC_CACHE"
+        ) from error
+    try:
+        yield lock.is_locked
+    finally:
+        lock.release()
+
+
+def _remove_stale(folder: Path) -> None:
+    """Remove what killed builds left: of this store, whose lock is held here, and of others that nobody builds."""
+    for path in folder.parent.glob(".*.tmp"):
+        owner = folder.with_name(path.name[1:].split(".", 1)[0])
+        if owner == folder:
+            shutil.rmtree(path, ignore_errors=True)
+            continue
+        with _locked(owner, wait=False) as mine:
+            if mine:
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _lock_of(folder: Path) -> Path:
+    return folder.with_name(f".{folder.name}.lock")
+
+
+def _default_workers() -> int:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, 16)

@@ -9,7 +9,7 @@ import numpy as np
 
 from siamloc.files import atomic_path
 from siamloc.simulate.config import SimulateConfig
-from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.plan import clearance, obstacles
 from siamloc.simulate.render import render
@@ -18,6 +18,8 @@ from siamloc.simulate.scene import build_scene
 from siamloc.simulate.shell import leaf_segment
 from siamloc.simulate.trajectory import Track
 
+#: The files that a preview consists of.
+PICTURES = ("contact_sheet.png", "floor_plan.png")
 _COLOURS = {"cloudy": "#5b8fd6", "night": "#3b3b6d", "sunny": "#e8a013"}
 
 
@@ -25,16 +27,13 @@ def write_preview(building: Building, config: SimulateConfig, folder: Path) -> t
     """Write `contact_sheet.png` and `floor_plan.png` and return their paths."""
     runs = {run.lighting: run for run in reversed(config.drives())}
     drives = [runs[lighting] for lighting in LIGHTINGS if lighting in runs]
-    written = []
-    for name, picture in (
-        ("contact_sheet.png", contact_sheet(building, drives)),
-        ("floor_plan.png", floor_plan(building, config.drives())),
+    paths = tuple(folder / name for name in PICTURES)
+    for path, picture in zip(
+        paths, (contact_sheet(building, drives), floor_plan(building, config.drives())), strict=True
     ):
-        path = folder / name
         with atomic_path(path) as temporary:
             temporary.write_bytes(picture)
-        written.append(path)
-    return tuple(written)
+    return paths
 
 
 def viewpoints(building: Building, track: Track) -> Array:

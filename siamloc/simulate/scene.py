@@ -8,17 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.simulate.atlas import TextureAtlas, sample
-from siamloc.simulate.bake import BakedLight, bake
-from siamloc.simulate.furnish import add_items, seeded
-from siamloc.simulate.layout import Array, Building, Item
-from siamloc.simulate.lightgrid import Caster
-from siamloc.simulate.mesh import MeshBuilder, QuadMesh
+from siamloc.simulate.items import add_items
+from siamloc.simulate.layout import Array, Building, Item, seeded
+from siamloc.simulate.light import BakedLight, bake
+from siamloc.simulate.mesh import Caster, MeshBuilder, QuadMesh
 from siamloc.simulate.prints import print_textures
 from siamloc.simulate.run import Run, RunState, draw_run
 from siamloc.simulate.shell import add_shell, draw_style
 from siamloc.simulate.sky import Sky, make_sky
-from siamloc.simulate.textures import base_textures
+from siamloc.simulate.textures import TextureAtlas, base_textures, sample
 
 LOOKS = 6
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from siamloc.cli import main
-from siamloc.evaluation import absolute, beside, calibration, hierarchical
-from siamloc.evaluation.results import read_results, read_rows
+from siamloc.evaluation import absolute, estimates, calibration, hierarchical
+from siamloc.evaluation.error_model import ErrorModel
 from siamloc.files import plain
 from siamloc.maps import CoarseLayer
-from siamloc.maps.error_model import ErrorModel
+from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest
 
 SEQUENCES = {"first": "cloudy", "second": "cloudy", "dark": "night", "third": "cloudy"}

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from siamloc.errors import DataError
-from siamloc.evaluation import absolute, beside
+from siamloc.evaluation import absolute, estimates
 from siamloc.evaluation.absolute import evaluate_absolute
-from siamloc.evaluation.results import read_results, read_rows, write_results
 from siamloc.files import plain
 from siamloc.maps import Retrieval
+from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes
 
 RADII = (0.5, 1 / 3)

@@ -163,7 +163,7 @@ def test_maps_and_tasks_do_not_load_torch() -> None:
     code = (
         "import sys, siamloc.maps.visual_map, siamloc.evaluation.absolute, siamloc.evaluation.room_retrieval\n"
         "import siamloc.report\n"
-        "import siamloc.evaluation.results\n"
+        "import siamloc.results\n"
         "print(sorted({'torch', 'lightning', 'pandas', 'matplotlib', 'scipy'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

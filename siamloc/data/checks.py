@@ -1,0 +1,214 @@
+"""`check`: what is wrong with a data set, or will surprise its user, found before anything is trained."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.decoding import UnreadableImageError, read_image
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.files import file_hash
+
+_PROBED = 32  # images of a data set that are opened for their size
+_FITS, _FAILS = 0.9, 0.7  # how well headings follow the direction of travel, from 0 (not at all) to 1
+_TURN = 2 * np.pi
+
+
+def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str]:
+    """Check a data set for what goes unnoticed until the results are poor.
+
+    Looked at are headings (degrees instead of radians, clockwise, x and y exchanged), missing positions and labels,
+    jumps and stops of a drive, times, the sizes of the images, and images that are there twice.
+
+    Args:
+        frames: the data set.
+        images: its panoramas, if they are decoded: their size is then compared with the images'.
+
+    Returns:
+        A sentence for each finding, with what to do; none where nothing is wrong.
+
+    Example:
+        >>> angle = np.arange(8) * 45.0
+        >>> frames = FrameTable(path=[f"{i}.jpg" for i in range(8)], x=np.sin(angle), y=np.cos(angle), theta=angle)
+        >>> check(frames)[0]
+        'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
+    """
+    return [*_headings(frames), *_missing(frames), *_drives(frames), *_sizes(frames, images), *_copies(frames)]
+
+
+def _headings(frames: FrameTable) -> Iterator[str]:
+    """Look at headings: their range, and how they follow the direction in which the robot moves."""
+    theta = frames.theta[np.isfinite(frames.theta)]
+    beyond = np.abs(theta) > _TURN + 0.01
+    heading, travel = _moving(frames)
+    enough = len(heading) >= 10
+    if enough and _agreement(heading - travel)[0] >= _FITS:
+        return
+    if beyond.mean() > 0.25 if len(beyond) else False:
+        yield (
+            f"theta looks like degrees: {beyond.sum()} of {len(theta)} headings lie beyond one turn, up to "
+            f"{np.abs(theta).max():.4g}. Give radians (multiply by pi / 180)."
+        )
+        return
+    if beyond.any():
+        yield (
+            f"{beyond.sum()} of {len(theta)} headings lie beyond one turn, up to {np.abs(theta).max():.4g} rad: if "
+            "they are degrees, multiply them by pi / 180."
+        )
+    if not enough or _agreement(heading - travel)[0] >= _FAILS:
+        return
+    if _agreement(np.radians(heading) - travel)[0] >= _FITS:
+        yield "theta follows the direction of travel if it counts degrees: give radians (multiply by pi / 180)."
+        return
+    share, offset = _agreement(-heading - travel)
+    if share < _FITS:
+        return
+    if abs(abs(offset) - np.pi / 2) < np.pi / 4:
+        yield (
+            "theta follows the direction of travel if x and y are exchanged, as a compass bearing does: headings run "
+            "counter-clockwise from +x. Exchange x and y, or give pi / 2 - theta."
+        )
+    else:
+        yield (
+            "theta follows the direction of travel if it runs clockwise: headings run counter-clockwise from +x. "
+            "Give -theta, or check the sign of y."
+        )
+
+
+def _moving(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the headings of frames from which the robot moved on, and the directions it moved in, rad (k,)."""
+    headings, travels = [np.zeros(0)], [np.zeros(0)]
+    for rows in frames.rows_by("sequence").values():
+        step = np.diff(frames.xy[rows], axis=0)
+        length = np.linalg.norm(step, axis=1)
+        usual = np.median(length[length > 0]) if (length > 0).any() else np.inf
+        # Short steps are noise of the positions, long ones jumps.
+        real = (length > usual / 4) & (length < 4 * usual) & np.isfinite(frames.theta[rows[:-1]])
+        headings.append(frames.theta[rows[:-1]][real])
+        travels.append(np.arctan2(step[real, 1], step[real, 0]))
+    return np.concatenate(headings), np.concatenate(travels)
+
+
+def _agreement(difference: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the length (0 to 1) and the direction (rad) of the mean of unit vectors."""
+    mean = np.exp(1j * difference).mean()
+    return float(np.abs(mean)), float(np.angle(mean))
+
+
+def _missing(frames: FrameTable) -> Iterator[str]:
+    """Look for what frames lack, and say what that costs."""
+    total = len(frames)
+    without = int((~frames.has_position).sum())
+    if without:
+        yield (
+            f"{_count(without, total)} have no position: they can be located and, as map frames, recognized, but their "
+            "errors cannot be measured. Rooms and mapping by appearance need no positions."
+        )
+    headless = int(np.isnan(frames.theta[frames.has_position]).sum())
+    if 0 < headless < total:
+        yield f"{_count(headless, total)} have a position but no heading: heading errors are measured without them."
+    roomless = int((frames.room == "").sum())
+    if 0 < roomless < total:
+        yield f"{_count(roomless, total)} have no room, while others do: they count as one room. Give their room."
+
+
+def _drives(frames: FrameTable) -> Iterator[str]:
+    """Look for stops, jumps and uneven times of each drive."""
+    for name, rows in frames.rows_by("sequence").items():
+        own, drive = frames.take(rows), f"sequence {name or '(unnamed)'}"
+        known = own.take(own.has_position)
+        steps = np.linalg.norm(np.diff(known.xy, axis=0), axis=1)
+        moves = steps[steps > 0]
+        usual = float(np.median(moves)) if len(moves) else 0.0
+        still = int((steps <= usual / 20).sum())
+        if still > len(own) / 5 and len(own) > 2:
+            yield (
+                f"the robot stands still in {_count(still, len(own))} of {drive}: these frames weigh on every mean. "
+                "Thin them out with spacing (protocol.map.spacing and so on)."
+            )
+        if len(moves) > 10 and steps.max() > 30 * usual:
+            at = int(steps.argmax()) + 1
+            yield (
+                f"{drive} jumps by {steps.max():.3g} {frames.unit} at {known.path[at]}, where its usual step is "
+                f"{usual:.2g} {frames.unit}: if several drives share the name, give each its own."
+            )
+        timed = int(np.isfinite(own.time).sum())
+        if 0 < timed < len(own):
+            yield f"{_count(len(own) - timed, len(own))} of {drive} have no time: the order is that of the table."
+        gaps = np.diff(own.time) if timed == len(own) else np.zeros(0)
+        if len(gaps) > 10 and gaps.max() > max(30 * np.median(gaps), 10.0):
+            at = int(gaps.argmax()) + 1
+            yield (
+                f"{drive} pauses for {gaps.max():.0f} s before {own.path[at]}, where frames usually are "
+                f"{np.median(gaps):.2g} s apart: a filter over time should start again there. Give it its own sequence."
+            )
+        same = int((gaps == 0).sum())
+        if same:
+            yield f"{_count(same, len(own))} of {drive} have the time of the frame before: check the unit of the times."
+
+
+def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
+    """Look at the sizes of some images."""
+    counts: dict[tuple[int, int], int] = {}
+    for row in np.unique(np.linspace(0, len(frames) - 1, _PROBED).astype(int)) if len(frames) else []:
+        try:
+            height, width = read_image(frames.path[row]).shape[:2]
+        except UnreadableImageError:
+            continue
+        counts[height, width] = counts.get((height, width), 0) + 1
+    if len({round(width / height, 1) for height, width in counts}) > 1:
+        listed = ", ".join(f"{width} x {height} px ({count})" for (height, width), count in counts.items())
+        yield (
+            f"images have different shapes, among those looked at {listed}: they would be brought to one size and look "
+            "different for that alone. Use one camera and crop for all."
+        )
+    if images is None or images.preprocessing.camera is not None or not counts:
+        return
+    height, width = max(counts, key=lambda size: counts[size])
+    rows, columns = images.image_size
+    squeezed = (columns / rows) / (width / height)
+    if not 0.67 < squeezed < 1.5:
+        yield (
+            f"images of {width} x {height} px (columns x rows) are brought to {columns} x {rows} without unwrapping, "
+            "which changes their shape: pictures of a mirror need unwrap=polar or unwrap=hyperbolic, others an "
+            "image_size of their own shape"
+            + (", and circular=false if they do not show the full turn." if images.circular else ".")
+        )
+
+
+def _copies(frames: FrameTable) -> Iterator[str]:
+    """Look for images that are there more than once: the same file, or files with the same contents."""
+    paths: dict[str, str] = {}
+    for sequence, path in frames.identities():
+        paths.setdefault(path, sequence)
+    if len(paths) < len(frames):
+        yield (
+            f"{_count(len(frames) - len(paths), len(frames))} show an image that another frame shows too: a query "
+            "whose own image is in the map is found without any skill. Set protocol.leave_one_out=true."
+        )
+    by_size: dict[int, list[str]] = {}
+    for path in paths:
+        if os.path.isfile(path):  # noqa: PTH113 (names may be too long)
+            by_size.setdefault(Path(path).stat().st_size, []).append(path)
+    first: dict[str, str] = {}
+    copies = []
+    for group in by_size.values():
+        for path in group if len(group) > 1 else []:
+            original = first.setdefault(file_hash(path), path)
+            if original != path:
+                copies.append((original, path))
+    if copies:
+        between = sum(paths[a] != paths[b] for a, b in copies)
+        yield (
+            f"{len(copies)} images are copies of others, {between} of them of another sequence's, the first: "
+            f"{copies[0][1]} of {copies[0][0]}. A query with a copy in the map is found without any skill: remove them."
+        )
+
+
+def _count(some: int, total: int) -> str:
+    return f"all {total} frames" if some == total else f"{some} of {total} frames"

@@ -1,0 +1,259 @@
+"""Who does what: which frames train, validate, form the map and are queried ([T] 5.3.4, 5.3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.frames import FrameTable, concatenate
+from siamloc.errors import ConfigError, DataError
+from siamloc.settings import Count, Positive, Settings
+
+ROLES = ("train", "validation", "map", "query")
+
+
+@dataclass(frozen=True)
+class Role(Settings):
+    """A selection of frames.
+
+    Attributes:
+        sequences: names or shell patterns such as "*seq2_cloudy3"; None where the role is not filled.
+        lightings: keep these lightings; all if None.
+        rooms: keep these rooms; all if None.
+        every: keep every k-th frame of a sequence; all if None.
+        spacing: keep frames at least this far apart along a sequence, in the unit of the positions; all if None.
+
+    Raises:
+        ConfigError: both `every` and `spacing`, or a value of another type.
+
+    Example:
+        >>> frames = FrameTable(path=["1.jpg", "2.jpg", "3.jpg"], sequence=["day", "day", "night"])
+        >>> Role(sequences="day", every=2).select(frames).path.tolist()
+        ['1.jpg']
+    """
+
+    sequences: tuple[str, ...] | None = None
+    lightings: tuple[str, ...] | None = None
+    rooms: tuple[str, ...] | None = None
+    every: Count | None = None
+    spacing: Positive | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("sequences", "lightings", "rooms"):
+            if isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, (getattr(self, name),))
+        super().__post_init__()
+        if self.every is not None and self.spacing is not None:
+            raise ConfigError("a role takes every k-th frame or frames at a spacing, not both: set one of them to null")
+
+    def select(self, frames: FrameTable) -> FrameTable:
+        """Return the role's frames, in the order of the table."""
+        if self.sequences is not None:
+            frames = frames.select(sequence=self.sequences)
+        if self.lightings is not None:
+            frames = frames.select(lighting=self.lightings)
+        if self.rooms is not None:
+            frames = frames.select(room=self.rooms)
+        if self.every is not None:
+            frames = frames.every(self.every)
+        if self.spacing is not None:
+            frames = frames.spaced(self.spacing)
+        return frames
+
+
+@dataclass(frozen=True)
+class Protocol(Settings):
+    """The roles of a data set, and which map frames a query may not be compared with.
+
+    Two kinds are never compared with each other: in "cross_run" map and queries come from different sequences, and
+    no query was trained on; in "same_run" queries may come from the map's own sequence, map frames among them. With
+    `leave_one_out`, `apart_seconds` or `apart_metres`, queries of a cross_run protocol may also come from the map's
+    sequences, since each is then compared with other frames only.
+
+    Attributes:
+        kind: "cross_run" or "same_run".
+        train: frames whose pairs the network learns from.
+        validation: frames by which the checkpoint is chosen; never trained on, never tested on.
+        map: frames that the robot knows; the training frames if not filled.
+        query: frames to be located.
+        leave_one_out: a query is never compared with its own image.
+        apart_seconds: a query is not compared with frames of its own drive taken less than this before or after it.
+        apart_metres: a query is not compared with frames of its own drive less than this way away, measured along
+            the drive, in the unit of the positions.
+
+    Raises:
+        ConfigError: an unknown kind, or a value of another type or out of range.
+
+    Example:
+        >>> frames = FrameTable(path=["1.jpg", "2.jpg", "3.jpg"], time=[0, 1, 5], sequence=["day"] * 3)
+        >>> Protocol(apart_seconds=2).excluded(frames, frames).astype(int)
+        array([[1, 1, 0],
+               [1, 1, 0],
+               [0, 0, 1]])
+    """
+
+    WHERE: ClassVar[str] = "protocol"
+
+    kind: Literal["cross_run", "same_run"] = "cross_run"
+    train: Role = field(default_factory=Role)
+    validation: Role = field(default_factory=Role)
+    map: Role = field(default_factory=Role)
+    query: Role = field(default_factory=Role)
+    leave_one_out: bool = False
+    apart_seconds: Positive | None = None
+    apart_metres: Positive | None = None
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Protocol:
+        """Make a protocol from plain values; keys that are missing have their defaults.
+
+        Raises:
+            ConfigError: an unknown key, with the nearest valid one, or a value of another type or out of range.
+        """
+        roles = {}
+        for name in ROLES:
+            if isinstance(values.get(name), Mapping):
+                try:
+                    roles[name] = Role.of(values[name])
+                except ConfigError as error:
+                    raise ConfigError(f"protocol.{name}: {error}") from error
+        return super().of({**values, **roles})
+
+    @property
+    def excludes(self) -> bool:
+        """Whether some map frames are out of bounds for a query of the same drive."""
+        return self.leave_one_out or self.apart_seconds is not None or self.apart_metres is not None
+
+    def frames(self, role: str, table: FrameTable) -> FrameTable:
+        """Return the frames of a role.
+
+        Raises:
+            ConfigError: the role is not filled, names something that no frame carries, or shares a sequence with a
+                role that it must stay apart from.
+        """
+        selection = self._role(role)
+        if selection.sequences is None:
+            raise ConfigError(
+                f"protocol.{role}.sequences is not set; the data holds {table.describe()}. "
+                f"Set it, for instance protocol.{role}.sequences=[{table.sequence[0] if len(table) else 'NAME'}], "
+                "or ['*'] for all"
+            )
+        try:
+            frames = selection.select(table)
+        except ConfigError as error:
+            raise ConfigError(f"protocol.{role}: {error}") from error
+        self._check_apart(role, frames, table)
+        return frames
+
+    def excluded(
+        self, queries: FrameTable, known: FrameTable, drives: FrameTable | None = None
+    ) -> NDArray[np.bool_] | None:
+        """Return which map frames each query may not be compared with, or None where it may be with all.
+
+        Args:
+            queries: n frames.
+            known: the map's m frames.
+            drives: frames in capture order along which `apart_metres` measures the way, such as the whole data set.
+                The queries and the map's frames, in order of time, if None.
+
+        Returns:
+            (n, m), True where the two must not be compared.
+
+        Raises:
+            DataError: times, positions or an order of capture that the setting needs are not known.
+        """
+        if not self.excludes:
+            return None
+        excluded = np.zeros((len(queries), len(known)), dtype=bool)
+        if self.leave_one_out:
+            _, picture = np.unique([path for _, path in queries.identities() + known.identities()], return_inverse=True)
+            excluded |= picture[: len(queries), None] == picture[len(queries) :]
+        if self.apart_seconds is not None:
+            lack = "time, which protocol.apart_seconds needs: give times, or use apart_metres or leave_one_out"
+            _exclude_near(excluded, queries, known, (queries.time, known.time), self.apart_seconds, lack)
+        if self.apart_metres is not None:
+            lack = "position along a drive, which protocol.apart_metres needs: give x and y, or use apart_seconds"
+            _exclude_near(excluded, queries, known, _travelled(queries, known, drives), self.apart_metres, lack)
+        return excluded
+
+    def _role(self, name: str) -> Role:
+        role: Role = getattr(self, name)
+        return replace(role, sequences=self.train.sequences) if name == "map" and role.sequences is None else role
+
+    def _check_apart(self, role: str, frames: FrameTable, table: FrameTable) -> None:
+        from_map = self.kind == "same_run" or self.excludes
+        apart = {
+            "validation": ("train", "query"),
+            "query": ("validation", *(() if self.kind == "same_run" else ("train",)), *(() if from_map else ("map",))),
+        }
+        for other in apart.get(role, ()):
+            names = getattr(self, other).sequences
+            if names is None:
+                continue
+            shared = sorted(set(frames.sequence.tolist()) & set(table.select(sequence=names).sequence.tolist()))
+            if shared:
+                raise ConfigError(
+                    f"sequence {shared[0]!r} is in protocol.{role} and in protocol.{other}, so the result would "
+                    f"not be honest: take it out of one of them{_WAY_OUT.get((role, other), '')}"
+                )
+
+
+_WAY_OUT = {
+    ("query", "map"): (
+        ". For queries from the map's own run either keep near frames out with protocol.leave_one_out=true, "
+        "protocol.apart_seconds=T or protocol.apart_metres=D, or set protocol.kind=same_run"
+    ),
+    ("query", "train"): "; for queries from a run that was trained on set protocol.kind=same_run",
+}
+
+
+def _exclude_near(
+    excluded: NDArray[np.bool_],
+    queries: FrameTable,
+    known: FrameTable,
+    at: tuple[NDArray[np.float64], NDArray[np.float64]],
+    apart: float,
+    lack: str,
+) -> None:
+    """Mark the pairs of one drive that are less than `apart` away from each other on a scale, such as time."""
+    query_at, known_at = at
+    for sequence, rows in queries.rows_by("sequence").items():
+        columns = np.flatnonzero(known.sequence == sequence)
+        unknown = np.isnan(query_at[rows]).sum() + np.isnan(known_at[columns]).sum()
+        if len(columns) and unknown:
+            raise DataError(f"{unknown} frames of sequence {sequence!r} have no {lack}")
+        for row in rows:
+            excluded[row, columns] |= np.abs(known_at[columns] - query_at[row]) < apart
+
+
+def _travelled(
+    queries: FrameTable, known: FrameTable, drives: FrameTable | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how far the robot had driven on its drive at each query (n,) and each map frame (m,); NaN if unknown."""
+    drives = _in_order(queries, known) if drives is None else drives
+    drives = drives.take(drives.has_position)
+    way: dict[tuple[str, str], float] = {}
+    for rows in drives.rows_by("sequence").values():
+        own = drives.take(rows)
+        steps = np.linalg.norm(np.diff(own.xy, axis=0), axis=1)
+        way.update(zip(own.identities(), [0.0, *np.cumsum(steps).tolist()], strict=True))
+    found = [np.array([way.get(key, np.nan) for key in table.identities()]) for table in (queries, known)]
+    return found[0], found[1]
+
+
+def _in_order(queries: FrameTable, known: FrameTable) -> FrameTable:
+    """Return the frames of both tables in capture order, as far as it can be known."""
+    query_keys, known_keys = queries.identities(), set(known.identities())
+    if known_keys <= set(query_keys):
+        return queries
+    new = [row for row, key in enumerate(query_keys) if key not in known_keys]
+    both = concatenate([known, queries.take(new)])
+    if new and np.isnan(both.time).any():
+        raise DataError(
+            "protocol.apart_metres needs the order in which the frames were taken: give times, or the whole drives"
+        )
+    return both.take(np.argsort(both.time, kind="stable")) if new else known

@@ -1,0 +1,121 @@
+"""`read`: the frames of a data set, whatever form it comes in, and the settings that say which one."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from siamloc.data.cold import read_cold
+from siamloc.data.folder import read_folder
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.manifest import read_manifest
+from siamloc.data.panorama import OmnidirectionalCamera
+from siamloc.errors import ConfigError, hint
+from siamloc.settings import Settings, Size
+
+READERS: dict[str, Callable[..., FrameTable]] = {"cold": read_cold, "folder": read_folder, "manifest": read_manifest}
+
+_PATHS = ("root", "places", "manifest")
+
+
+def read(kind: str, *, unit: str = "m", **where: Any) -> FrameTable:
+    """Read the frames of a data set.
+
+    Args:
+        kind: "cold" (`siamloc.data.cold.read_cold`), "manifest" (`siamloc.data.manifest.read_manifest`) or "folder"
+            (`siamloc.data.folder.read_folder`).
+        unit: what x and y count.
+        **where: what that reader takes, such as root=FOLDER.
+
+    Returns:
+        The frames. `source` holds what they were read from, with absolute paths: `read(**frames.source)` reads them
+        again.
+
+    Raises:
+        ConfigError: an unknown kind or keyword, or one that is missing; the valid ones are named.
+        DataError: files that cannot be used as they are.
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> folder = pathlib.Path(tempfile.mkdtemp())
+        >>> for name in ("a.jpg", "b.jpg", "robot.csv"):
+        ...     _ = (folder / name).write_text("image,x,y\\na.jpg,0,0\\nb.jpg,1,0\\n")
+        >>> read("manifest", manifest=folder / "robot.csv")
+        FrameTable(2 frames; sequences: (unnamed) 2; rooms: none; lightings: none; positions: all, in m)
+    """
+    if kind not in READERS:
+        raise ConfigError(f"there is no reader for data of kind {kind!r}; {hint(kind, READERS)}")
+    parameters = inspect.signature(READERS[kind]).parameters
+    for name in where:
+        if name not in parameters:
+            raise ConfigError(f"data of kind {kind!r} are not described by {name!r}; {hint(name, parameters)}")
+    for name, parameter in parameters.items():
+        if parameter.default is inspect.Parameter.empty and where.get(name) is None:
+            raise ConfigError(f"data of kind {kind!r} need {name}=...; {hint(name, parameters)}")
+    given = {name: value for name, value in where.items() if value is not None}
+    source = {
+        name: str(Path(value).expanduser().absolute()) if name in _PATHS else value for name, value in given.items()
+    }
+    return replace(READERS[kind](**given), unit=unit, source={"kind": kind, **source})
+
+
+@dataclass(frozen=True)
+class DataSettings(Settings):
+    """Which frames to read, and how their images become panoramas: what `conf/data` holds.
+
+    Attributes:
+        kind: "cold", "folder" or "manifest".
+        name: what results and runs call the data.
+        manifest: the CSV table of kind "manifest".
+        root: the folder of kind "cold" or "folder".
+        places: one list of kind "cold", instead of `root`.
+        camera: "omni_cam" or "std_cam" of kind "cold".
+        unit: what x and y count; only used in texts.
+        image_size: rows and columns of a panorama.
+        circular: the columns wrap around; False for ordinary cameras.
+        on_error: "skip" leaves out what cannot be read and reports it, "raise" stops.
+        cache: folder of the decoded panoramas; see `PanoramaLibrary`.
+
+    Raises:
+        ConfigError: a value of another type.
+
+    Example:
+        >>> DataSettings.of({"kind": "manifest", "manifest": "robot.csv", "image_size": [64, 256]}).image_size
+        (64, 256)
+    """
+
+    WHERE: ClassVar[str] = "data"
+
+    kind: Literal["cold", "folder", "manifest"]
+    name: str = ""
+    manifest: Path | None = None
+    root: Path | None = None
+    places: Path | None = None
+    camera: str | None = None
+    unit: str = "m"
+    image_size: Size = (128, 512)
+    circular: bool = True
+    on_error: Literal["skip", "raise"] = "skip"
+    cache: Path | None = None
+
+    def read(self) -> FrameTable:
+        """Read the frames. See `siamloc.data.read`."""
+        where = {name: getattr(self, name) for name in (*_PATHS, "camera") if getattr(self, name) is not None}
+        return read(self.kind, unit=self.unit, on_error=self.on_error, **where)
+
+    def library(
+        self, frames: FrameTable, unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None
+    ) -> PanoramaLibrary:
+        """Decode the frames' images, or open them from the cache. See `PanoramaLibrary`."""
+        return PanoramaLibrary(
+            frames,
+            self.cache,
+            image_size=self.image_size,
+            unwrap=unwrap,
+            circular=self.circular,
+            on_error=self.on_error,
+        )
