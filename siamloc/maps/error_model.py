@@ -1,4 +1,4 @@
-"""How far off an estimate probably is, in metres: learned from a validation sequence, told from the retrieval alone."""
+"""How far off an estimate probably is, in metres: learned on a validation sequence, predicted from the retrieval alone."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class ErrorModel:
     """The expected error as an increasing function of one score of the retrieval, as plain numbers.
 
     The ratio score is the default: it has no unit, so that what was learned under one lighting holds under another,
-    where all distances are larger; a weighted sum with the other scores told no more on queries that it had not
+    where all distances are larger; a weighted sum with the other scores predicted no better on queries that it had not
     learned from. Isotonic regression assumes nothing of the function but that it does not fall.
 
     Attributes:
@@ -174,7 +174,7 @@ class ErrorModel:
             ConfigError: no threshold was chosen.
         """
         if self.lost_above is None:
-            raise ConfigError("the error model has no threshold of being lost: learn it anew with task.lost_above")
+            raise ConfigError("the error model has no threshold of being lost: learn it again with task.lost_above")
         return np.asarray(expected) > self.lost_above
 
     def as_dict(self) -> dict[str, Any]:
@@ -202,7 +202,7 @@ class ErrorModel:
         try:
             return cls(**{key: value for key, value in values.items() if key not in ("format", "version")})
         except (TypeError, ValueError) as error:
-            raise FormatError(f"{source} is not a whole error model ({error}): make it anew") from error
+            raise FormatError(f"{source} is not a whole error model ({error}): make it again") from error
 
     def save(self, path: str | Path) -> None:
         """Write the model as JSON, atomically.
