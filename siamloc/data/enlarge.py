@@ -104,7 +104,7 @@ def expand(
     root = Path(frames.source["manifest"]).parent if kind == "manifest" else Path(frames.source["root"])
     _check_apart(folder, root, kind, frames)
     decode = Preprocessing.checked(image_size, unwrap)
-    turns = headings(len(frames), depth, seed, tuple(image_size), circular)
+    turns = headings(len(frames), depth, seed, (decode.view.height, decode.view.width), circular)
     pictures = outputs(kind, frames, root, folder, turns)
 
     def read(path: Path) -> NDArray[np.uint8]:

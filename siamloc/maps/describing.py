@@ -108,9 +108,7 @@ def describe(
     return parts if progress is None else track(parts, len(frames), progress, size=len)
 
 
-def _as_descriptor(
-    by: Descriptor | nn.Module | str, *, circular: bool = True, device: str | None = None
-) -> Descriptor:
+def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool = True, device: str | None = None) -> Descriptor:
     """Return what describes images: a descriptor as it is, a network wrapped, an analytic descriptor by its name.
 
     Args:
