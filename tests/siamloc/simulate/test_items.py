@@ -8,7 +8,7 @@ import pytest
 from siamloc.simulate.items import KINDS, add_items
 from siamloc.simulate.layout import Building, Item
 from siamloc.simulate.mesh import MeshBuilder, QuadMesh
-from siamloc.simulate.parse import _OPTIONS
+from siamloc.simulate.parse import OPTIONS
 from siamloc.simulate.prints import print_textures
 from siamloc.simulate.textures import base_textures
 
@@ -32,9 +32,9 @@ def test_every_kind_builds_within_its_size(textures: dict, mini: Building, kind:
     assert len(mesh)
     width, depth, _ = KINDS[kind].size
     assert (np.abs(mesh.corners[..., :2]) < np.array([width, depth]) / 2 + 0.5).all()
-    assert set(KINDS[kind].options) <= set(_OPTIONS)
+    assert set(KINDS[kind].options) <= set(OPTIONS)
 
 
 @pytest.mark.parametrize("wood", ["oak", "plastic", "cork", "walnut"])
 def test_every_wood_that_a_file_may_name_is_a_texture(textures: dict, wood: str) -> None:
-    assert (not _OPTIONS["wood"](wood)) == (wood in textures)
+    assert (not OPTIONS["wood"](wood)) == (wood in textures)
