@@ -33,7 +33,7 @@ def _of_config() -> dict[str, dict[str, Any]]:
     from siamloc.evaluation.hierarchy import Hierarchical
     from siamloc.evaluation.layers import MapMeasures
     from siamloc.evaluation.localize import Localization
-    from siamloc.maps.layers import WAYS
+    from siamloc.maps.grouping import WAYS
     from siamloc.models.registry import Optimizer
     from siamloc.settings import defaults_of
     from siamloc.training.settings import Training

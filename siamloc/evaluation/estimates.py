@@ -19,10 +19,8 @@ from siamloc.evaluation.metrics import heading_error, localization_error, recall
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Search, Session
 from siamloc.maps.error_model import ErrorModel
-from siamloc.maps.filter_learning import temperature_of_map, tune_filter
-from siamloc.maps.motion import MotionModel
 from siamloc.maps.search import Retrieval
-from siamloc.maps.sequence_filter import SequenceFilter
+from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns, rows_by_label
 
