@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from siamloc.errors import FormatError, StorageError
+from siamloc.errors import ConfigError, FormatError, StorageError
 
 
 @contextmanager
@@ -113,6 +114,24 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text file in UTF-8, atomically."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
+    """Write a picture (rows, columns, 3), uint8, RGB, atomically, in the format that the name's ending says.
+
+    Raises:
+        ConfigError: another ending than those of JPEG, PNG or WebP.
+        StorageError: the disk is full or refuses.
+    """
+    import cv2
+
+    path, endings = Path(path), (".jpg", ".jpeg", ".png", ".webp")
+    if path.suffix.lower() not in endings:
+        raise ConfigError(f"{path} must be a picture, with one of the endings {' '.join(endings)}")
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 88] if path.suffix.lower() in (".jpg", ".jpeg") else []
+    encoded = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(picture[:, :, ::-1]), quality)[1]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(encoded.tobytes())
 
 
 def read_json(path: str | Path) -> Any:

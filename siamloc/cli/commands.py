@@ -8,14 +8,13 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from siamloc.cli.compose import composed, plain
+from siamloc.cli.inherit import label_of, map_file
 from siamloc.cli.objects import (
     data_of,
     descriptor_of,
     files_in,
     heading_of,
     images_named,
-    label_of,
-    map_file,
     needs_network,
     open_roles,
     run_of,
@@ -96,8 +95,8 @@ def map_frames(config: DictConfig) -> None:
 
     run, label = run_of(config), label_of(config.descriptor)
     images, roles = open_roles(config, "map")
-    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config))
-    known = known.with_record(role=plain(config.protocol.map))
+    made = {"role": plain(config.protocol.map)}
+    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config), made=made)
     target = map_file(run, label)
     known.save(target)
     run.record_written([target])
@@ -109,8 +108,7 @@ def map_frames(config: DictConfig) -> None:
         print(f"next: siamloc evaluate run={run.folder}{'' if needs_network(config) else f' descriptor={label}'}")
         return
     folder = run.layer(label, label_of(config.build))
-    built = maps.group(known, **way_of(config))
-    built.save(folder, known)
+    built = maps.group(known, folder=folder, **way_of(config))
     run.record_written(files_in(folder))
     print(built.summary(folder))
     print(f"next: siamloc evaluate run={run.folder} task=hierarchical build={label_of(config.build)}")
@@ -206,28 +204,40 @@ def report(config: DictConfig) -> None:
 
 def expand(config: DictConfig) -> None:
     """Write an augmented data set in the layout of the one it is made of."""
-    from siamloc.data.expansion import expand_frames
+    from siamloc import data
 
-    data = data_of(config)
-    frames = data.read()
+    settings = data_of(config)
+    frames = settings.read()
     if config.sequences:
         frames = frames.select(sequence=[str(name) for name in config.sequences])
-    keys = ("depth", "seed", "resume", "workers")
-    done = expand_frames(frames, config.out, data, plain(config.unwrap), **{key: config[key] for key in keys})
-    print(done.summary())
+    expanded = data.expand(
+        frames,
+        config.out,
+        unwrap=plain(config.unwrap),
+        **{key: getattr(settings, key) for key in ("image_size", "circular", "on_error")},
+        **{key: config[key] for key in ("depth", "seed", "resume", "workers")},
+    )
+    print(expanded.summary())
 
 
 def preview(config: DictConfig) -> None:
     """Draw a labelled contact sheet of all effects at several strengths."""
-    from siamloc.data.decoding import Preprocessing
-    from siamloc.report.draw.sheet import contact_sheet
+    import torch
+
+    import augment
+    from siamloc import data, simulate
+    from siamloc.files import write_picture
 
     paths = [str(path) for path in images_named(config.images)] if config.images else []
     if not paths and (config.data.get("manifest") or config.data.get("root")):
         paths = data_of(config).read().path.tolist()
-    decode = Preprocessing.checked(tuple(config.data.image_size), plain(config.unwrap))
-    effects, panoramas = contact_sheet(Path(config.out), paths, config.count, decode)
-    print(f"{config.out}: {effects} effects on {panoramas} panoramas")
+    if paths:
+        decode = data.Preprocessing.checked(tuple(config.data.image_size), plain(config.unwrap))
+        panoramas = decode.panoramas(paths, config.count)
+    else:
+        panoramas = simulate.panoramas(config.count)
+    write_picture(config.out, augment.preview(torch.from_numpy(panoramas)))
+    print(f"{config.out}: {len(augment.EFFECTS)} effects on {len(panoramas)} panoramas")
 
 
 def demo(config: DictConfig) -> None:

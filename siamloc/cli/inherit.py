@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,10 +66,19 @@ def _of_data(data: dict[str, Any]) -> dict[str, Any]:
 
 def _made(run: Run, config: DictConfig) -> dict[str, Any] | None:
     """Return how the map of the named descriptor was made, where the run has one."""
-    from siamloc.cli.objects import label_of, map_file
     from siamloc.maps import VisualMap
 
     if "descriptor" not in config:
         return None
     path = map_file(run, label_of(config.descriptor))
     return dict(VisualMap.load(path).made) if path.is_file() else None
+
+
+def label_of(options: Mapping[str, Any]) -> str:
+    """Return what the folders and table rows of a descriptor or a build are called: its label, else its name."""
+    return str(options.get("label") or options["name"])
+
+
+def map_file(run: Run, label: str) -> Path:
+    """Return where the map of a descriptor lies in a run."""
+    return run.map if label == "network" else run.evaluation(label) / "map.npz"

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
 from siamloc.cli.compose import config_folder, plain, sweep_suffix
+from siamloc.cli.inherit import label_of
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol, concatenate
 from siamloc.data.frames import image_files
 from siamloc.errors import ConfigError, DataError, hint
@@ -84,16 +85,6 @@ def training_folder(config: DictConfig) -> Path:
     if config.run is not None and not str(config.run).strip():
         raise ConfigError("run= is empty: name a folder, such as run=runs/robot")
     return folder / sweep_suffix() if sweep_suffix() else folder
-
-
-def label_of(options: Mapping[str, Any]) -> str:
-    """Return what the folders and table rows of a descriptor or a build are called: its label, else its name."""
-    return str(options.get("label") or options["name"])
-
-
-def map_file(run: Run, label: str) -> Path:
-    """Return where the map of a descriptor lies in a run."""
-    return run.map if label == "network" else run.evaluation(label) / "map.npz"
 
 
 def options_of(name: str) -> dict[str, Any]:

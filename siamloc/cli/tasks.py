@@ -10,13 +10,12 @@ from omegaconf import DictConfig
 
 from siamloc import evaluation, maps
 from siamloc.cli.compose import plain
+from siamloc.cli.inherit import label_of, map_file
 from siamloc.cli.objects import (
     baselines_of,
     descriptor_of,
     files_in,
     heading_of,
-    label_of,
-    map_file,
     open_roles,
     options_of,
     way_of,
@@ -165,9 +164,7 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
                 "protocol.map keys that are wanted"
             )
         return maps.build(described, images, frames["map"], heading=heading), images, frames
-    if heading is not None:
-        known.check_heading(heading)
-    return known, images, frames
+    return (known if heading is None else known.with_heading(heading)), images, frames
 
 
 def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[Built, Path]:
@@ -177,11 +174,8 @@ def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[
             f"task={config.task.names[0]} needs a coarse layer: choose one with build={'|'.join(maps.WAYS)}"
         )
     folder = run.layer(label, label_of(config.build))
-    built = Built.load(folder, known, **way_of(config))
-    if built is None:
-        built = maps.group(known, **way_of(config))
-        built.save(folder, known)
-        run.record_written(files_in(folder))
+    built = maps.group(known, folder=folder, **way_of(config))
+    run.record_written(files_in(folder))
     return built, folder
 
 

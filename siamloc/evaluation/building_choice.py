@@ -58,7 +58,7 @@ def buildings(
             "have no meaning: leave layers and distance out, or use another descriptor"
         )
     session = Session(first, images, queries, protocol="same_run", name=name)
-    session.protocol = Protocol(kind=protocol) if isinstance(protocol, str) else protocol
+    session.protocol = Protocol.of({"kind": protocol}) if isinstance(protocol, str) else protocol
     wanted = _known_buildings(session, list(candidates))
     for building, one in candidates.items():
         Session(one, images, wanted.take(wanted.building == building), protocol=protocol)
@@ -66,7 +66,7 @@ def buildings(
     vectors = [chosen[building].representatives if chosen else one.descriptors for building, one in candidates.items()]
     names = [chosen[building].names if chosen else one.frames.path for building, one in candidates.items()]
     apart, rows = [], []
-    for part in session.parts_of(describer, wanted, f"describing the queries, {session.name}"):
+    for part in session.parts_of(first, wanted, f"the queries, {session.name}"):
         found = [
             _nearest(one, own, part, distance or one.distance)
             for one, own in zip(candidates.values(), vectors, strict=True)

@@ -64,7 +64,7 @@ def search_validation(session: Session, settings: Localization, known: VisualMap
     k = min(max(neighbours(settings.ks, len(known)), MATCHES), len(known))
     tuned = settings.filter and settings.filter_tune
     search = Search(known, np.flatnonzero(has), k, with_distances=tuned)
-    session.run(known.descriptor, frames, {"validation": search}, "describing the validation frames")
+    session.run(known, frames, {"validation": search}, "the validation frames")
     return Validation(frames.take(has), search)
 
 

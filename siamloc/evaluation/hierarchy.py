@@ -4,30 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
 from siamloc.evaluation import absolute
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
 from siamloc.evaluation.columns import missing_rooms
 from siamloc.evaluation.estimates import located_columns
 from siamloc.evaluation.metrics import localization_error, summarize
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Session, headings_by
-from siamloc.maps import Built, Retrieval, VisualMap, match
+from siamloc.evaluation.session import Session
+from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
-from siamloc.maps.node_ranking import NodeRanking, rank_by_position, rank_by_representatives, rank_by_vote
+from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, rank_by_position
 from siamloc.results import Columns, rows_by_label
 from siamloc.settings import Count, NotNegative, Settings, takes
+
+
+@dataclass(frozen=True)
+class CoarseRanking(Settings):
+    """How the nodes are ranked for a query.
+
+    Attributes:
+        by: by their "representatives", or by the "vote" of the nearest map frames.
+        neighbours: frames that vote.
+    """
+
+    WHERE = "task.coarse"
+
+    by: Literal["representatives", "vote"] = "representatives"
+    neighbours: Count = 10
 
 
 @dataclass(frozen=True)
@@ -36,8 +49,7 @@ class Hierarchical(Settings):
 
     Attributes:
         candidates: nodes searched for each query.
-        by: how nodes are ranked: by their "representatives", or by the "vote" of the nearest map frames.
-        neighbours: frames that vote.
+        coarse: how they are ranked.
         radii: recall: a map frame this near counts as found, in the unit of the positions.
         ks: recall: numbers of retrieved frames.
     """
@@ -45,8 +57,7 @@ class Hierarchical(Settings):
     WHERE = "task"
 
     candidates: Count = 3
-    by: Literal["representatives", "vote"] = "representatives"
-    neighbours: Count = 10
+    coarse: CoarseRanking = field(default_factory=CoarseRanking)
     radii: tuple[NotNegative, ...] = (0.25, 0.5, 1.0)
     ks: tuple[Count, ...] = (1, 5, 10, 20)
 
@@ -58,7 +69,7 @@ def hierarchical(
     queries: FrameTable,
     layer: CoarseLayer | Built,
     *,
-    coarse: VisualMap | None = None,
+    coarse_map: VisualMap | None = None,
     protocol: Protocol | str = "cross_run",
     name: str | None = None,
     settings: Hierarchical,
@@ -72,7 +83,7 @@ def hierarchical(
         images: panoramas of the queries.
         queries: frames to be located; those without a position are located without a score, in the table "located".
         layer: nodes over the frames of the map, from `siamloc.maps.group`.
-        coarse: a map of the same frames by another descriptor, which ranks the nodes; the map itself if None.
+        coarse_map: a map of the same frames by another descriptor, which ranks the nodes; the map itself if None.
         protocol: who may be compared with whom; see `localization`.
         name: what the results are called.
         settings: instead of its fields as keywords.
@@ -83,8 +94,14 @@ def hierarchical(
     """
     session = Session(known, images, queries, protocol=protocol, name=name)
     layer = layer.layer if isinstance(layer, Built) else layer
-    coarse = known if coarse is None else coarse
-    _check(known, coarse, layer, settings)
+    search = HierarchicalSearch(
+        known,
+        layer,
+        coarse=coarse_map,
+        by=settings.coarse.by,
+        candidates=settings.candidates,
+        neighbours=settings.coarse.neighbours,
+    )
     placed, scored = known.frames.has_position, session.queries.has_position
     if text := session.lacking(placed, "map frames have no position"):
         raise DataError(f"{text}: build the layer over a map whose frames all have one (known.placed())")
@@ -92,7 +109,7 @@ def hierarchical(
         session.skipped["hierarchical, queries"] = f"{text}; located all the same in located.csv"
     if text := missing_rooms(known.frames, session.queries):
         session.skipped["rooms"] = text
-    found = _run(session, coarse, layer, settings)
+    found = _run(session, search, settings)
     result = Result(session.name, {}, {}, {"queries": 0, "nodes": len(layer)})
     if scored.any():
         assert found.perfect is not None
@@ -111,7 +128,7 @@ def hierarchical(
         result = replace(result, tables={**result.tables, "located": _unscored(session, found, ~scored)})
     about = {
         **session.about(),
-        "coarse_descriptor": coarse.descriptor.identity,
+        "coarse_descriptor": search.coarse.descriptor.identity,
         "layer": layer.made,
     }
     return replace(result, name=session.name, about=about, settings=session.settings(settings), skipped=session.skipped)
@@ -252,57 +269,32 @@ class _Found:
     headings: NDArray[np.float64] | None
 
 
-def _check(known: VisualMap, coarse: VisualMap, layer: CoarseLayer, settings: Hierarchical) -> None:
-    if coarse.descriptor.aligned and settings.by == "representatives":
-        raise ConfigError(
-            f"descriptors of {coarse.descriptor.name} are compared after turning, so that their means have no meaning: "
-            "rank nodes by vote (task.coarse.by=vote), or by another descriptor"
-        )
-    if not np.array_equal(coarse.frames.path, known.frames.path):
-        raise DataError("the coarse map and the map must hold the same frames in the same order")
-    if len(layer.labels) != len(known):
-        raise DataError(
-            f"the layer has labels for {len(layer.labels)} frames, the map has {len(known)}: build it again"
-        )
-
-
-def _rank(coarse: VisualMap, layer: CoarseLayer, queries: Description, settings: Hierarchical) -> NodeRanking:
-    """Return the candidate nodes of some queries, described by the coarse map's descriptor."""
-    if settings.by == "vote":
-        votes = match(coarse, queries, settings.neighbours)
-        return rank_by_vote(votes, layer.labels, settings.candidates)
-    return rank_by_representatives(queries.position, layer.representatives, settings.candidates, coarse.distance)
-
-
-def _run(session: Session, coarse: VisualMap, layer: CoarseLayer, settings: Hierarchical) -> _Found:
+def _run(session: Session, search: HierarchicalSearch, settings: Hierarchical) -> _Found:
     """Look for all queries, batch by batch where the descriptions are large."""
-    known, queries, describer = session.known, session.queries, session.describer
+    known, queries = session.known, session.queries
     scored, rankings = queries.has_position, None
-    if coarse is not known:
-        parts = session.parts_of(coarse.descriptor, queries, f"describing the queries, {coarse.descriptor.name}")
-        rankings = NodeRanking.concatenate([_rank(coarse, layer, part, settings) for part in parts])
-    search = HierarchicalSearch(known, layer)
-    turning = known if known.heading is None else known.oriented()
+    if search.coarse is not known:
+        parts = session.parts_of(search.coarse, queries, f"the queries, {search.coarse.descriptor.name}")
+        rankings = NodeRanking.concatenate([search.rank(part) for part in parts])
     k = neighbours(settings.ks, len(known))
     both, perfect, whole, turned, start = [], [], [], [], 0
-    for seen in session.parts_of(describer, queries, f"describing the queries, {session.name}"):
-        part = seen if known.heading is None else Description(seen.position)
+    for part in session.parts_of(known, queries, f"the queries, {session.name}"):
         rows = np.arange(start, start + len(part))
-        ranking = _rank(coarse, layer, part, settings) if rankings is None else rankings.take(rows)
+        ranking = search.rank(part) if rankings is None else rankings.take(rows)
         both.append(search.search(part, ranking, k))
         whole.append(match(known, part, 1))
-        turned.append(headings_by(turning, seen, describer, both[-1].found))
+        turned.append(headings(known, part, both[-1].found))
         inside = np.flatnonzero(scored[rows])
         if len(inside):
-            true = rank_by_position(queries.xy[rows[inside]], known.frames.xy, layer.labels)
+            true = rank_by_position(queries.xy[rows[inside]], known.frames.xy, search.layer.labels)
             perfect.append(search.search(part.take(inside), true, 1))
         start += len(part)
-    headings = np.concatenate(turned)[:, 0]
+    by_nearest = np.concatenate(turned)[:, 0]
     return _Found(
         HierarchicalRetrieval.concatenate(both),
         HierarchicalRetrieval.concatenate(perfect) if perfect else None,
         Retrieval.concatenate(whole),
-        headings if np.isfinite(headings).any() else None,
+        by_nearest if np.isfinite(by_nearest).any() else None,
     )
 
 

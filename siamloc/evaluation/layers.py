@@ -49,7 +49,6 @@ def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings
         name: what the results are called.
         settings: instead of its fields as keywords.
     """
-    reasons = [decision.reason.name for decision in built.decisions]
     result = evaluate_mapping(
         known,
         built.layer,
@@ -57,7 +56,7 @@ def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings
         settings.closure_radius,
         settings.closure_gap,
         built.seconds,
-        np.array(reasons) if reasons else None,
+        np.array(built.reasons) if built.reasons else None,
     )
     return replace(
         result,

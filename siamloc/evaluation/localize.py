@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.pairs import PairSampler
+from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.evaluation import room_retrieval
@@ -216,8 +216,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         searches["located"] = Search(known.placed(), bare, MATCHES if settings.error_model else 1)
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(skipped.values())}")
-    describer = session.describer if main else known.descriptor
-    vectors = session.run(describer, queries, searches, f"describing the queries, {name}")
+    vectors = session.run(known, queries, searches, f"the queries, {name}")
     result = Result(name, {}, {}, skipped=skipped)
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
@@ -284,7 +283,8 @@ def _with_pairs(
         return result
     wanted = settings.pairs
     try:
-        sampler = PairSampler(queries, "room", wanted.same_room_share, wanted.count, seed=session.seed)
+        room_pairs = PairSettings(label="room", same_room_share=wanted.same_room_share, epoch_pairs=wanted.count)
+        sampler = PairSampler(queries, room_pairs, session.seed)
     except SiamlocError as error:
         skipped["room_pairs"] = str(error)
         return result

@@ -15,9 +15,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import Retrieval, VisualMap, WithHeading, estimated_headings, match
-from siamloc.maps.sequence_filter import frame_distances
-from siamloc.progress import track
+from siamloc.maps import Retrieval, VisualMap, frame_distances, headings, match
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor]
 
@@ -45,14 +43,13 @@ class Search:
     _turned: list[NDArray[np.float64]] = field(default_factory=list)
     _apart: list[NDArray[np.float64]] = field(default_factory=list)
 
-    def take_in(self, queries: Description, describer: Descriptor) -> None:
+    def take_in(self, queries: Description) -> None:
         """Look for the next frames."""
         start = sum(map(len, self._found))
         barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
         found = match(self.known, queries, self.k, excluded=barred)
         self._found.append(found)
-        turning = self.known if self.known.heading is None else self.known.oriented()
-        self._turned.append(headings_by(turning, queries, describer, found, self.headings_of))
+        self._turned.append(headings(self.known, queries, found, self.headings_of))
         if self.with_distances:
             self._apart.append(frame_distances(self.known, queries))
 
@@ -104,20 +101,13 @@ class Session:
         seed: int = 0,
     ) -> None:
         self.known, self.images, self.seed = known, images, seed
-        self.protocol = Protocol(kind=protocol) if isinstance(protocol, str) else protocol
+        self.protocol = Protocol.of({"kind": protocol}) if isinstance(protocol, str) else protocol
         self.name = name or known.descriptor.name
         self.queries = _readable(images, queries, "queries")
         self.validation = None if validation is None else _readable(images, validation, "validation frames")
         self.baselines = _named(baselines, images.circular)
         self.skipped: dict[str, str] = {}
         self._check_apart()
-
-    @property
-    def describer(self) -> Descriptor:
-        """What describes queries: the map's descriptor, with what its headings come from where that is another one."""
-        if self.known.heading is None:
-            return self.known.descriptor
-        return WithHeading(self.known.descriptor, self.known.heading.descriptor())
 
     def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
         """Return which map frames (n, m) each query is not compared with, by the protocol; None for none."""
@@ -129,28 +119,27 @@ class Session:
             return self.known
         return maps.build(other, self.images, self.known.frames)
 
-    def parts_of(self, describer: Descriptor, frames: FrameTable, what: str) -> Iterable[Description]:
+    def parts_of(self, by: VisualMap | Descriptor, frames: FrameTable, what: str) -> Iterable[Description]:
         """Return descriptions of frames, in one part unless the descriptor compares after turning.
 
         The parts of such descriptors are large, so that only those of a batch are there at once.
         """
-        parts = (describer.describe(batch) for batch in self.images.batches(frames))
-        shown = track(parts, len(frames), what, size=len)
-        return shown if describer.aligned else [Description.concatenate(list(shown))]
+        parts = maps.describe(by, self.images, frames, progress=f"describing {what}")
+        return parts if by.aligned else [Description.concatenate(list(parts))]
 
     def run(
-        self, describer: Descriptor, frames: FrameTable, searches: Mapping[str, Search], what: str
+        self, by: VisualMap | Descriptor, frames: FrameTable, searches: Mapping[str, Search], what: str
     ) -> NDArray[np.float32] | None:
         """Describe frames and look for them; return the position parts, or None where they are too large to keep."""
         start, vectors = 0, []
-        for part in self.parts_of(describer, frames, what):
+        for part in self.parts_of(by, frames, what):
             for search in searches.values():
                 inside = search.rows[(search.rows >= start) & (search.rows < start + len(part))] - start
                 if len(inside):
-                    search.take_in(part if len(inside) == len(part) else part.take(inside), describer)
+                    search.take_in(part if len(inside) == len(part) else part.take(inside))
             start += len(part)
             vectors.append(part.position)
-            if describer.aligned:
+            if by.aligned:
                 vectors.clear()
         return vectors[0] if vectors else None
 
@@ -220,20 +209,6 @@ class Session:
             )
 
 
-def headings_by(
-    known: VisualMap, queries: Description, describer: Descriptor, found: Retrieval, count: int = 1
-) -> NDArray[np.float64]:
-    """Return the headings (n, count) by the first neighbours of each query, NaN where that is unknown."""
-    turned = np.full((len(queries), count), np.nan)
-    for place in range(min(count, found.indices.shape[1])):
-        column = slice(place, place + 1)
-        one = Retrieval(found.indices[:, column], found.distances[:, column])
-        headings = estimated_headings(known, queries, describer, one)
-        if headings is not None:
-            turned[:, place] = headings
-    return turned
-
-
 def shared_with(known: FrameTable, frames: FrameTable) -> str:
     """Return the first sequence or image that two tables share, in words; nothing if there is none."""
     sequences = sorted(set(known.sequence.tolist()) & set(frames.sequence.tolist()))
@@ -254,7 +229,7 @@ def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
     """Return descriptors by name: "thumbnail", or a name in `analytic.DESCRIPTORS` with its default parameters."""
     if isinstance(baselines, Mapping):
         return dict(baselines)
-    made = {}
+    made: dict[str, Descriptor] = {}
     for one in baselines:
         if isinstance(one, str):
             made[one] = Thumbnail() if one == "thumbnail" else descriptor(one, circular=circular)

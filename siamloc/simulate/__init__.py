@@ -20,6 +20,7 @@ From a building's YAML file to a panorama, in the order of the work: `layout` (w
 
 from siamloc.simulate.config import STANDARD_RUNS, SimulateConfig
 from siamloc.simulate.load import building_names, load_building
+from siamloc.simulate.preview import panoramas
 from siamloc.simulate.produce import Summary, simulate
 from siamloc.simulate.render import render
 from siamloc.simulate.run import Run
@@ -34,6 +35,7 @@ __all__ = [
     "build_scene",
     "building_names",
     "load_building",
+    "panoramas",
     "render",
     "simulate",
 ]

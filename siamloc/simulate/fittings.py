@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from siamloc.simulate.furniture import BLACKISH, CLOTHES, STEEL, Kind, Rng, colour_of
+from siamloc.simulate.furniture import BLACKISH, CLOTHES, STEEL, Builder, Kind, Rng, colour_of
 from siamloc.simulate.layout import Item
-from siamloc.simulate.mesh import MeshBuilder
+from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 from siamloc.simulate.prints import BOARDS, NOTICES, POSTERS
 
 _PORCELAIN = (0.9, 0.9, 0.9)
@@ -39,12 +37,6 @@ def printer_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.box((-0.2, -0.12, h + 0.36), (0.2, 0.2, h + 0.40), "plastic", (0.20, 0.20, 0.21), skip=("bottom",))
     b.quad((0.2, 0.225, h + 0.08), (-0.2, 0.225, h + 0.08), (-0.2, 0.225, h + 0.16), (0.2, 0.225, h + 0.16),
            "plastic", BLACKISH)  # fmt: skip
-
-
-def pigeonholes(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A rack of mail boxes."""
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "beech", skip=("bottom",), faces={"front": "pigeonholes"})
 
 
 def vending_machine(b: MeshBuilder, item: Item, _: Rng) -> None:
@@ -128,12 +120,6 @@ def urinals(b: MeshBuilder, item: Item, _: Rng) -> None:
         b.box((edge - 0.02, -d / 2, 0.5), (edge, d / 2, 1.35), "plain", (0.55, 0.6, 0.65), skip=("back",))
 
 
-def dryer(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A hand dryer."""
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plastic", skip=("back",))
-
-
 def stairs_up(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A flight that rises from its front to its back."""
     w, d, h = item.size
@@ -185,12 +171,6 @@ def railing(b: MeshBuilder, item: Item, _: Rng) -> None:
     _rail(b, (-w / 2, 0), (w / 2, 0), h)
 
 
-def column(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A concrete column."""
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "concrete", skip=("bottom", "top"))
-
-
 def person(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A standing person; the clothes are drawn."""
     h = item.size[2]
@@ -235,11 +215,6 @@ def notice_board(b: MeshBuilder, item: Item, rng: Rng) -> None:
     _board(b, item, f"notices{rng.integers(NOTICES)}")
 
 
-def clock(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A wall clock."""
-    _board(b, item, "clock")
-
-
 def exit_sign(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A lit emergency sign."""
     w, d, h = item.size
@@ -251,12 +226,6 @@ def exit_sign(b: MeshBuilder, item: Item, _: Rng) -> None:
 def room_sign(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A door plate."""
     _board(b, item, f"sign{rng.integers(8)}")
-
-
-def mirror(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A mirror, seen as a pale surface."""
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "metal", (0.75, 0.8, 0.84), skip=("back",))
 
 
 def extinguisher(b: MeshBuilder, item: Item, _: Rng) -> None:
@@ -290,12 +259,6 @@ def elevator(b: MeshBuilder, item: Item, _: Rng) -> None:
     b.box((-w / 2 - 0.08, -d / 2, h), (w / 2 + 0.08, d / 2, h + 0.08), "metal", (0.4, 0.4, 0.4), skip=("back",))
 
 
-def radiator(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A ribbed radiator under a window."""
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plain", (0.85, 0.85, 0.84), faces={"front": "radiator"})
-
-
 def coats(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """Coats on hooks."""
     w, d, h = item.size
@@ -307,13 +270,18 @@ def coats(b: MeshBuilder, item: Item, rng: Rng) -> None:
             b.prism(x, 0, (0.05, h - 0.05), (0.16, 0.07), "fabric", colour, sides=6, stretch=0.55)
 
 
+def block(texture: str, tint: Point = WHITE, skip: tuple[str, ...] = (), front: str | None = None) -> Builder:
+    """Return the builder of a plain box, with a picture on its front if one is named."""
+
+    def build(b: MeshBuilder, item: Item, _: Rng) -> None:
+        w, d, h = item.size
+        b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), texture, tint, skip, {"front": front} if front else None)
+
+    return build
+
+
 def hung(
-    build: Callable[[MeshBuilder, Item, Rng], None],
-    width: float,
-    height: float,
-    z: float,
-    depth: float = 0.03,
-    options: tuple[str, ...] = (),
+    build: Builder, width: float, height: float, z: float, depth: float = 0.03, options: tuple[str, ...] = ()
 ) -> Kind:
     """Return a kind of thing that hangs on a wall, out of a robot's way."""
     return Kind(build, (width, depth, height), z, blocks=False, options=options)
@@ -323,30 +291,30 @@ def hung(
 FITTINGS: dict[str, Kind] = {
     "copier": Kind(copier, (0.7, 0.7, 1.15)),
     "printer_table": Kind(printer_table, (0.8, 0.6, 0.7)),
-    "pigeonholes": Kind(pigeonholes, (1.2, 0.35, 1.5)),
+    "pigeonholes": Kind(block("beech", skip=("bottom",), front="pigeonholes"), (1.2, 0.35, 1.5)),
     "vending_machine": Kind(vending_machine, (0.85, 0.8, 1.85)),
     "kitchen_counter": Kind(kitchen_counter, (2.4, 0.62, 0.9), options=("wall_units",)),
     "fridge": Kind(fridge, (0.62, 0.62, 1.75)),
     "stall": Kind(stall, (1.0, 1.4, 2.0), options=("colour",)),
     "basins": Kind(basins, (1.4, 0.5, 0.85), options=("count",)),
     "urinals": Kind(urinals, (1.4, 0.35, 1.0)),
-    "dryer": hung(dryer, 0.28, 0.3, 1.15, 0.18),
+    "dryer": hung(block("plastic", skip=("back",)), 0.28, 0.3, 1.15, 0.18),
     "stairs_up": Kind(stairs_up, (1.3, 2.8, 2.4)),
     "stairs_down": Kind(stairs_down, (1.3, 2.8, 1.0)),
     "railing": Kind(railing, (2.0, 0.08, 1.0)),
-    "column": Kind(column, (0.4, 0.4, 2.8)),
+    "column": Kind(block("concrete", skip=("bottom", "top")), (0.4, 0.4, 2.8)),
     "person": Kind(person, (0.5, 0.4, 1.75), options=("colour",)),
     "poster": hung(poster, 0.6, 0.85, 1.1, options=("picture",)),
     "picture": hung(poster, 0.9, 0.6, 1.35, options=("picture",)),
     "whiteboard": hung(whiteboard, 1.8, 1.1, 0.95, 0.05),
     "notice_board": hung(notice_board, 1.2, 0.9, 1.1, 0.04),
-    "clock": hung(clock, 0.35, 0.35, 2.05),
+    "clock": hung(block("plain", (0.2, 0.2, 0.2), skip=("back",), front="clock"), 0.35, 0.35, 2.05),
     "exit_sign": hung(exit_sign, 0.4, 0.2, 2.3, 0.06),
     "room_sign": hung(room_sign, 0.2, 0.2, 1.45, 0.02),
     "extinguisher": hung(extinguisher, 0.2, 0.55, 0.5, 0.18),
     "blind_door": hung(blind_door, 0.96, 2.06, 0.0, 0.06, options=("colour", "wood")),
     "elevator": hung(elevator, 1.1, 2.1, 0.0, 0.08),
-    "radiator": hung(radiator, 1.2, 0.55, 0.15, 0.1),
-    "mirror": hung(mirror, 1.2, 0.8, 1.1),
+    "radiator": hung(block("plain", (0.85, 0.85, 0.84), front="radiator"), 1.2, 0.55, 0.15, 0.1),
+    "mirror": hung(block("metal", (0.75, 0.8, 0.84), skip=("back",)), 1.2, 0.8, 1.1),
     "coats": hung(coats, 1.0, 0.9, 0.9, 0.2),
 }

@@ -17,6 +17,7 @@ from siamloc.simulate.mesh import MeshBuilder
 from siamloc.simulate.prints import BOOK_ROWS, SCREENS
 
 Rng = np.random.Generator
+Builder = Callable[[MeshBuilder, Item, Rng], None]
 Colour = tuple[float, float, float]
 
 BLACKISH = (0.035, 0.035, 0.04)
@@ -46,7 +47,7 @@ class Kind:
         options: further keys of the building file.
     """
 
-    build: Callable[[MeshBuilder, Item, Rng], None]
+    build: Builder
     size: tuple[float, float, float]
     z: float = 0.0
     blocks: bool = True

@@ -202,6 +202,10 @@ class Building:
     paths: dict[str, Path]
     part: str = "a"
 
+    def __repr__(self) -> str:
+        rooms, paths = ", ".join(self.codes), ", ".join(self.paths)
+        return f"Building({self.name!r}, seed={self.seed}: rooms {rooms}; {len(self.items)} items; paths {paths})"
+
     def room_index(self, name: str) -> int:
         """Return a room's position in the building's order."""
         return list(self.rooms).index(name)

@@ -39,8 +39,8 @@ def load_building(name_or_path: str | Path, seed: int = 0) -> Building:
         name_or_path: a built-in name, "random" for one drawn from the seed, or a YAML file.
         seed: draws its pictures, colours and small differences; and all of it for "random".
 
-    >>> load_building("mini").codes
-    ['CR-A', '1PO-A', '2PO1-A', 'KT-A']
+    >>> load_building("mini")
+    Building('mini', seed=0: rooms CR-A, 1PO-A, 2PO1-A, KT-A; 37 items; paths path1, path2)
 
     Raises:
         DataError: no such building, or an impossible one; the message names the room and the line.

@@ -65,7 +65,8 @@ _ITEM = {
     "size": numbers(3, above=0),
     "z": number(),
 }
-_OPTIONS = {
+#: What the options of a kind may hold.
+OPTIONS = {
     "colour": numbers(3, at_least=0),
     "content": one_of(("mixed", "books", "binders", "empty")),
     "count": whole(1),
@@ -299,7 +300,7 @@ class _Parser:
         what = f"room {room.name!r}: {kind}"
         side = entry.get("against")
         place = {"at": numbers(2) if side is None else number()}
-        options = {key: _OPTIONS[key] for key in spec.options}
+        options = {key: OPTIONS[key] for key in spec.options}
         given = self.entry(entry, {**_ITEM, **place, **options}, what, needs=("at",))
         size = tuple(float(value) for value in given.get("size", spec.size))
         if side is None:

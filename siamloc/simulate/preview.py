@@ -6,11 +6,13 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from siamloc.files import atomic_path
 from siamloc.simulate.config import SimulateConfig
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building
+from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import clearance, obstacles
 from siamloc.simulate.render import render
 from siamloc.simulate.run import LIGHTINGS, Run, draw_run
@@ -48,6 +50,14 @@ def viewpoints(building: Building, track: Track) -> Array:
             score = np.minimum(clearance(points, segments), 0.8) - 0.15 * np.linalg.norm(points - centre, axis=1)
             rows.append(inside[int(np.argmax(score))])
     return np.array(rows)
+
+
+def panoramas(count: int = 6, building: str = "freiburg_like") -> NDArray[np.uint8]:
+    """Render a few panoramas of a building's rooms, to show something on: (B, 3, 128, 512), uint8, RGB."""
+    loaded, run = load_building(building, 0), Run()
+    track = draw_run(loaded, run).track
+    poses = track.poses[viewpoints(loaded, track)[:count]]
+    return np.ascontiguousarray(render(build_scene(loaded, run), poses).transpose(0, 3, 1, 2))
 
 
 def contact_sheet(building: Building, runs: list[Run]) -> bytes:

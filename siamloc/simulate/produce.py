@@ -39,7 +39,7 @@ _BATCH = 16
 _OLD = 3600.0
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Summary:
     """What was written; it prints as a short report.
 
@@ -88,6 +88,12 @@ def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summar
         DataError: an impossible building, a pose inside a wall, or a folder that holds other images.
         SiamlocError: embreex is not installed.
         StorageError: the disk refuses.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as out:
+    ...     summary = simulate(out=out, building="mini", runs=["cloudy1"], camera="panorama", frames=2)
+    >>> summary.rooms
+    {'CR-A': 2}
     """
     config = SimulateConfig.of({**(vars(config) if config else {}), **settings})
     embree()

@@ -74,22 +74,9 @@ def base_textures(rng: np.random.Generator) -> dict[str, Texture]:
 
 #: Floors, walls and ceilings that a room of a building file may name.
 SURFACES = (
-    "paint",
-    "concrete",
-    "carpet",
-    "carpet_red",
-    "carpet_gray",
-    "linoleum",
-    "linoleum_green",
-    "parquet",
-    "tiles_floor",
-    "tiles_wall",
-    "tiles_blue",
-    "ceiling_panels",
-    "wood",
-    "beech",
-    "walnut",
-)
+    "paint", "concrete", "carpet", "carpet_red", "carpet_gray", "linoleum", "linoleum_green", "parquet",
+    "tiles_floor", "tiles_wall", "tiles_blue", "ceiling_panels", "wood", "beech", "walnut",
+)  # fmt: skip
 
 
 def _tinted(colour: Colour, change: Array) -> Array:

@@ -11,8 +11,8 @@ import numpy as np
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation import beside, calibration, robustness
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.disturbed import Disturbance
+from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
-
 from siamloc.cli.report import main
+
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.files import read_json, write_json

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from siamloc.data.datamodule import PairAugmentation, PairBatches, PairDataModule
 
 import augment
-from siamloc.data.datamodule import PairAugmentation, PairBatches, PairDataModule
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler
