@@ -21,7 +21,7 @@ FORBIDDEN = {
     "augment": ("analytic", "siamloc"),
     "siamloc.data": ("siamloc.models", "siamloc.maps", "siamloc.evaluation", "siamloc.report", "siamloc.runtime"),
     "siamloc.models": ("siamloc.data", "siamloc.maps", "siamloc.evaluation", "siamloc.report", "siamloc.runtime"),
-    "siamloc.maps": ("siamloc.models", "siamloc.evaluation", "siamloc.report", "siamloc.runtime"),
+    "siamloc.maps": ("siamloc.evaluation", "siamloc.report", "siamloc.runtime"),
     "siamloc.evaluation": ("siamloc.report.page", "siamloc.runtime"),
     "siamloc.report.draw": ("siamloc.evaluation", "siamloc.maps", "siamloc.models", "siamloc.runtime"),
 }

@@ -1,4 +1,4 @@
-"""How far off an estimate probably is, in metres: learned on a validation sequence, predicted from the retrieval alone."""
+"""How far off an estimate probably is: learned on a validation sequence, predicted from the retrieval alone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import read_json, write_json
 from siamloc.maps.search import Retrieval
+
+if TYPE_CHECKING:
+    from siamloc.maps.visual_map import VisualMap
 
 _FORMAT = "siamloc-error-model"
 _VERSION = 2
@@ -177,6 +180,10 @@ class ErrorModel:
             raise ConfigError("the error model has no threshold of being lost: learn it again with task.lost_above")
         return np.asarray(expected) > self.lost_above
 
+    def learned_on(self, known: VisualMap) -> bool:
+        """Find out whether the model was learned on the frames of a map that have a position."""
+        return bool(known.frames.has_position.any()) and self.map_digest == known.placed().digest
+
     def as_dict(self) -> dict[str, Any]:
         """Return the model as plain values."""
         return {"format": _FORMAT, "version": _VERSION, **asdict(self)}
@@ -220,6 +227,18 @@ class ErrorModel:
             FormatError: the file is missing, cut short, no error model, or of a newer version.
         """
         return cls.from_dict(read_json(path), str(path))
+
+
+def saved_errors(path: str | Path, known: VisualMap | None) -> ErrorModel | None:
+    """Read an error model if it is there and was learned on this map.
+
+    Raises:
+        FormatError: the file is cut short, no error model, or of a newer version.
+    """
+    if known is None or not Path(path).is_file():
+        return None
+    model = ErrorModel.load(path)
+    return model if model.learned_on(known) else None
 
 
 def _from_best(found: Retrieval, map_xy: NDArray[np.float64]) -> NDArray[np.float64]:

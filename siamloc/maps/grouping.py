@@ -135,6 +135,20 @@ class Built:
             graph.to_graphml(folder / "graph.graphml")
         self.layer.save(folder / "layer.npz")
 
+    def summary(self) -> str:
+        """Say in one line what was built."""
+        lost = int((self.layer.labels < 0).sum())
+        none = f", {lost} frames in none" if lost else ""
+        text = (
+            f"{len(self.layer)} nodes over {len(self.layer.labels)} frames{none}, built in {self.seconds.sum():.1f} s"
+        )
+        if self.reasons and len(self.layer) == 1:
+            text += (
+                "; one node: the thresholds count frames that lie a few centimetres apart, so take more frames into "
+                "the map (protocol.map.every=1), or use build=incremental_sparse"
+            )
+        return text
+
     @classmethod
     def load(cls, folder: str | Path) -> Built:
         """Read what `save` wrote, except the mapper: that is `analytic.IncrementalMapper.load(folder / "mapper.npz")`.

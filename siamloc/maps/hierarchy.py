@@ -123,7 +123,7 @@ class HierarchicalSearch:
 
     Args:
         known: m frames.
-        layer: nodes over the same m frames.
+        layer: nodes over the same m frames, built over `coarse`.
         coarse: a map of the same frames by another descriptor, which ranks the nodes; `known` if None.
         by: how nodes are ranked: by their "representatives" ([C] 4), or by the "vote" of the nearest map frames.
         candidates: nodes searched for each query; all of them if there are fewer.

@@ -114,7 +114,7 @@ def test_lost_is_an_expected_error_above_the_threshold() -> None:
     model = replace(MODEL, lost_above=0.5, map_digest="abc")
     assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
     assert model.lost([0.4, 0.5, 0.51]).tolist() == [False, False, True]
-    with pytest.raises(ConfigError, match=r"no threshold of being lost: learn it anew with task\.lost_above"):
+    with pytest.raises(ConfigError, match=r"no threshold of being lost: learn it again with task\.lost_above"):
         MODEL.lost([1.0])
     for threshold in (0.0, -1.0, float("inf"), float("nan")):
         with pytest.raises(ConfigError, match="threshold of being lost must be a positive error"):

@@ -13,6 +13,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.maps.search import VectorIndex
 from tests.oracles import search as oracle
 
+
 def nearest(queries, references, k=1, distance="euclidean", memory=256 << 20):
     return VectorIndex(references, distance).search(queries, k, memory=memory)
 

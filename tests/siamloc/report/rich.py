@@ -16,8 +16,7 @@ from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalSearch
-from siamloc.maps.node_ranking import rank_by_position, rank_by_representatives
+from siamloc.maps.hierarchy import HierarchicalSearch, rank_by_position, rank_by_representatives
 from siamloc.results import write_results
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
