@@ -143,6 +143,8 @@ def fit(
     last = run.checkpoints / "last.ckpt"
     if resume and first:
         _check_same_training(run, plain(used), settings.epochs)
+    if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
+        network.train()
     with _quiet():
         lightning = _trainer(run, settings, trainer, validated=validated is not None)
         if first:
