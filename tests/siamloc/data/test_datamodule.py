@@ -37,20 +37,6 @@ def grey(images):
     return (np.asarray(images)[:, 0, 0, 0] // 10).tolist()
 
 
-def test_a_library_gathers_from_all_sequences_in_the_order_asked(frames, library):
-    assert len(library) == 11
-    assert [item["path"] for item in library.rejected] == [frames.path[3]]
-    wanted = library.frames.take([10, 0, 5, 0])
-    assert grey(library.batch(wanted.index)) == [11, 0, 6, 0]
-    assert [grey(batch) for batch in library.batches(wanted, size=3)] == [[11, 0, 6], [0]]
-
-
-def test_a_selection_of_the_table_is_found_again_without_what_was_unreadable(frames, library):
-    found = library.select(frames.take([7, 3, 2]))
-    assert found.x.tolist() == [7, 2]
-    assert grey(library.batch(found.index)) == [7, 2]
-
-
 def test_batches_hold_the_pairs_of_the_epoch(library):
     frames = library.frames
     pairs = PairSampler(frames, "room", epoch_pairs=7).epoch(0)

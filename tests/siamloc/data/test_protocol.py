@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.frames import FrameTable
-from siamloc.data.roles import Protocol, Role
+from siamloc.data.protocol import Protocol, Role
 from siamloc.errors import ConfigError
 
 
@@ -21,7 +21,7 @@ def table():
 
 def protocol(**roles):
     kind = roles.pop("kind", "cross_run")
-    return Protocol.from_config({"kind": kind, **{role: {"sequences": names} for role, names in roles.items()}})
+    return Protocol.of({"kind": kind, **{role: {"sequences": names} for role, names in roles.items()}})
 
 
 def test_roles_select_by_sequence_pattern_room_lighting_and_step(table):
@@ -32,12 +32,12 @@ def test_roles_select_by_sequence_pattern_room_lighting_and_step(table):
 
 
 def test_the_map_is_made_of_the_training_sequences_unless_told(table):
-    given = Protocol.from_config({"train": {"sequences": ["cloudy1"]}, "map": {"every": 5}})
+    given = Protocol.of({"train": {"sequences": ["cloudy1"]}, "map": {"every": 5}})
     assert given.frames("map", table).path.tolist() == ["cloudy1/0", "cloudy1/5"]
 
 
 def test_one_name_may_stand_without_a_list(table):
-    assert len(Protocol.from_config({"train": {"sequences": "cloudy1"}}).frames("train", table)) == 10
+    assert len(Protocol.of({"train": {"sequences": "cloudy1"}}).frames("train", table)) == 10
 
 
 def test_queries_may_share_the_run_of_the_map_only_if_the_protocol_says_so(table):
@@ -64,7 +64,7 @@ def test_what_must_stay_apart_is_kept_apart(table, roles, asked):
 @pytest.mark.parametrize(
     ("config", "says"),
     [
-        ({"kind": "crossrun"}, "did you mean 'cross_run'"),
+        ({"kind": "crossrun"}, "protocol.kind must be cross_run or same_run, got 'crossrun'"),
         ({"trian": {}}, "did you mean 'train'"),
         ({"train": {"sequence": ["a"]}}, "did you mean 'sequences'"),
         ({"train": {"sequences": ["a"], "every": 2, "spacing": 1.0}}, "not both"),
@@ -72,7 +72,7 @@ def test_what_must_stay_apart_is_kept_apart(table, roles, asked):
 )
 def test_mistaken_protocols_are_one_sentence(config, says):
     with pytest.raises(ConfigError, match=says):
-        Protocol.from_config(config)
+        Protocol.of(config)
 
 
 def test_an_unfilled_role_says_what_there_is(table):
@@ -81,4 +81,4 @@ def test_an_unfilled_role_says_what_there_is(table):
     with pytest.raises(ConfigError, match="did you mean 'night1'"):
         protocol(query=["nigth1"]).frames("query", table)
     with pytest.raises(ConfigError, match=r"^protocol\.query: no frame has room 'C'; valid: A, B"):
-        Protocol.from_config({"query": {"sequences": ["night1"], "rooms": ["C"]}}).frames("query", table)
+        Protocol.of({"query": {"sequences": ["night1"], "rooms": ["C"]}}).frames("query", table)
