@@ -6,8 +6,8 @@ Arrays of numpy go in and come out. Importing the package does not load torch.
 from __future__ import annotations
 
 from analytic import clustering, measures
-from analytic.descriptors.base import Alignment, Description, Descriptor, Match
-from analytic.descriptors.image import ImageDescriptor
+from analytic.description import Alignment, Description, Match
+from analytic.descriptors.base import Descriptor, ImageDescriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.descriptors.thumbnail import Thumbnail
 from analytic.distances import DISTANCES, distance

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.errors import AnalyticError
+from analytic.errors import AnalyticError, hint
 
 Pairwise = Callable[[ArrayLike, ArrayLike], NDArray[np.float64]]
 
@@ -84,9 +83,7 @@ def distance(name: str) -> Pairwise:
         AnalyticError: an unknown name.
     """
     if name not in DISTANCES:
-        close = get_close_matches(str(name), DISTANCES, n=1)
-        hint = f"did you mean {close[0]!r}? " if close else ""
-        raise AnalyticError(f"unknown distance {name!r}: {hint}valid: {', '.join(DISTANCES)}")
+        raise AnalyticError(f"unknown distance {name!r}: {hint(name, DISTANCES)}")
     return DISTANCES[name]
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors.base import with_channels
 from analytic.errors import AnalyticError
+from analytic.images import with_channels
 
 NOISE_LEVELS = (0.0, 0.0025, 0.005, 0.01, 0.02, 0.05)
 OCCLUSION_LEVELS = (0.0, 0.05, 0.1, 0.2, 0.4)

@@ -1,7 +1,32 @@
-"""The exception of this package."""
+"""The exception of this package, and the hint at the end of its messages."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class AnalyticError(ValueError):
-    """A parameter, an image or a description that cannot be used; one sentence says which and what to do."""
+    """A parameter, an image or a description that cannot be used; one sentence says which one and what to do.
+
+    Example:
+        >>> import analytic
+        >>> try:
+        ...     analytic.descriptor("hogg")
+        ... except analytic.AnalyticError as error:
+        ...     print(str(error).split(" valid:")[0])
+        unknown descriptor 'hogg': did you mean 'hog'?
+    """
+
+
+def hint(name: object, valid: Iterable[object]) -> str:
+    """Return the end of an error message about an unknown name: the closest valid spelling, then all of them.
+
+    Example:
+        >>> hint("manhatan", ["manhattan", "cosine"])
+        "did you mean 'manhattan'? valid: manhattan, cosine"
+    """
+    options = [str(option) for option in valid]
+    close = get_close_matches(str(name), options, n=1, cutoff=0.5)
+    listed = ", ".join(options) if options else "none"
+    return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {listed}"

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors.base import with_channels
 from analytic.errors import AnalyticError
+from analytic.images import grey_tensor, image_tensor, unit_tensor, with_channels
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -43,12 +43,10 @@ def homomorphic(
     """
     import torch
 
-    from analytic.descriptors.image import grey_tensor, image_tensor
-
     _check(cutoff, low, high)
     images = with_channels(batch)
     with torch.inference_mode():
-        grey = grey_tensor(image_tensor(batch), "cpu")
+        grey = grey_tensor(unit_tensor(image_tensor(batch), "cpu"))
         filtered = homomorphic_tensor(grey, circular=circular, cutoff=cutoff, low=low, high=high, clip=False)
         gain = ((filtered + _BLACK) / (grey + _BLACK))[:, None].numpy()
     scale = 255 if images.dtype == np.uint8 else 1

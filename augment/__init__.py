@@ -1,12 +1,13 @@
 """Physically motivated augmentation of panoramas: light, optics and motion, batched and replayable.
 
     effect = augment.effect("bulb", tone="light")
-    params = effect.draw(torch.Generator().manual_seed(0), batch)   # every frame its own
+    params = effect.draw(torch.Generator().manual_seed(0), batch)   # every frame has its own
     brighter = effect.apply(batch, params)                          # the same picture, whenever it is repeated
 
 A batch has shape (B, 3, H, W), RGB, uint8 or float32 in [0, 1]; columns are azimuth and wrap around unless
-`circular=False` says otherwise. Importing the package does not load torch. Writing expanded data sets to disk is
-`augment.expand`.
+`circular=False` says otherwise. `augment.policy` combines effects by chance; `augment.Augment` makes either a torch
+module and a torchvision transform. `augment.expand` writes expanded data sets to disk. Importing the package does not
+load torch.
 """
 
 from __future__ import annotations
@@ -19,15 +20,17 @@ from augment.registry import EFFECTS, POLICIES
 
 if TYPE_CHECKING:
     from augment.base import Effect
+    from augment.combinations import variants
     from augment.compose import Policy
     from augment.contact_sheet import preview
     from augment.policies import policy, policy_from_config
     from augment.registry import effect
-    from augment.thesis import variants
+    from augment.transforms import Augment
 
 __all__ = [
     "EFFECTS",
     "POLICIES",
+    "Augment",
     "AugmentError",
     "Effect",
     "Policy",
@@ -39,13 +42,14 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Augment": "augment.transforms",
     "Effect": "augment.base",
     "Policy": "augment.compose",
     "effect": "augment.registry",
     "policy": "augment.policies",
     "policy_from_config": "augment.policies",
     "preview": "augment.contact_sheet",
-    "variants": "augment.thesis",
+    "variants": "augment.combinations",
 }
 
 

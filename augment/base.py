@@ -1,18 +1,23 @@
-"""`Effect`: parameters are drawn first and applied second, so that a draw can be saved and repeated."""
+"""`Effect`: parameters are drawn first and applied second, so that a draw can be saved and repeated.
+
+`Range` says what a parameter is drawn from.
+"""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from math import isfinite
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from numbers import Real
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from augment.brushes import Brush, paint
-from augment.errors import AugmentError, nearest
-from augment.ranges import Range, spread
+from augment.errors import AugmentError, hint
 
 Params = dict[str, Tensor]
 
@@ -20,15 +25,73 @@ _FARTHEST = 1e6  # no column, row or angle that makes sense lies beyond
 _ROUNDING = 1e-5  # relative, of values that were drawn in float32 from the logarithm
 
 
+@dataclass(frozen=True)
+class Range:
+    """What a parameter is drawn from, uniformly.
+
+    Attributes:
+        low: smallest value.
+        high: largest value.
+        minimum: no range may begin below.
+        maximum: no range may end above.
+        neutral: the value at which the effect does nothing, for the parameters that set its strength.
+        log: drawn uniformly in the logarithm.
+        whole: drawn from the whole numbers low ... high.
+    """
+
+    low: float
+    high: float
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    neutral: float | None = None
+    log: bool = False
+    whole: bool = False
+
+    def narrowed(self, value: Any, what: str) -> Range:
+        """Return this range with another low and high, from one number or a pair (low, high).
+
+        Args:
+            value: what the user gave.
+            what: what the error calls the parameter.
+
+        Raises:
+            AugmentError: neither a number nor a pair, out of order, or beyond minimum and maximum.
+        """
+        pair = value if isinstance(value, Sequence) and not isinstance(value, str) else (value, value)
+        if len(pair) != 2 or not all(isinstance(end, Real) and not isinstance(end, bool) for end in pair):
+            raise AugmentError(f"{what} must be a number or a pair (low, high), got {value!r}")
+        low, high = float(pair[0]), float(pair[1])
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise AugmentError(f"{what} must be finite, got {value!r}")
+        if low > high:
+            raise AugmentError(f"{what} is out of order: {low:g} must not exceed {high:g}")
+        if low < self.minimum or high > self.maximum:
+            raise AugmentError(f"{what} must lie in [{self.minimum:g}, {self.maximum:g}], got {value!r}")
+        if self.whole and (low != int(low) or high != int(high)):
+            raise AugmentError(f"{what} must be a whole number or a pair of them, got {value!r}")
+        return replace(self, low=low, high=high)
+
+    def at(self, strength: float) -> float:
+        """Return the value for a strength in [-1, 1]: 0 is neutral, 1 the far end, -1 the end on the other side."""
+        if self.neutral is None:
+            middle = math.sqrt(self.low * self.high) if self.log else (self.low + self.high) / 2
+            return math.floor(middle) if self.whole else middle
+        end = self.high if self.neutral <= self.low or (strength >= 0 and self.high > self.neutral) else self.low
+        if self.log:
+            return self.neutral * (end / self.neutral) ** abs(strength)
+        value = self.neutral + abs(strength) * (end - self.neutral)
+        return math.floor(value + 0.5) if self.whole else value
+
+
 class Effect(ABC):
-    """Something that happens to panoramas.
+    """Something that happens to panoramas: a lamp, a shadow, a blur.
 
     A batch is a tensor (B, 3, H, W), RGB, uint8 or float32 in [0, 1], on any device; the result has the same shape,
-    dtype, range and device. Parameters are a dictionary of tensors (B,), so every frame has its own; they live in
-    the main memory and may be stored as plain lists.
+    dtype, range and device. Parameters are a dictionary of tensors (B,), so every frame has its own; they stay in
+    main memory and may be stored as plain lists.
 
-    8-bit batches in the main memory are painted frame by frame; all others go through tensor operations. Both
-    follow the same formula; 8-bit results are rounded to the nearest level.
+    8-bit batches in main memory are painted frame by frame; all others go through tensor operations. Both follow
+    the same formula; 8-bit results are rounded to the nearest level.
 
     Args:
         **params: ranges (one number or a pair) and options of the effect.
@@ -39,7 +102,17 @@ class Effect(ABC):
         options: its other settings; `circular=False` says that the columns do not wrap around.
 
     Raises:
-        AugmentError: an unknown parameter, or a value that makes no sense.
+        AugmentError: an unknown parameter, or an invalid value.
+
+    Example:
+        >>> import torch, augment
+        >>> effect = augment.effect("brighten", amount=(35, 75))
+        >>> batch = torch.full((2, 3, 128, 512), 100, dtype=torch.uint8)
+        >>> params = effect.draw(torch.Generator().manual_seed(0), batch)
+        >>> params["amount"]
+        tensor([55, 66])
+        >>> effect.apply(batch, params)[:, 0, 0, 0]
+        tensor([155, 166], dtype=torch.uint8)
     """
 
     name: ClassVar[str]
@@ -51,7 +124,7 @@ class Effect(ABC):
         valid = [*self.RANGES, *options]
         for key in params:
             if key not in valid:
-                raise AugmentError(f"{self.name} has no parameter {key!r}: {nearest(key, valid)}")
+                raise AugmentError(f"{self.name} has no parameter {key!r}: {hint(key, valid)}")
         self.ranges: dict[str, Range] = {
             key: base.narrowed(params[key], f"{key} of {self.name}") if key in params else base
             for key, base in self.RANGES.items()
@@ -76,11 +149,10 @@ class Effect(ABC):
         return bool(self.options["circular"])
 
     def draw(self, generator: torch.Generator, batch: Tensor) -> Params:
-        """Return parameters for every frame of a batch; they follow from the generator and the batch's shape.
+        """Return parameters for every frame of a batch; they depend on the generator and the batch's shape only.
 
         Raises:
-            AugmentError: the batch has another shape or dtype than (B, 3, H, W) uint8 or float32, or the generator
-                is none.
+            AugmentError: the batch is not (B, 3, H, W) uint8 or float32, or the generator is not a torch.Generator.
         """
         check_shape(batch)
         if not isinstance(generator, torch.Generator):
@@ -88,12 +160,15 @@ class Effect(ABC):
                 f"{self.name} draws from a torch.Generator, such as torch.Generator().manual_seed(0), got {generator!r}"
             )
         height, width = batch.shape[2:]
-        spans = self.spans(height, width)
-        uniform = torch.rand(len(batch), len(spans), generator=generator, device=generator.device).cpu()
-        return self.complete(spread(uniform, spans), height, width)
+        shape = (len(batch), len(self.spans(height, width)))
+        return self.values(torch.rand(shape, generator=generator, device=generator.device).cpu(), height, width)
+
+    def values(self, uniform: Tensor, height: int, width: int) -> Params:
+        """Turn uniform numbers in [0, 1), (B, number of spans), into the parameters of B frames."""
+        return self.complete(spread(uniform, self.spans(height, width)), len(uniform), height, width)
 
     def at(self, strength: float, batch: Tensor) -> Params:
-        """Return parameters of a given strength, places in the middle, the same for every frame.
+        """Return parameters of a given strength, the same for every frame, with all places in the middle.
 
         Args:
             strength: 0 leaves the pictures as they are; 1 is the far end of the ranges; negative strengths go the
@@ -108,17 +183,19 @@ class Effect(ABC):
             raise AugmentError(f"the strength of {self.name} must lie in [-1, 1], got {strength}")
         height, width = batch.shape[2:]
         values = {key: span.at(strength) for key, span in self.spans(height, width).items()}
-        return self.complete({key: torch.tensor([value] * len(batch)) for key, value in values.items()}, height, width)
+        count = len(batch)
+        params = {key: torch.tensor([value] * count) for key, value in values.items()}
+        return self.complete(params, count, height, width)
 
     def apply(self, batch: Tensor, params: Mapping[str, Any]) -> Tensor:
         """Return the altered batch; the same parameters give the same pictures.
 
         Args:
             batch: (B, 3, H, W).
-            params: as `draw` returned them; lists of plain values will do.
+            params: as returned by `draw`; lists of plain values work too.
 
         Raises:
-            AugmentError: a batch of another shape, dtype or range, with NaN, or parameters that do not fit it.
+            AugmentError: a batch of the wrong shape, dtype or range, or with NaN, or parameters that do not fit it.
         """
         check_batch(batch)
         checked = self.checked(params, len(batch), *batch.shape[2:])
@@ -131,6 +208,13 @@ class Effect(ABC):
         if batch.dtype == torch.uint8:
             return (self.render(batch.float().div_(255), checked).clamp_(0, 1).mul_(255)).round_().to(torch.uint8)
         return self.render(batch, checked).clamp(0, 1)
+
+    def shift(self, params: Mapping[str, Tensor]) -> Tensor | None:
+        """Return by how many columns each frame moves to the right (B,) int64; None for an effect that moves nothing.
+
+        What marks places in the picture, such as a mask, has to move along.
+        """
+        return None
 
     def turned(self, params: Mapping[str, Tensor], columns: int, width: int) -> Params:
         """Return the parameters that have the same effect on the batch shifted right by some columns."""
@@ -145,30 +229,30 @@ class Effect(ABC):
         return [self.name] * count
 
     def spans(self, height: int, width: int) -> dict[str, Range]:
-        """Return what each parameter is drawn from for frames of a size."""
+        """Return what each parameter is drawn from, for frames of this size."""
         key = (height, width)
         if key not in self._spans:
             self._spans[key] = {**self.ranges, **self.places(height, width)}
         return self._spans[key]
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """Return the parameters that are no ranges of the user's: where and in which form. None by default."""
+        """Return what is drawn in addition to the ranges that users set, such as a place. Nothing by default."""
         return {}
 
-    def complete(self, params: Params, height: int, width: int) -> Params:
-        """Return the drawn parameters with those that follow from them."""
+    def complete(self, params: Params, count: int, height: int, width: int) -> Params:
+        """Return the drawn parameters of `count` frames, together with those that follow from them."""
         return params
 
     @abstractmethod
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame what alters it in place, 8 bits a pixel."""
+        """Return for each frame what alters it in place, as 8-bit levels."""
 
     @abstractmethod
     def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the altered batch: float32, 1 is full white, values beyond [0, 1] will be clipped."""
+        """Return the altered batch, float32, 1 being white; the caller clips what lies beyond [0, 1]."""
 
     def checked(self, params: Mapping[str, Any], count: int, height: int, width: int) -> Params:
-        """Return parameters as tensors (B,) in the main memory.
+        """Return parameters as tensors (B,) in main memory.
 
         Raises:
             AugmentError: names, lengths or values that do not fit.
@@ -176,7 +260,7 @@ class Effect(ABC):
         valid, low, high = self._bounds(height, width)
         for key in params:
             if key not in valid:
-                raise AugmentError(f"the parameters of {self.name} hold {key!r}, which it has not: valid: {[*valid]}")
+                raise AugmentError(f"{self.name} has no parameter {key!r}: {hint(key, valid)}")
         checked = {}
         for key, span in valid.items():
             if key not in params:
@@ -195,7 +279,7 @@ class Effect(ABC):
         return checked
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
-        """Return the parameters that `draw` gives, each with the values that `apply` takes: minimum to maximum."""
+        """Return the parameters that `draw` returns; `apply` takes values from their minimum to their maximum."""
         return self.spans(height, width)
 
     def _bounds(self, height: int, width: int) -> tuple[dict[str, Range], Tensor, Tensor]:
@@ -208,7 +292,7 @@ class Effect(ABC):
         return self._limits[size]
 
     def _values(self, key: str, given: Any, span: Range, count: int) -> Tensor:
-        """Return one parameter as a tensor (B,), int64 if it counts in whole numbers, else float32."""
+        """Return one parameter as a tensor (B,): int64 for whole numbers, else float32."""
         try:
             value = torch.as_tensor(given, device="cpu")
         except (TypeError, ValueError, RuntimeError) as error:
@@ -220,20 +304,50 @@ class Effect(ABC):
             )
         if value.is_complex() or (span.whole and value.is_floating_point() and not value.equal(value.floor())):
             kind = "whole" if span.whole else "real"
-            raise AugmentError(f"parameter {key!r} of {self.name} must be made of {kind} numbers, got {value.tolist()}")
+            raise AugmentError(f"parameter {key!r} of {self.name} must be {kind} numbers, got {value.tolist()}")
         return value.long() if span.whole else value.float()
 
 
+def spread(uniform: Tensor, ranges: Mapping[str, Range]) -> dict[str, Tensor]:
+    """Turn uniform numbers in [0, 1) into values drawn from ranges.
+
+    Args:
+        uniform: (B, number of ranges), float32.
+        ranges: by name.
+
+    Returns:
+        By name (B,): float32, or int64 for ranges of whole numbers.
+    """
+    if not ranges:
+        return {}
+    low, step, log, whole, has_log = _tables(tuple(ranges.values()))
+    values = low + uniform * step
+    if has_log:
+        values = torch.where(log, values.exp(), values)
+    # float32 may round low + u * step up to the excluded end, one above the largest whole number
+    counts = torch.minimum(values.floor(), low + step - 1).long().unbind(1)
+    columns = values.unbind(1)
+    return {name: counts[i] if whole[i] else columns[i] for i, name in enumerate(ranges)}
+
+
+@lru_cache(maxsize=256)
+def _tables(ranges: tuple[Range, ...]) -> tuple[Tensor, Tensor, Tensor, tuple[bool, ...], bool]:
+    low = torch.tensor([math.log(r.low) if r.log else float(r.low) for r in ranges])
+    high = torch.tensor([math.log(r.high) if r.log else float(r.high) + r.whole for r in ranges])
+    log = torch.tensor([r.log for r in ranges])
+    return low, high - low, log, tuple(r.whole for r in ranges), bool(log.any())
+
+
 def _ends(span: Range) -> tuple[float, float]:
-    """Return the least and the greatest value that `apply` takes of a parameter."""
+    """Return the least and the greatest value of a parameter that `apply` accepts."""
     return (
-        span.minimum if isfinite(span.minimum) else -_FARTHEST,
-        span.maximum if isfinite(span.maximum) else _FARTHEST,
+        span.minimum if math.isfinite(span.minimum) else -_FARTHEST,
+        span.maximum if math.isfinite(span.maximum) else _FARTHEST,
     )
 
 
 def check_shape(batch: Tensor) -> None:
-    """Raise AugmentError if a batch is no tensor (B, 3, H, W) of uint8 or float32."""
+    """Raise AugmentError if a batch is not a tensor (B, 3, H, W) of uint8 or float32."""
     if not isinstance(batch, Tensor):
         raise AugmentError(f"a batch is a torch tensor of shape (B, 3, H, W), got {type(batch).__name__}")
     if batch.ndim != 4 or batch.shape[1] != 3 or 0 in batch.shape[2:]:
@@ -243,13 +357,13 @@ def check_shape(batch: Tensor) -> None:
 
 
 def check_batch(batch: Tensor) -> None:
-    """Raise AugmentError as `check_shape`, or if values of a float batch are NaN or lie outside [0, 1]."""
+    """Check a batch as `check_shape` does, and that the values of a float batch lie in [0, 1]."""
     check_shape(batch)
     if batch.dtype == torch.uint8 or batch.numel() == 0:
         return
-    low, high = (float(value) for value in batch.aminmax())
+    low, high = (float(value) for value in batch.detach().aminmax())
     if low != low or high != high:
-        raise AugmentError("the batch holds NaN: clean it before augmenting it")
+        raise AugmentError("the batch contains NaN: remove it before augmenting")
     if low < 0 or high > 1:
         raise AugmentError(
             f"a float batch lies in [0, 1], this one runs from {low:g} to {high:g}: divide 8-bit values by 255"
@@ -257,5 +371,5 @@ def check_batch(batch: Tensor) -> None:
 
 
 def column_of(values: Tensor, like: Tensor) -> Tensor:
-    """Return parameters (B,) as (B, 1, 1, 1), float32, where a batch is."""
+    """Return parameters (B,) as (B, 1, 1, 1), float32, on the device of a batch."""
     return values.to(device=like.device, dtype=torch.float32).view(-1, 1, 1, 1)

@@ -1,4 +1,4 @@
-"""Painting on 8-bit frames in the main memory: each frame in place, frames side by side in threads.
+"""Painting on 8-bit frames in main memory: each frame in place, several frames at once in threads.
 
 A brush is a function that alters one frame (3, H, W) uint8. Working frame by frame keeps the data in the
 processor's cache, and a frame pays only for the effects it got.
@@ -30,22 +30,6 @@ def paint(frames: Frame, brushes: Sequence[Sequence[Brush]]) -> None:
     _paint_some(frames, brushes, 0, threads)
     for future in work:
         future.result()
-
-
-def padded(frame: Frame, columns: int, circular: bool) -> Frame:
-    """Return a frame (3, H, W + 2 columns): what lies beyond the seam, or the edge repeated, on either side."""
-    width = frame.shape[2]
-    out = np.empty((*frame.shape[:2], width + 2 * columns), dtype=np.uint8)
-    out[:, :, columns : columns + width] = frame
-    if circular and columns <= width:
-        out[:, :, :columns] = frame[:, :, width - columns :]
-        out[:, :, columns + width :] = frame[:, :, :columns]
-    elif circular:
-        out[:] = np.take(frame, np.arange(-columns, width + columns) % width, axis=2)
-    else:
-        out[:, :, :columns] = frame[:, :, :1]
-        out[:, :, columns + width :] = frame[:, :, -1:]
-    return out
 
 
 def flat(frame: Frame) -> Frame:

@@ -1,9 +1,9 @@
-"""`Policy`: effects put together by chance: all of these, one of those, each with a probability."""
+"""`Policy`: effects combined by chance: all of these, one of those, each with a probability."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Real
 from typing import Any
@@ -11,12 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from augment.base import Effect, Params
+from augment.base import Effect, Params, Range
 from augment.brushes import Brush
-from augment.errors import AugmentError, nearest
-from augment.ranges import Range
+from augment.columns import wrapped
+from augment.errors import AugmentError, hint
 from augment.registry import EFFECTS, effect
-from augment.rotation import wrapped
 
 _KINDS = ("effect", "all_of", "one_of")
 _UNIT = Range(0, 1)
@@ -32,8 +31,9 @@ class Step:
         steps: the children, none of an effect.
         effect: what an effect node does.
         slot: number of an effect node among all effects of the policy, in the order of application; -1 for others.
-        probability: of a frame that comes to this node to take it.
-        weight: against its siblings in "one_of".
+        probability: with which a frame that comes to this node takes it.
+        weight: relative to its siblings in "one_of".
+        name: prefix of the parameters of an effect node, such as "3.bulb".
     """
 
     kind: str
@@ -42,24 +42,36 @@ class Step:
     slot: int = -1
     probability: float = 1.0
     weight: float = 1.0
-    name: str = field(default="", compare=False)
+    name: str = ""
 
 
 class Policy(Effect):
-    """Effects by chance, with the interface of one effect.
+    """Effects combined by chance, with the interface of a single effect.
 
-    Every frame draws its own way through the tree and its own parameters. The parameters of slot 3, say, a bulb, are
-    `3.bulb.on` (whether this frame got it) and `3.bulb.radius` and so on; `heading` is what all rotations together
+    Every frame draws its own way through the tree and its own parameters. If slot 3 is a bulb, its parameters are
+    `3.bulb.on` (whether this frame got it), `3.bulb.radius` and so on; `heading` is what all rotations together
     add to the robot's heading, rad in (-pi, pi]. Nothing in a policy moves the robot or changes its room.
 
     Args:
         tree: nested plain values. {"effect": name, **its parameters}, {"all_of": [...]} or {"one_of": [...]}, each
-            with an optional `probability` (1 if left out) and, inside one_of, `weight` (1 if left out).
+            with an optional `probability` (default 1) and, inside one_of, `weight` (default 1).
         name: of the policy.
         circular: False turns wrap-around off in all effects that do not say otherwise.
 
+    Attributes:
+        config: the policy in plain values; `policy_from_config` makes the same policy from them.
+
     Raises:
         AugmentError: an unknown effect, parameter or key, or a probability outside [0, 1].
+
+    Example:
+        >>> import torch, augment
+        >>> night = {"effect": "exposure", "stops": [-2.5, -0.5]}
+        >>> lamp = {"effect": "bulb", "tone": "light", "probability": 0.5}
+        >>> policy = augment.Policy({"all_of": [night, lamp]}, name="night")
+        >>> params = policy.draw(torch.Generator().manual_seed(0), torch.zeros(3, 3, 128, 512))
+        >>> policy.describe(params)
+        ['exposure + bulb light', 'exposure', 'exposure + bulb light']
     """
 
     name = "policy"
@@ -69,6 +81,7 @@ class Policy(Effect):
         self.name = name  # type: ignore[misc]
         slots = iter(range(1 << 20))
         self.tree = _step(tree, circular, slots, name)
+        self.config: dict[str, Any] = {"name": name, "circular": circular, **tree}
         self.slots: tuple[Step, ...] = tuple(step for step in _walk(self.tree) if step.effect is not None)
         self._inner = [step for step in _walk(self.tree) if step.probability < 1]
         self._choices = [step for step in _walk(self.tree) if step.kind == "one_of"]
@@ -82,7 +95,7 @@ class Policy(Effect):
         return tuple(step.effect for step in self.slots if step.effect is not None)
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """The parameters of all slots, and a number for each decision."""
+        """The parameters of all slots, and one number for each decision."""
         spans = {f"gate{number}": _UNIT for number in range(len(self._inner))}
         spans.update({f"choice{number}": _UNIT for number in range(len(self._choices))})
         for prefix, inner in self._prefixed():
@@ -90,43 +103,43 @@ class Policy(Effect):
         return spans
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
-        """The parameters, decisions taken."""
+        """The parameters once the decisions are taken."""
         spans = {}
         for prefix, inner in self._prefixed():
             spans[f"{prefix}.on"] = _TAKEN
             spans.update({f"{prefix}.{key}": span for key, span in inner.limits(height, width).items()})
         return {**spans, "heading": Range(0, 0)}
 
-    def complete(self, params: Params, height: int, width: int) -> Params:
+    def complete(self, params: Params, count: int, height: int, width: int) -> Params:
         """Take the decisions, and add up the headings."""
-        taken = self._decide(params)
+        taken = self._decide(params, count)
         done: Params = {}
-        count = len(next(iter(params.values()))) if params else 0
         heading = torch.zeros(count)
         for slot, (prefix, inner) in enumerate(self._prefixed()):
             own = {key: params[f"{prefix}.{key}"] for key in inner.spans(height, width)}
-            own = inner.complete(own, height, width)
+            own = inner.complete(own, count, height, width)
             done[f"{prefix}.on"] = taken[slot]
             done.update({f"{prefix}.{key}": value for key, value in own.items()})
             if "heading" in own:
                 heading = heading + own["heading"] * taken[slot]
         return {**done, "heading": wrapped(heading)}
 
-    def draw(self, generator: torch.Generator, batch: Tensor) -> Params:
-        """Return parameters for every frame of a batch. See `Effect.draw`."""
-        params = super().draw(generator, batch)
-        if not self.slots:
-            params["heading"] = torch.zeros(len(batch))
-        return params
-
     def at(self, strength: float, batch: Tensor) -> Params:
-        """Return every effect of the policy at one strength. See `Effect.at`."""
+        """Return the parameters of every effect at one strength. See `Effect.at`."""
         params = super().at(strength, batch)
         for prefix, _ in self._prefixed():
             params[f"{prefix}.on"] = torch.ones(len(batch), dtype=torch.bool)
-        if not self.slots:
-            params["heading"] = torch.zeros(len(batch))
         return params
+
+    def shift(self, params: Mapping[str, Tensor]) -> Tensor | None:
+        """Return the columns that all rotations together move each frame. See `Effect.shift`."""
+        total: Tensor | None = None
+        for prefix, inner in self._prefixed():
+            moved = inner.shift(_without(prefix, params))
+            if moved is not None:
+                moved = moved * params[f"{prefix}.on"]
+                total = moved if total is None else total + moved
+        return total
 
     def describe(self, params: Mapping[str, Tensor]) -> list[str]:
         """Return what happens to each frame: "darken + bulb light + rotate", or "original"."""
@@ -171,11 +184,10 @@ class Policy(Effect):
             if step.effect is not None:
                 yield step.name, step.effect
 
-    def _decide(self, params: Params) -> list[Tensor]:
+    def _decide(self, params: Params, count: int) -> list[Tensor]:
         """Return for each slot which frames got it (B,)."""
         gates = {id(step): params[f"gate{i}"] < step.probability for i, step in enumerate(self._inner)}
         choices = {id(step): params[f"choice{i}"].contiguous() for i, step in enumerate(self._choices)}
-        count = len(next(iter(params.values()))) if params else 0
         taken: list[Tensor] = [torch.zeros(0)] * len(self.slots)
 
         def visit(step: Step, here: Tensor) -> None:
@@ -202,7 +214,7 @@ def _without(prefix: str, params: Mapping[str, Tensor]) -> Params:
 
 @lru_cache(maxsize=256)
 def _bounds(weights: tuple[float, ...]) -> Tensor:
-    """Return the inner boundaries of the intervals of [0, 1) that belong to weights."""
+    """Divide [0, 1) into intervals proportional to weights; return their inner boundaries."""
     share = torch.tensor(weights, dtype=torch.float64)
     return (share.cumsum(0) / share.sum())[:-1].float()
 
@@ -228,15 +240,17 @@ def _step(tree: Any, circular: bool, slots: Iterator[int], where: str) -> Step:
     probability = _number(rest.pop("probability", 1.0), f"a probability of policy {where}", 0, 1)
     weight = _number(rest.pop("weight", 1.0), f"a weight of policy {where}", 0, 1e9)
     if kind == "effect":
+        if any(not isinstance(key, str) for key in rest):
+            raise AugmentError(f"the parameters of {content} in policy {where} must have names, got {[*rest]}")
         if content not in EFFECTS:
-            raise AugmentError(f"unknown effect {content!r} in policy {where}: {nearest(content, EFFECTS)}")
+            raise AugmentError(f"unknown effect {content!r} in policy {where}: {hint(content, EFFECTS)}")
         slot = next(slots)
         built = effect(content, **{"circular": circular, **rest})
         return Step(kind, (), built, slot, probability, weight, f"{slot}.{content}")
     if rest:
         raise AugmentError(
             f"{kind} in policy {where} has no key {next(iter(rest))!r}: "
-            f"{nearest(next(iter(rest)), (kind, 'probability', 'weight'))}"
+            f"{hint(next(iter(rest)), (kind, 'probability', 'weight'))}"
         )
     if not isinstance(content, Sequence) or isinstance(content, str):
         raise AugmentError(f"{kind} in policy {where} must be a list of steps, got {content!r}")

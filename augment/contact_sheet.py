@@ -1,4 +1,4 @@
-"""A contact sheet: every effect at several strengths, labelled."""
+"""A labelled contact sheet that shows every effect at several strengths."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _INK, _PALE, _PAPER = "#1d2733", "#64748b", "#ffffff"
 
 @dataclass(frozen=True)
 class _Shot:
-    """One cell of the sheet: an effect, where it stands, and what the caption says of its strength."""
+    """One cell of the sheet: the settings of an effect, and what the caption says about them."""
 
     caption: str
     params: dict[str, float]
@@ -39,18 +39,23 @@ class _Shot:
 
 
 def preview(batch: Tensor, columns: int = _COLUMNS, cell: int = _CELL) -> Picture:
-    """Return a labelled contact sheet of all effects at several strengths, and of the policies.
+    """Draw a labelled contact sheet of all effects at several strengths, and of the policies.
 
     Args:
-        batch: panoramas (B, 3, H, W) to show the effects on; effects take turns with them. Best of 128 x 512 pixels.
+        batch: panoramas (B, 3, H, W) to show the effects on, in turn; 128 x 512 pixels look best.
         columns: pictures in a row, a multiple of 3.
-        cell: width of a picture in pixels; panoramas are brought to it.
+        cell: width of a picture in pixels; panoramas are resized to it.
 
     Returns:
         The sheet (rows, columns, 3), RGB, uint8.
 
     Raises:
-        AugmentError: a batch that is none, an empty one, or columns that are no multiple of 3.
+        AugmentError: an invalid or empty batch, or a number of columns that is not a multiple of 3.
+
+    Example:
+        >>> import torch, augment
+        >>> augment.preview(torch.rand(2, 3, 32, 128), columns=6, cell=64).shape
+        (742, 520, 3)
     """
     check_batch(batch)
     if len(batch) == 0:
@@ -71,7 +76,7 @@ def preview(batch: Tensor, columns: int = _COLUMNS, cell: int = _CELL) -> Pictur
 
 
 def _shots(name: str) -> list[_Shot]:
-    """Return what is shown of an effect: three strengths of it."""
+    """Return the three strengths at which an effect is shown."""
     tables: dict[str, list[_Shot]] = {
         "bulb": _spots({}),
         "square": _spots({}),
@@ -123,7 +128,7 @@ def _shoot(name: str, shot: _Shot, frame: Tensor) -> Tensor:
     params = built.at(shot.strength, frame)
     if "row" in params and "column" in params:
         row, column = _plain_place(frame[0], 110 if shot.options["tone"] == "light" else 170)
-        if "column" in shot.params:  # brings the place to the column that the spot is asked for
+        if "column" in shot.params:  # moves the surface to the column where the spot will be
             frame = frame.roll(int(shot.params["column"]) - column, dims=3)
         params["row"][0], params["column"][0] = row, column
     for key, value in shot.params.items():
@@ -132,7 +137,7 @@ def _shoot(name: str, shot: _Shot, frame: Tensor) -> Tensor:
 
 
 def _plain_place(frame: Tensor, level: float) -> tuple[int, int]:
-    """Return row and column of an even surface of about a level, on which a spot shows well."""
+    """Return row and column of an even surface near a grey level, on which a spot shows well."""
     grey = frame.float().mean(0).numpy()
     height, width = grey.shape
     size = max(height // 2, 1)
@@ -153,14 +158,14 @@ def _small(frame: Tensor, cell: int) -> Picture:
 
 
 def _sheet(cells: list[tuple[str, str, Picture]], originals: list[Picture], columns: int, cell: int) -> Picture:
-    """Lay the cells out row by row, three to an effect, and write names and values above them."""
+    """Lay the cells out row by row, three for each effect, with names and values above them."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     height = cells[0][2].shape[0]
     step = height + _CAPTION + _GAP
     rows = -(-len(cells) // columns)
-    block = _GAP + 14  # between effects that stand side by side
+    block = _GAP + 14  # between neighbouring effects
     width = 2 * _MARGIN + columns * cell + (columns - 1) * _GAP + (columns // 3 - 1) * (block - _GAP)
     first = _TITLE + (height + _GAP + _CAPTION)
     total = first + rows * step + _MARGIN - _GAP

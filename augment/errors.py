@@ -1,4 +1,4 @@
-"""The exception of this package."""
+"""The exception of this package, and the spelling hint at the end of its messages."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from difflib import get_close_matches
 
 
 class AugmentError(ValueError):
-    """A parameter, a policy or a batch that cannot be used; one sentence says which and what to do."""
+    """A parameter, a policy or a batch that cannot be used; the message says which, and what to do."""
 
 
-def nearest(name: object, valid: Iterable[str]) -> str:
-    """Return a hint that names the valid spellings, the nearest one first: for the end of an error message."""
+def hint(name: object, valid: Iterable[str]) -> str:
+    """Return the end of an error message about an unknown name: the nearest valid spelling, then all of them.
+
+    Example:
+        >>> hint("bulp", ["bulb", "blur"])
+        "did you mean 'bulb'? valid: bulb, blur"
+    """
     options = list(valid)
     close = get_close_matches(str(name), options, n=1, cutoff=0.5)
     return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {', '.join(options) or 'none'}"

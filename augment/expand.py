@@ -1,8 +1,8 @@
-"""Writing an expanded data set: every frame in several variants, with the parameters of every picture in a table.
+"""Write an expanded data set: every frame in several variants, with the parameters of every picture in a table.
 
-Paths go in and pictures come out; which folder layout they form is the caller's business. The parameters of a picture
-follow from (seed, frame, variant) and the picture's size alone, so that any order of work, any number of threads
-and any interruption give the same files.
+Paths go in and pictures come out; the caller decides on the folder layout. The parameters of a picture depend on
+(seed, frame, variant) and the picture's size alone, so any order of work, any number of threads and any interruption
+give the same files.
 """
 
 from __future__ import annotations
@@ -22,10 +22,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Params
+from augment.combinations import Variant, variants
 from augment.errors import AugmentError
 from augment.expansion_files import COLUMNS, TABLE, Row, name_in, prepare, write_bytes, write_table
-from augment.thesis import Variant, variants
 
 Job = tuple[int, Path, list[Path], list[Variant]]  # frame, source, its outputs, the variants to be made
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
@@ -37,10 +36,10 @@ class Expansion:
     """What `expand` did.
 
     Attributes:
-        table: the CSV with one row for every picture, its columns being COLUMNS.
+        table: the CSV with one row for every picture.
         written: pictures made.
         kept: pictures that were there already.
-        failed: sources that could not be used, each with the reason; none of their pictures was made.
+        failed: sources that could not be used, each with the reason; none of their pictures were made.
     """
 
     table: Path
@@ -67,28 +66,36 @@ def expand(
 
     Args:
         images: the n source pictures.
-        outputs: for each source the files to write (n, depth), all inside the folder; their suffix says the format.
+        outputs: for each source the files to write (n, depth), all inside the folder; the suffix sets the format.
         folder: of the expanded data set. The table and the settings are written here; it has to be empty or absent,
             unless `resume`.
         seed: of all parameters.
         circular: whether columns wrap around.
-        resume: go on in a folder that an earlier call with the same sources, outputs and seed left; what is there
-            and whole stays.
+        resume: continue what an earlier call with the same sources, outputs and seed left unfinished; pictures in its
+            table stay, and the temporary files it left are removed.
         threads: pictures in work at once.
         on_error: "skip" reports a source that cannot be read and goes on; "raise" stops.
         progress: called with (items, total, what), yields the items; for a bar.
         read: returns the picture (3, H, W), uint8, RGB, of a source, or raises AugmentError; called from several
-            threads. The file as it is if None.
-        reading: what decides how `read` makes a picture of a source, in values that JSON can hold; resuming with
-            another is refused.
+            threads. If None, the image file is read as it is.
+        reading: settings that decide what `read` returns, as JSON values; a resume with other ones is refused.
 
     Raises:
         AugmentError: no images, outputs that do not fit or coincide, a folder that is not empty, a resume with other
             settings, or, under "raise", a source that cannot be read.
         OSError: the disk refuses.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> _ = cv2.imwrite(str(folder / "frame.png"), np.full((32, 128, 3), 90, np.uint8))
+        >>> outputs = [[folder / "out" / f"{variant}.png" for variant in range(16)]]
+        >>> expand([folder / "frame.png"], outputs, folder / "out", seed=0).written
+        16
     """
     folder, sources = Path(folder), [Path(image) for image in images]
-    targets = [[Path(output) for output in row] for row in outputs]
+    targets = [[output if isinstance(output, Path) else Path(output) for output in row] for row in outputs]
     depth = _checked_depth(sources, targets, folder, on_error)
     if seed < 0:
         raise AugmentError(f"seed must be 0 or more, got {seed}")
@@ -97,16 +104,15 @@ def expand(
     done = prepare(folder, sources, targets, options, resume)
     work: list[Job] = []
     for frame, (source, row) in enumerate(zip(sources, targets, strict=True)):
-        missing = [v for v in listed if name_in(row[v.number], folder) not in done or not row[v.number].is_file()]
+        missing = listed
+        if done:
+            missing = [v for v in listed if name_in(row[v.number], folder) not in done or not row[v.number].is_file()]
         if missing:
             work.append((frame, source, row, missing))
     kept = len(sources) * depth - sum(len(missing) for *_, missing in work)
     rows, failed, written = dict(done), [], 0
     with (folder / TABLE).open("a", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        if not done:
-            file.truncate(0)
-            table.writeheader()
         with ThreadPoolExecutor(max(int(threads), 1)) as pool:
             results = _bounded(
                 pool, partial(_expand_frame, folder, int(seed), read or read_picture), work, 2 * max(int(threads), 1)
@@ -127,45 +133,57 @@ def expand(
     return Expansion(folder / TABLE, written, kept, tuple(failed))
 
 
-def parameters(variant: Variant, seed: int, frame: int, size: tuple[int, int]) -> Params:
-    """Return the parameters of one picture, each of shape (1,).
-
-    Args:
-        variant: what is made of the frame.
-        seed: of the expansion.
-        frame: number of the source among the images.
-        size: rows and columns of the picture.
-    """
-    state = np.random.SeedSequence([seed, frame, variant.number]).generate_state(1, np.uint64)
-    generator = torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
-    return variant.policy.draw(generator, torch.empty(1, 3, *size, dtype=torch.uint8))
-
-
-def headings(frames: int, depth: int, seed: int, size: tuple[int, int], circular: bool = True) -> NDArray[np.float64]:
+def headings(
+    frames: int,
+    depth: int,
+    seed: int,
+    size: tuple[int, int],
+    circular: bool = True,
+    progress: Progress | None = None,
+) -> NDArray[np.float64]:
     """Return what each picture's rotation adds to the robot's heading (frames, depth), rad in (-pi, pi].
 
     For layouts that carry the heading in the file name: it is known before any picture is made.
+
+    Args:
+        frames: how many.
+        depth: variants of each frame.
+        seed: of the expansion.
+        size: rows and columns of the pictures.
+        circular: whether columns wrap around; if not, all are 0.
+        progress: called with (items, total, what), yields the items; for a bar.
+
+    Example:
+        >>> headings(2, 17, seed=0, size=(128, 512))[:, 14:].round(2)
+        array([[ 0.  , -0.75,  0.97],
+               [ 0.  , -2.86, -0.74]])
     """
     out = np.zeros((frames, depth))
-    for variant in variants(depth, circular):
-        if any(effect.name == "rotate" for effect in variant.policy.effects):
-            for frame in range(frames):
-                out[frame, variant.number] = float(parameters(variant, seed, frame, size)["heading"])
+    turning = [v for v in variants(depth, circular) if any(effect.name == "rotate" for effect in v.policy.effects)]
+    if circular and frames:
+        for variant in progress(turning, len(turning), "drawing headings") if progress else turning:
+            out[:, variant.number] = variant.parameters(seed, range(frames), size)["heading"]
     return out
 
 
 def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
-    """Return the picture (1, 3, H, W) that a row of the table describes, made from its source."""
-    found = [v for v in variants(int(row["variant"]) + 1, circular) if v.number == int(row["variant"])]
-    stored = json.loads(row["parameters"])
-    return found[0].policy.apply(picture, {key: [value] for key, value in stored.items()})
+    """Make the picture (1, 3, H, W) that a row of the table describes from its source (1, 3, H, W).
+
+    Example:
+        >>> values = {"0.brighten.on": True, "0.brighten.amount": 40, "heading": 0.0}
+        >>> row = {"variant": "7", "parameters": json.dumps(values)}
+        >>> replay(row, torch.full((1, 3, 32, 128), 100, dtype=torch.uint8)).unique()
+        tensor([140], dtype=torch.uint8)
+    """
+    variant = variants(int(row["variant"]) + 1, circular)[-1]
+    return variant.policy.apply(picture, {key: [value] for key, value in json.loads(row["parameters"]).items()})
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
     """Return the picture (3, H, W), uint8, RGB, of an image file.
 
     Raises:
-        AugmentError: the file is missing or no image.
+        AugmentError: the file is missing or not an image.
     """
     image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if image is None:
@@ -174,7 +192,7 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
 
 
 def _expand_frame(folder: Path, seed: int, read: Reader, job: Job) -> tuple[Path, list[Row], str]:
-    """Write what is missing of one frame; return its source, the rows of the table, and what went wrong."""
+    """Write the missing pictures of one frame; return its source, their rows in the table, and what went wrong."""
     frame, source, row, missing = job
     try:
         picture = torch.from_numpy(read(source))[None]
@@ -182,7 +200,7 @@ def _expand_frame(folder: Path, seed: int, read: Reader, job: Job) -> tuple[Path
         return source, [], str(error)
     made = []
     for variant in missing:
-        params = parameters(variant, seed, frame, (picture.shape[2], picture.shape[3]))
+        params = variant.parameters(seed, [frame], (picture.shape[2], picture.shape[3]))
         result = variant.policy.apply(picture, params)[0].permute(1, 2, 0).numpy()[:, :, ::-1]
         target = row[variant.number]
         _write_image(target, np.ascontiguousarray(result))
@@ -212,18 +230,19 @@ def _checked_depth(sources: list[Path], targets: list[list[Path]], folder: Path,
     if depth < 1 or any(len(row) != depth for row in targets):
         raise AugmentError("every image needs the same number of outputs, at least one")
     every = [path for row in targets for path in row]
-    if len(set(every)) != len(every) or set(every) & set(sources):
+    if len(set(every)) != len(every) or not set(sources).isdisjoint(every):
         raise AugmentError("outputs must differ from each other and from the images they are made of")
+    for parent in {path.parent for path in every}:  # far fewer than files
+        if not parent.is_relative_to(folder) or ".." in parent.relative_to(folder).parts:
+            raise AugmentError(f"{parent} lies outside the folder {folder}")
     for path in every:
-        if not path.is_relative_to(folder) or ".." in path.relative_to(folder).parts:
-            raise AugmentError(f"{path} lies outside the folder {folder}")
         if path.suffix.lower() not in (".jpeg", ".jpg", ".png", ".webp", ".bmp"):
-            raise AugmentError(f"{path} has no suffix of a picture: use .jpeg or .png")
+            raise AugmentError(f"{path} does not end like a picture: use .jpeg or .png")
     return depth
 
 
 def _bounded(pool: ThreadPoolExecutor, work: Callable[[Any], Any], items: list[Any], ahead: int) -> Iterable[Any]:
-    """Yield results in order with only a few items in work, so that memory stays bounded."""
+    """Yield results in order with only a few items in work at once, so that memory stays bounded."""
     waiting = []
     for item in items:
         waiting.append(pool.submit(work, item))

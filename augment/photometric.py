@@ -1,4 +1,4 @@
-"""Effects that map every level of a channel to another one, wherever the pixel lies."""
+"""Effects on levels and colours that treat all pixels alike, wherever they lie."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, column_of
+from augment.base import Effect, Params, Range, column_of
 from augment.brushes import Brush, Frame, flat
-from augment.ranges import Range
+from augment.torchvision_compat import ensure_torchvision
 
 
 class PointEffect(Effect):
-    """I' = curve(I). 8-bit frames are looked up in a table of 256 levels, one for each frame."""
+    """I' = curve(I), whatever the place in the picture. 8-bit frames go through a table of 256 levels of their own."""
 
     @abstractmethod
     def curve(self, level: Tensor, params: Params) -> Tensor:
@@ -33,7 +33,7 @@ class PointEffect(Effect):
         levels = (torch.arange(256, dtype=torch.float32) / 255).view(1, 1, 1, 256)
         values = self.curve(levels, {key: column_of(value, levels) for key, value in params.items()})
         tables = (values.clamp(0, 1) * 255).round().to(torch.uint8).squeeze(2).numpy()
-        return [[partial(look_up, table)] for table in tables]
+        return [[partial(_look_up, table)] for table in tables]
 
     def render(self, batch: Tensor, params: Params) -> Tensor:
         """Return the curve of every value."""
@@ -98,7 +98,7 @@ class Contrast(PointEffect):
 
 
 class Gamma(PointEffect):
-    """Another response of the camera: I' = I^gamma, on [0, 1].
+    """A different tone curve of the camera: I' = I^gamma, on [0, 1].
 
     Args:
         gamma: below 1 for brighter shadows, above 1 for darker ones; drawn evenly in the logarithm.
@@ -115,10 +115,10 @@ class Gamma(PointEffect):
 
 
 class Exposure(PointEffect):
-    """A longer or a shorter exposure, clipped as a sensor clips.
+    """A longer or shorter exposure, clipped as a sensor clips.
 
     I' = encode(min(1, 2^stops decode(I))) with the transfer curve of sRGB (IEC 61966-2-1): the light is scaled
-    before the camera's curve, and what exceeds the sensor's range is white.
+    before the camera's curve, and everything above the sensor's range is white.
 
     Args:
         stops: binary logarithm of the change of light.
@@ -137,7 +137,7 @@ class Exposure(PointEffect):
 
 
 class WhiteBalance(PointEffect):
-    """Light of another colour, or a camera that took it for another one.
+    """Light of another colour, or a camera that misjudges it.
 
     I'_k = g_k I_k with log2 g = temperature (1/2, 0, -1/2) + tint (1/3, -2/3, 1/3) for red, green, blue. The
     geometric mean of the three gains is 1.
@@ -160,8 +160,60 @@ class WhiteBalance(PointEffect):
         return level * torch.exp2(params["temperature"] * warm + params["tint"] * magenta)
 
 
-def look_up(table: NDArray[np.uint8], frame: Frame) -> None:
-    """Replace every level of a frame by its entry in a table (1 or 3, 256), one for all channels or one for each."""
+class Equalize(Effect):
+    """Spread the histogram of each channel evenly ([T] 5.3.2).
+
+    I' = I + strength (eq(I) - I), eq being torchvision's `equalize`: with the cumulative histogram C and the step
+    q = (pixels - pixels of the last occupied level) // 255, level i becomes (C(i - 1) + q // 2) // q. Float batches
+    are equalized in 256 levels.
+
+    Args:
+        strength: 1 as published; less mixes it with the original.
+    """
+
+    name = "equalize"
+    RANGES: ClassVar[Mapping[str, Range]] = {"strength": Range(1, 1, minimum=0, maximum=1, neutral=0)}
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the lookup of the tables that its histograms give."""
+        return [[partial(_equalize, strength)] if strength else [] for strength in params["strength"].tolist()]
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return torchvision's result, mixed by strength."""
+        ensure_torchvision()
+        from torchvision.transforms.v2.functional import equalize
+
+        return batch + column_of(params["strength"], batch) * (equalize(batch) - batch)
+
+
+class Saturate(Effect):
+    """Stronger or weaker colours: S' = min(1, c S) in HSV ([T] 5.3.2, figure 5.4 g).
+
+    Hue and value stay, so that no conversion is needed: with V = max(R, G, B) and m = min(R, G, B), each channel
+    becomes I' = V - k (V - I), k = min(c, V / (V - m)).
+
+    Args:
+        factor: c, above 1 for more colour, 0 for grey. The thesis gives no range.
+    """
+
+    name = "saturate"
+    RANGES: ClassVar[Mapping[str, Range]] = {"factor": Range(0.2, 2.0, minimum=0, maximum=20, neutral=1)}
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the formula on its three planes."""
+        return [[partial(_saturate, factor)] if factor != 1 else [] for factor in params["factor"].tolist()]
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the formula, written so that c = 1 leaves the batch alone to the last bit."""
+        value, least = batch.amax(1, keepdim=True), batch.amin(1, keepdim=True)
+        limit = value / (value - least).clamp(min=1e-6)
+        scale = column_of(params["factor"], batch).minimum(limit)
+        grey = value == least
+        return batch + ((1 - scale) * (value - batch)).masked_fill(grey, 0)
+
+
+def _look_up(table: NDArray[np.uint8], frame: Frame) -> None:
+    """Look every level of a frame up in a table: (1, 256) for all channels, or (3, 256), one for each."""
     if len(table) == 1:
         cv2.LUT(flat(frame), table[0], dst=flat(frame))
         return
@@ -180,3 +232,32 @@ def _add(amount: int, frame: Frame) -> None:
     else:
         np.maximum(frame, -amount, out=frame)
         np.subtract(frame, np.uint8(-amount), out=frame)
+
+
+def _equalize(strength: float, frame: Frame) -> None:
+    tables = np.empty((3, 256), dtype=np.uint8)
+    levels = np.arange(256)
+    for channel in range(3):
+        counts = cv2.calcHist([frame[channel]], [0], None, [256], [0, 256]).ravel().astype(np.int64)
+        step = (counts.sum() - counts[np.flatnonzero(counts)[-1]]) // 255
+        if step == 0:
+            tables[channel] = levels
+            continue
+        before = np.concatenate([[0], counts.cumsum()[:-1]])
+        table = np.minimum((before + step // 2) // step, 255)
+        tables[channel] = np.rint(levels + strength * (table - levels))
+    _look_up(tables, frame)
+
+
+def _saturate(factor: float, frame: Frame) -> None:
+    value = np.maximum(np.maximum(frame[0], frame[1]), frame[2])
+    if factor < 1:
+        for channel in range(3):
+            cv2.addWeighted(value, 1 - factor, frame[channel], factor, 0, dst=frame[channel])
+        return
+    least = np.minimum(np.minimum(frame[0], frame[1]), frame[2])
+    scale = np.divide(value, np.maximum(value - least, 1), dtype=np.float32)
+    np.minimum(scale, np.float32(factor), out=scale)
+    for channel in range(3):
+        below = cv2.multiply(value - frame[channel], scale, dtype=cv2.CV_8U)
+        np.subtract(value, below, out=frame[channel])

@@ -1,11 +1,11 @@
-"""The effects by name. Knows where each one lives and loads it when it is asked for."""
+"""Effects by name: where each one lives, loaded when it is asked for."""
 
 from __future__ import annotations
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from augment.errors import AugmentError, nearest
+from augment.errors import AugmentError, hint
 
 if TYPE_CHECKING:
     from augment.base import Effect
@@ -19,18 +19,18 @@ _HOMES = {
     "sharpen": "sharpness.Sharpen",
     "blur": "sharpness.Blur",
     "contrast": "photometric.Contrast",
-    "equalize": "colour.Equalize",
-    "saturate": "colour.Saturate",
-    "rotate": "rotation.Rotate",
+    "equalize": "photometric.Equalize",
+    "saturate": "photometric.Saturate",
+    "rotate": "columns.Rotate",
     "noise": "sensor.Noise",
-    "occlude": "occlusion.Occlude",
+    "occlude": "columns.Occlude",
     "motion_blur": "sharpness.MotionBlur",
     "gamma": "photometric.Gamma",
     "white_balance": "photometric.WhiteBalance",
     "exposure": "photometric.Exposure",
-    "vignette": "shading.Vignette",
-    "shadow": "shading.Shadow",
-    "sun_patch": "shading.SunPatch",
+    "vignette": "layers.Vignette",
+    "shadow": "layers.Shadow",
+    "sun_patch": "layers.SunPatch",
     "jpeg": "sensor.Jpeg",
 }
 
@@ -39,17 +39,22 @@ POLICIES = ("none", "thesis", "lighting", "strong")
 
 
 def effect(name: str, **params: Any) -> Effect:
-    """Return an effect by its name.
+    """Make an effect by its name.
 
     Args:
         name: one of `augment.EFFECTS`.
         **params: ranges and options of that effect; a range is one number or a pair (low, high).
 
     Raises:
-        AugmentError: an unknown name or parameter (the valid ones are named), or a range that makes no sense.
+        AugmentError: an unknown name or parameter (the message lists the valid ones), or an invalid range.
+
+    Example:
+        >>> import augment
+        >>> augment.effect("gamma", gamma=(0.8, 1.25))
+        gamma(gamma=(0.8, 1.25), circular=True)
     """
     if name not in EFFECTS:
-        raise AugmentError(f"unknown effect {name!r}: {nearest(name, EFFECTS)}")
+        raise AugmentError(f"unknown effect {name!r}: {hint(name, EFFECTS)}")
     module, _, cls = _HOMES[name].partition(".")
     built: Effect = getattr(import_module(f"augment.{module}"), cls)(**params)
     return built

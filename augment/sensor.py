@@ -1,4 +1,4 @@
-"""What the camera's electronics do to the picture: noise and compression."""
+"""What the camera's electronics do to a picture: noise and compression."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from augment.base import Effect, Params, column_of
+from augment.base import Effect, Params, Range, column_of
 from augment.brushes import Brush, Frame, flat
-from augment.ranges import Range
 
 _TABLE = 1 << 21
 
@@ -22,7 +21,7 @@ class Noise(Effect):
     """Gaussian noise: I' = I + n, n ~ N(0, variance) on [0, 1], each pixel and channel its own ([T] 3.4.2).
 
     n = sqrt(variance) (t(a) + t(b)) / sqrt 2: the normalized sum of two stretches of one fixed table of 2^21 normal
-    numbers, that begin at `first` and `second`. So every device draws the same noise, from two numbers a frame.
+    numbers, which begin at `first` and `second`. So every device gets the same noise, from two numbers a frame.
 
     Args:
         variance: on a picture in [0, 1]. .0025 ... .05 as published.
@@ -58,13 +57,13 @@ class Noise(Effect):
 
 
 class Jpeg(Effect):
-    """Compression as a camera or a slow link does it: I' = I + strength (jpeg(I) - I).
+    """Compression, as by a camera or for a slow link: I' = I + strength (jpeg(I) - I).
 
-    jpeg(I) is the 8-bit picture, compressed at the given quality and opened again (opencv's codec, 4:2:0). On a GPU the
-    pictures travel to the main memory and back. Blocks do not care about the seam.
+    jpeg(I) is the 8-bit picture, compressed at the given quality and decoded again (opencv's codec, 4:2:0). From a GPU
+    the pictures travel to main memory and back. Blocks do not wrap around the seam.
 
     Args:
-        quality: 1 ... 100 as libjpeg counts.
+        quality: 1 ... 100, as libjpeg defines it.
         strength: 1 for the compressed picture, 0 for the original.
     """
 

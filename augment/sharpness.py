@@ -12,10 +12,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Params, column_of
-from augment.brushes import Brush, Frame, padded
+from augment.base import Effect, Params, Range, column_of
+from augment.brushes import Brush, Frame
 from augment.errors import AugmentError
-from augment.ranges import Range
 
 
 class Sharpen(Effect):
@@ -93,8 +92,8 @@ class MotionBlur(Effect):
     """The robot turns while the shutter is open: I'(y, x) = mean of I(y, x + i), i = -r ... r, n = 2 r + 1.
 
     Args:
-        length: n in columns of a frame of 512 columns, brought to the nearest odd number; it grows with the frame.
-            1 leaves the picture.
+        length: n in columns of a frame of 512 columns, rounded to an odd number; it grows with the frame. 1 leaves
+            the picture as it is.
     """
 
     name = "motion_blur"
@@ -122,7 +121,7 @@ def _odd(length: float, width: int) -> int:
 
 
 def _extended(batch: Tensor, columns: int, rows: int, circular: bool) -> Tensor:
-    """Return a batch with more columns on both sides and more rows above and below."""
+    """Extend a batch by columns on both sides and by rows above and below."""
     width = batch.shape[3]
     if circular:
         index = torch.arange(-columns, width + columns, device=batch.device) % width
@@ -134,7 +133,7 @@ def _extended(batch: Tensor, columns: int, rows: int, circular: bool) -> Tensor:
 
 def _convolve(mask: np.ndarray, circular: bool, frame: Frame) -> None:
     radius = mask.shape[1] // 2
-    wide = padded(frame, radius, circular)
+    wide = _padded(frame, radius, circular)
     for channel in range(3):
         done = cv2.filter2D(wide[channel], -1, mask, borderType=cv2.BORDER_REPLICATE)
         frame[channel] = done[:, radius : radius + frame.shape[2]]
@@ -142,7 +141,23 @@ def _convolve(mask: np.ndarray, circular: bool, frame: Frame) -> None:
 
 def _box(columns: int, rows: int, circular: bool, frame: Frame) -> None:
     radius = columns // 2
-    wide = padded(frame, radius, circular)
+    wide = _padded(frame, radius, circular)
     for channel in range(3):
         done = cv2.blur(wide[channel], (columns, rows), borderType=cv2.BORDER_REPLICATE)
         frame[channel] = done[:, radius : radius + frame.shape[2]]
+
+
+def _padded(frame: Frame, columns: int, circular: bool) -> Frame:
+    """Extend a frame to (3, H, W + 2 columns) by what lies beyond the seam, or by repeating the edge."""
+    width = frame.shape[2]
+    out = np.empty((*frame.shape[:2], width + 2 * columns), dtype=np.uint8)
+    out[:, :, columns : columns + width] = frame
+    if circular and columns <= width:
+        out[:, :, :columns] = frame[:, :, width - columns :]
+        out[:, :, columns + width :] = frame[:, :, :columns]
+    elif circular:
+        out[:] = np.take(frame, np.arange(-columns, width + columns) % width, axis=2)
+    else:
+        out[:, :, :columns] = frame[:, :, :1]
+        out[:, :, columns + width :] = frame[:, :, -1:]
+    return out

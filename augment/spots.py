@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from augment.errors import AugmentError, nearest
+from augment.base import Range
+from augment.errors import AugmentError, hint
 from augment.layers import Layer
-from augment.ranges import Range
 
 TONES = ("light", "dark", "any")
 
@@ -27,15 +27,15 @@ class Spot(Layer):
     """A patch of light or shadow that fades from its centre to its rim.
 
     I' = I +- a(rho), with a(rho) = c + (rim - c) rho for rho <= 1 and 0 beyond; rho is 0 at the centre and 1 at the
-    rim, and the shape of the spot says what lies between. A rim above c counts as c. All channels alike.
+    rim, and the shape of the spot defines it in between. A rim above c counts as c. All channels alike.
 
     Args:
-        tone: "light", "dark" or "any", drawn evenly.
+        tone: "light", "dark", or "any" for either with equal chance.
         radius: in pixels of a frame of 128 rows; it grows with the frame. 15 ... 40 as published.
         intensity: c, in levels of 0 ... 255. 100 ... 160 as published.
-        rim: what is left of it at the rim. 5 as published.
-        aspect: width over height; the area stays as it is.
-        circular: a spot across the seam goes on at the other side.
+        rim: the levels left at the rim. 5 as published.
+        aspect: width over height, at a constant area.
+        circular: a spot across the seam continues on the other side.
     """
 
     additive: ClassVar[bool] = True
@@ -44,7 +44,7 @@ class Spot(Layer):
     def __init__(self, **params: Any) -> None:
         super().__init__(**params)
         if self.options["tone"] not in TONES:
-            raise AugmentError(f"unknown tone {self.options['tone']!r} of {self.name}: {nearest(self.tone, TONES)}")
+            raise AugmentError(f"unknown tone {self.options['tone']!r} of {self.name}: {hint(self.tone, TONES)}")
 
     @property
     def tone(self) -> str:

@@ -1,10 +1,10 @@
-"""Make `import torchvision` work beside a torch build that its compiled operators were not made for.
+"""Make `import torchvision` work with a torch build that its compiled operators were not made for.
 
 torchvision registers the schema of its operators `nms` and `qnms` from its compiled library. Where that library
 does not load (a CPU build of torch with the default torchvision wheel, or any other pair of builds that differ),
 `import torchvision` stops with "operator torchvision::nms does not exist", and so do torchmetrics and lightning,
 which import it. Everything this project uses of torchvision (models, weight enums, transforms v2) is pure
-Python, so that it is enough to declare the two schemas and to import again.
+Python, so it is enough to declare the two schemas and import again.
 
 Call `ensure_torchvision` before the first import of torchvision, torchmetrics or lightning in a module.
 """
@@ -26,7 +26,11 @@ _library: Any = None  # torch drops the declarations when this object is collect
 def ensure_torchvision() -> None:
     """Import torchvision; declare the two missing operator schemas first, if and only if they are missing.
 
-    Raises whatever `import torchvision` raises, when it is anything but the missing operator.
+    Raises whatever `import torchvision` raises, unless it is the missing operator.
+
+    Example:
+        >>> ensure_torchvision()
+        >>> from torchvision.transforms import v2
     """
     global _library
     if "torchvision" in sys.modules:

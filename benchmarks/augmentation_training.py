@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import siamloc.cli
-from siamloc.evaluation.results import versions
 from siamloc.files import write_json
+from siamloc.results import versions
 
 LIGHTINGS = ("cloudy", "night", "sunny")
 

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import siamloc.cli
-from siamloc.evaluation.results import versions
 from siamloc.files import write_json
+from siamloc.results import versions
 
 SETTINGS = {"labels over the whole corridor": [], "labels over 20 frames": ["pairs.scale=20"]}
 

@@ -29,7 +29,7 @@ import analytic
 from analytic import Description, Descriptor
 from benchmarks.report import Report, parser
 from siamloc.data import read
-from siamloc.evaluation.mapping import evaluate_mapping
+from siamloc.evaluation.layers import evaluate_mapping
 from siamloc.maps import VisualMap
 from siamloc.maps.layers import build_layer
 from siamloc.report import plots, sweeps

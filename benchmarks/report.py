@@ -17,8 +17,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from siamloc.evaluation.results import versions
 from siamloc.files import write_json
+from siamloc.results import versions
 
 RESULTS = Path(__file__).parent / "results"
 

@@ -1,4 +1,4 @@
-"""How fast the simulated building is rendered, beside a bare ray-casting loop on the same machine.
+"""How fast the simulated building is rendered, compared with a bare ray-casting loop on the same machine.
 
     python -m benchmarks.simulate [--building freiburg_like] [--frames 500] [--workers 2] [--out FOLDER]
 
@@ -61,14 +61,12 @@ def main() -> None:
         baked, each = processor_seconds(options.building, camera)
         with tempfile.TemporaryDirectory() as folder:
             summary = simulate(
-                {
-                    "out": folder,
-                    "building": options.building,
-                    "runs": ["sunny1"],
-                    "frames": options.frames,
-                    "camera": camera,
-                    "workers": options.workers,
-                }
+                out=folder,
+                building=options.building,
+                runs=["sunny1"],
+                frames=options.frames,
+                camera=camera,
+                workers=options.workers,
             )
         used = [resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
         results[camera] = {

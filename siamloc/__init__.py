@@ -11,10 +11,21 @@ from siamloc.errors import SiamlocError
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc import data, evaluation, maps, models, report, runtime, simulate
+    from siamloc import data, evaluation, maps, models, report, runtime, simulate, training
 
 __version__ = "0.1.0"
 
-__all__ = ["SiamlocError", "__version__", "data", "evaluation", "maps", "models", "report", "runtime", "simulate"]
+__all__ = [
+    "SiamlocError",
+    "__version__",
+    "data",
+    "evaluation",
+    "maps",
+    "models",
+    "report",
+    "runtime",
+    "simulate",
+    "training",
+]
 
 __getattr__, __dir__ = lazy(__name__, {name: "" for name in __all__ if name.islower() and "_" not in name})

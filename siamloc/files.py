@@ -6,6 +6,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -14,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from siamloc.errors import FormatError, StorageError
+from siamloc.errors import ConfigError, FormatError, StorageError
 
 
 @contextmanager
@@ -42,6 +44,18 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         finally:
             with suppress(FileNotFoundError):
                 temporary.unlink()
+
+
+def temporary_of(path: str | Path) -> str:
+    """Return the name of the file that a temporary one of `atomic_path` was to become, "" for any other file.
+
+    A killed process leaves its temporary files behind; this is how to recognize them.
+
+    >>> temporary_of("data/.camera.json.k3x_0a9z.tmp.json"), temporary_of("data/camera.json")
+    ('camera.json', '')
+    """
+    match = re.fullmatch(r"\.(.+)\.[a-z0-9_]{8}\.tmp(\.[^.]+)?", Path(path).name)
+    return match[1] if match and Path(match[1]).suffix == (match[2] or "") else ""
 
 
 @contextmanager
@@ -100,6 +114,24 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text file in UTF-8, atomically."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
+    """Write a picture (rows, columns, 3), uint8, RGB, atomically, in the format that the name's ending says.
+
+    Raises:
+        ConfigError: another ending than those of JPEG, PNG or WebP.
+        StorageError: the disk is full or refuses.
+    """
+    import cv2
+
+    path, endings = Path(path), (".jpg", ".jpeg", ".png", ".webp")
+    if path.suffix.lower() not in endings:
+        raise ConfigError(f"{path} must be a picture, with one of the endings {' '.join(endings)}")
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 88] if path.suffix.lower() in (".jpg", ".jpeg") else []
+    encoded = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(picture[:, :, ::-1]), quality)[1]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(encoded.tobytes())
 
 
 def read_json(path: str | Path) -> Any:

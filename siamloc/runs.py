@@ -1,32 +1,74 @@
-"""The folder of a run: what it was made with, its checkpoints, its map and its results."""
+"""`Run`: the folder of a training, with its settings, its checkpoints, its curves and what was made with it."""
 
 from __future__ import annotations
 
-import shutil
+import csv
+import html
+import io
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, FormatError
-from siamloc.evaluation.results import versions
-from siamloc.files import read_json, write_json
+from siamloc.files import plain, read_json, storage_errors, write_json
+from siamloc.results import versions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORMAT = "siamloc-run"
-VERSION = 1
+VERSION = 2
 DEFAULT_FOLDER = Path("runs")
+_CHECKPOINTS = {"best": ("best", "last"), "last": ("last",)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
-    """Paths inside a run folder."""
+    """The folder of a run. What lies where is given by its properties; nothing is read or made until it is needed.
+
+    `run.json` holds the settings and the names of the files that siamloc wrote into the run. Only those are ever
+    removed: whatever else lies in the folder stays.
+
+    Args:
+        folder: of the run, which need not exist yet.
+
+    Raises:
+        ConfigError: an empty name, which would be the current folder.
+
+    Example:
+        >>> Run("runs/robot").checkpoints.as_posix()
+        'runs/robot/checkpoints'
+        >>> Run("runs/robot")
+        Run('runs/robot': nothing trained yet)
+    """
 
     folder: Path
 
+    def __post_init__(self) -> None:
+        if str(self.folder).strip() == "":
+            raise ConfigError("a run needs a folder of its own, such as run='runs/robot'; got an empty name")
+        object.__setattr__(self, "folder", Path(self.folder).expanduser())
+
+    def __repr__(self) -> str:
+        return f"Run({str(self.folder)!r}: {self._summary()})"
+
+    def _repr_html_(self) -> str:
+        lines = f"<p><b>{html.escape(str(self.folder))}</b>: {html.escape(self._summary())}</p>"
+        if not self.metrics.is_file():
+            return lines
+        picture = io.StringIO()
+        self.plot().savefig(picture, format="svg")
+        return lines + picture.getvalue()[picture.getvalue().index("<svg") :]
+
     @property
     def record(self) -> Path:
-        """The overrides and the configuration that made the run."""
+        """The settings of the run and the names of what was written into it."""
         return self.folder / "run.json"
 
     @property
@@ -49,6 +91,11 @@ class Run:
         """Training curves, a row per epoch."""
         return self.folder / "metrics.csv"
 
+    @property
+    def tensorboard(self) -> Path:
+        """Folder of the curves and pictures for TensorBoard."""
+        return self.folder / "tensorboard"
+
     def evaluation(self, descriptor: str) -> Path:
         """Folder of the results of a descriptor."""
         return self.folder / "evaluation" / descriptor
@@ -57,70 +104,173 @@ class Run:
         """Folder of a coarse layer: `layer.npz`, and for an incremental map `mapper.npz` and what it did."""
         return self.folder / "layers" / f"{descriptor}-{build}"
 
-    def checkpoint(self, which: str) -> Path:
-        """Return the checkpoint called "best" or "last"; best falls back to last where nothing was validated.
+    def checkpoint(self, which: str = "best") -> Path:
+        """Find the checkpoint called "best" or "last"; best falls back to last where nothing was validated.
 
         Raises:
             ConfigError: another name, or no checkpoint yet.
         """
-        if which not in ("best", "last"):
+        if which not in _CHECKPOINTS:
             raise ConfigError(f"checkpoint must be best or last, got {which!r}")
-        candidates = [self.checkpoints / f"{name}.ckpt" for name in (["best", "last"] if which == "best" else ["last"])]
-        for path in candidates:
-            if path.is_file():
-                return path
+        for name in _CHECKPOINTS[which]:
+            if (self.checkpoints / f"{name}.ckpt").is_file():
+                return self.checkpoints / f"{name}.ckpt"
         raise ConfigError(f"{self.folder} holds no checkpoint: train it first with `siamloc train run={self.folder}`")
 
-    def clear(self) -> None:
-        """Remove what an earlier training of this run left, its record first."""
-        for path in (self.record, self.map, self.metrics, self.folder / "locations.csv"):
-            path.unlink(missing_ok=True)
-        for folder in (
-            self.checkpoints,
-            self.folder / "tensorboard",
-            self.bundle,
-            self.folder / "evaluation",
-            self.folder / "layers",
-        ):
-            shutil.rmtree(folder, ignore_errors=True)
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the run was trained with: plain values under data, protocol, model, training, augment and more.
 
-    def save_record(self, overrides: Sequence[str], config: dict[str, Any]) -> None:
-        """Write down what the run was made with."""
+        Raises:
+            ConfigError, FormatError: as `load_record`.
+        """
+        return dict(self.load_record()["settings"])
+
+    def curves(self) -> dict[str, NDArray[np.float64]]:
+        """Read the training curves: an array over the epochs for each name, such as "train/loss"; NaN for a gap.
+
+        Raises:
+            ConfigError: no epoch has been finished.
+            FormatError: the file was altered.
+        """
+        if not self.metrics.is_file():
+            raise ConfigError(f"{self.folder} has no training curves: no epoch has been finished there")
+        try:
+            with self.metrics.open(encoding="utf-8", newline="") as file:
+                rows = list(csv.DictReader(file))
+            return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
+        except (ValueError, TypeError, IndexError, csv.Error, UnicodeDecodeError) as error:
+            raise FormatError(f"{self.metrics} is not a table of training curves ({error}): train again") from error
+
+    def plot(self) -> Figure:
+        """Draw the training curves, a panel for each figure.
+
+        Raises:
+            ConfigError, FormatError: as `curves`.
+        """
+        from siamloc.report.draw.training import training_curves
+
+        return training_curves(self.curves())
+
+    def start(self, settings: Mapping[str, Any], names: Iterable[str]) -> None:
+        """Write the record of a training that begins.
+
+        Args:
+            settings: what the run is trained with, as plain values.
+            names: of the files that the training will write, relative to the folder; recorded before they are there,
+                so that nothing of a killed training is left behind.
+        """
         write_json(
             self.record,
             {
                 "format": FORMAT,
                 "version": VERSION,
                 "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-                "overrides": list(overrides),
-                "config": config,
+                "settings": plain(dict(settings)),
                 "versions": versions(),
+                "written": sorted(set(names)),
             },
         )
 
     def load_record(self) -> dict[str, Any]:
-        """Read what the run was made with.
+        """Read the record: `settings`, `written`, `versions`, `created`.
 
         Raises:
-            ConfigError: the folder is no run.
-            FormatError: the record is of a newer version or cut short.
+            ConfigError: the folder is not a run.
+            FormatError: the record is of another version or cut short.
         """
         if not self.record.is_file():
             raise ConfigError(f"{self.folder} is not the folder of a run: it holds no {self.record.name}")
         record = read_json(self.record)
         if not isinstance(record, dict) or record.get("format") != FORMAT:
             raise FormatError(f"{self.record} was not written by siamloc")
-        if not {"version", "overrides", "config"} <= set(record):
-            raise FormatError(f"{self.record} is not whole: train the run anew")
+        if record.get("version") == 1:
+            raise FormatError(f"{self.record} was written by siamloc 0.1, whose runs are no longer read: train again")
+        if not {"version", "settings", "written"} <= set(record):
+            raise FormatError(f"{self.record} is not whole: train again")
         if record["version"] > VERSION:
             raise FormatError(
                 f"{self.record} has version {record['version']}, this siamloc reads up to {VERSION}: update siamloc"
             )
         return record
 
+    def record_written(self, names: Iterable[str | Path]) -> None:
+        """Note which files siamloc wrote into the run, so that `clear` may remove them.
+
+        Where the folder has no record, nothing is noted, and nothing is ever removed.
+
+        Args:
+            names: of files, relative to the folder or inside it.
+
+        Raises:
+            ConfigError: a name outside the folder, or a folder.
+        """
+        if not self.record.is_file():
+            return
+        record = self.load_record()
+        written = {*record["written"], *(self._inside(name) for name in names)}
+        if written != set(record["written"]):
+            write_json(self.record, {**record, "written": sorted(written)})
+
+    def clear(self) -> None:
+        """Remove what siamloc wrote into the run and noted; the record and all other files stay.
+
+        Raises:
+            ConfigError, FormatError: as `load_record`.
+            StorageError: removing is not permitted.
+        """
+        names = [name for name in self.load_record()["written"] if self._holds(name)]
+        self._remove([self.folder / name for name in names])
+        # The folders from the inside out, and only what is empty by now.
+        folders = {parent for name in names for parent in Path(name).parents if parent != Path()}
+        for folder in sorted((self.folder / folder for folder in folders), key=lambda path: -len(path.parts)):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+
+    def clear_temporaries(self) -> None:
+        """Remove what a killed process had half written of the files that the record names."""
+        for name in [self.record.name, *self.load_record()["written"]]:
+            path = self.folder / name
+            if self._holds(name):
+                self._remove(path.parent.glob(f".{escape(path.name)}.*.tmp{escape(path.suffix)}"))
+
+    def foreign(self, names: Iterable[str]) -> list[str]:
+        """List which of these names are taken by files that siamloc did not write into this run."""
+        written = set(self.load_record()["written"]) if self.record.is_file() else set()
+        return [name for name in names if (self.folder / name).exists() and name not in written]
+
+    def _remove(self, paths: Iterable[Path]) -> None:
+        for path in paths:
+            with storage_errors(path):
+                path.unlink(missing_ok=True)
+
+    def _inside(self, name: str | Path) -> str:
+        path = Path(name)
+        if path.is_absolute() or path.parts[: len(self.folder.parts)] == self.folder.parts:
+            path = path.relative_to(self.folder) if path.is_relative_to(self.folder) else path
+        if not self._holds(str(path)) or (self.folder / path).is_dir():
+            raise ConfigError(f"{name} is not a file inside the run {self.folder}")
+        return path.as_posix()
+
+    def _holds(self, name: str) -> bool:
+        """Say whether a name stays inside the folder, links to folders followed."""
+        inside = (self.folder / name).parent.resolve().is_relative_to(self.folder.resolve())
+        return inside and Path(name) != Path() and not (self.folder / name).is_dir()
+
+    def _summary(self) -> str:
+        try:
+            model = self.settings["model"]
+            name = f"{model['branch']} + {model['head']}" if "branch" in model else str(model.get("class"))
+            curves = self.curves()
+        except (ConfigError, FormatError, KeyError) as error:
+            return "nothing trained yet" if not self.record.is_file() else str(error)
+        losses = [f"{key} {curves[key][-1]:.4g}" for key in ("train/loss", "val/loss") if key in curves]
+        epochs = len(curves["epoch"])
+        return ", ".join([name, f"{epochs} epoch{'s' if epochs != 1 else ''}", *losses])
+
 
 def newest_run(folder: Path = DEFAULT_FOLDER) -> Run:
-    """Return the run under a folder whose record is the newest.
+    """Find the run under a folder whose record is the newest.
 
     Raises:
         ConfigError: there is none.

@@ -1,11 +1,18 @@
 """Who may import whom, and what an import may cost."""
 
 import ast
+import re
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("analytic", "augment", "siamloc")
@@ -14,8 +21,9 @@ FORBIDDEN = {
     "augment": ("analytic", "siamloc"),
     "siamloc.data": ("siamloc.models", "siamloc.maps", "siamloc.evaluation", "siamloc.report", "siamloc.runtime"),
     "siamloc.models": ("siamloc.data", "siamloc.maps", "siamloc.evaluation", "siamloc.report", "siamloc.runtime"),
-    "siamloc.maps": ("siamloc.models", "siamloc.evaluation", "siamloc.report", "siamloc.runtime"),
-    "siamloc.evaluation": ("siamloc.report", "siamloc.runtime"),
+    "siamloc.maps": ("siamloc.evaluation", "siamloc.report", "siamloc.runtime"),
+    "siamloc.evaluation": ("siamloc.report.page", "siamloc.runtime"),
+    "siamloc.report.draw": ("siamloc.evaluation", "siamloc.maps", "siamloc.models", "siamloc.runtime"),
 }
 MODULES = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
@@ -72,3 +80,51 @@ HEAVY = ("torch", "torchvision", "lightning", "matplotlib", "pandas", "hydra")
 
 def test_every_package_is_typed():
     assert all((ROOT / package / "py.typed").is_file() for package in PACKAGES)
+
+
+@pytest.mark.parametrize("package", sorted({path.parent for path in MODULES if path.name == "__init__.py"}), ids=str)
+def test_no_public_name_is_that_of_a_module_which_would_hide_it(package):
+    tree = ast.parse((ROOT / package / "__init__.py").read_text(encoding="utf-8"))
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and "_HOMES" in ast.dump(node) and isinstance(node.value, ast.Dict):
+            homes = zip(node.value.keys, node.value.values, strict=True)
+            names |= {name.value for name, home in homes if home.value}
+    modules = {path.stem for path in (ROOT / package).iterdir()}
+    assert not names & modules, f"importing these modules of {package} would hide the names"
+
+
+def test_declared_is_what_is_imported():
+    """`onnx` and `tensorboard` are needed by torch's exporter and by Lightning's logger without being named."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)["project"]
+    extras = project["optional-dependencies"]
+    declared = [*project["dependencies"], *extras["simulate"]]
+    names = {re.match(r"[A-Za-z0-9-]+", one)[0].lower() for one in declared}
+    found = {name.split(".")[0] for path in MODULES for name in imported(path)}
+    found -= {*sys.stdlib_module_names, *PACKAGES, "faiss"}
+    distributions = {
+        "cv2": "opencv-python-headless",
+        "hydra": "hydra-core",
+        "sklearn": "scikit-learn",
+        "yaml": "pyyaml",
+    }
+    used = {distributions.get(name, name) for name in found}
+    assert used - names == set()
+    assert names - used == {"onnx", "onnxscript", "tensorboard"}
+
+
+def test_there_are_no_import_circles_not_even_lazy_ones():
+    """Imports inside functions count too; a package stands for its `__init__`."""
+    modules = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): path for path in MODULES}
+    imports = {}
+    for module, path in modules.items():
+        names = {name for name in imported(path) if name in modules}
+        # `from package import module` names the package as well, which runs first and may be what imports us.
+        parents = {module.rsplit(".", count)[0] for count in range(1, module.count(".") + 1)}
+        imports[module] = names - parents - {module}
+    order = TopologicalSorter(imports)
+    try:
+        order.prepare()
+    except CycleError as error:
+        pytest.fail(f"import circle: {' -> '.join(error.args[1])}")

@@ -1,117 +1,62 @@
-"""The interface that analytic and learned descriptors share."""
+"""The interface that analytic and learned descriptors share, and what all descriptors of images have in common."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from math import prod
-from typing import Any, ClassVar
+from dataclasses import dataclass, fields
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors import circular
-from analytic.distances import between_units, unit_vectors
+from analytic.alignment import Turns, aligned_distances, best_turns, heading
+from analytic.description import Alignment, Description, Match, check_alike, joined, other_parameters
+from analytic.distances import between_units
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
+from analytic.images import grey_tensor, image_tensor, unit_tensor
+from analytic.threads import each
 
+if TYPE_CHECKING:
+    from torch import Tensor
 
-@dataclass(frozen=True)
-class Description:
-    """What a descriptor says of a batch of images.
-
-    Attributes:
-        position: (B, D) float32, unchanged when the robot turns on the spot (as far as the descriptor can).
-        orientation: (B, K, F) what moves along its second axis when the robot turns, K steps being a full turn;
-            None for a descriptor that has no such part.
-        identity: of the descriptor that made it; None if unknown.
-    """
-
-    position: NDArray[Any]
-    orientation: NDArray[Any] | None = None
-    identity: dict[str, Any] | None = None
-
-    def __len__(self) -> int:
-        return len(self.position)
-
-    def take(self, rows: Any) -> Description:
-        """Return the rows of an index array, a mask or a slice."""
-        orientation = None if self.orientation is None else self.orientation[rows]
-        return Description(self.position[rows], orientation, self.identity)
-
-    @staticmethod
-    def concatenate(parts: Sequence[Description]) -> Description:
-        """Return the rows of several descriptions of one descriptor, in order.
-
-        Raises:
-            AnalyticError: no parts, or parts of different descriptors.
-        """
-        if not parts:
-            raise AnalyticError("there is no description to put together")
-        for part in parts:
-            check_alike(parts[0], part)
-        return Description(*joined([(part.position, part.orientation) for part in parts]), parts[0].identity)
-
-    def units(self, centred: bool) -> NDArray[np.float64]:
-        """Return the position parts as unit vectors, centred or not, kept so that a map is normalized once."""
-        kept, name = vars(self), f"units, centred {centred}"
-        if name not in kept:
-            kept[name] = unit_vectors(self.position, centred)
-        return kept[name]
-
-    @cached_property
-    def squares(self) -> NDArray[np.float64]:
-        """Squared lengths of the orientation parts (B,)."""
-        if self.orientation is None:
-            raise AnalyticError("this description has no orientation part")
-        flat = self.orientation.reshape(len(self), prod(self.orientation.shape[1:]))
-        return np.einsum("bf,bf->b", flat, flat, dtype=np.float64)
-
-    @cached_property
-    def spectrum(self) -> NDArray[np.complex64]:
-        """Fourier transform of the orientation part, kept so that a map is transformed once for all queries."""
-        if self.orientation is None:
-            raise AnalyticError("this description has no orientation part")
-        return circular.spectrum(self.orientation)
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """How queries stand to references.
-
-    Attributes:
-        heading: (n, m) how far the robot of the query has turned left since the reference, rad in (-pi, pi].
-        distance: (n, m) between the orientation parts after turning them alike.
-    """
-
-    heading: NDArray[np.float64]
-    distance: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Match:
-    """The nearest frame of a map for each query.
-
-    Attributes:
-        index: (n,) row of the map.
-        distance: (n,) to it.
-        heading: (n,) how far the robot has turned left since that frame, rad in (-pi, pi].
-    """
-
-    index: NDArray[np.int64]
-    distance: NDArray[np.float64]
-    heading: NDArray[np.float64]
+_PIXELS = 1 << 18  # in work at once on one thread: with fewer, threads would wait for each other between calls
+_KINDS: dict[str, tuple[type, type, str]] = {
+    "bool": (bool, bool, "True or False"),
+    "int": (Integral, int, "a whole number"),
+    "float": (Real, float, "a number"),
+    "str": (str, str, "a text"),
+}
+Part = Any  # a tensor, or an array
 
 
 class Descriptor(ABC):
-    """A map from panoramas to vectors.
+    """A way of turning panoramas into vectors; subclass it to use one of your own in maps, tasks and the mapper.
+
+    A subclass sets `name` and defines `identity` and `describe`. Descriptions with an orientation part then also give
+    headings.
 
     Attributes:
         name: what configurations and files call it.
         default_distance: the distance between position descriptors that it is meant for.
         aligned: whether position parts are compared only after turning them alike, so that only `pairwise` can.
+
+    Example:
+        >>> class Columns(Descriptor):
+        ...     name = "columns"
+        ...     @property
+        ...     def identity(self):
+        ...         return {"name": self.name}
+        ...     def describe(self, batch):
+        ...         columns = np.asarray(batch).mean(axis=1)
+        ...         return Description(np.sort(columns, axis=1), columns[..., None], self.identity)
+        >>> panoramas = np.random.default_rng(0).random((3, 8, 36))
+        >>> columns = Columns()
+        >>> known, turned = columns.describe(panoramas), columns.describe(np.roll(panoramas, 9, axis=2))
+        >>> found = columns.localize(turned, known)
+        >>> found.index, np.degrees(found.heading)
+        (array([0, 1, 2]), array([90., 90., 90.]))
     """
 
     name: ClassVar[str]
@@ -148,21 +93,15 @@ class Descriptor(ABC):
         """Return the relative heading and the aligned distance of every query to every reference (n, m).
 
         The turn is the one with the largest circular correlation of the orientation parts, which is the one of the
-        smallest Euclidean distance between them, since turning leaves their lengths.
+        smallest Euclidean distance between them, since turning does not change their lengths.
 
         Raises:
             AnalyticError: descriptions that cannot be compared, or that have no orientation part.
         """
         self.check(queries, references)
         steps = self._steps(queries, references)
-        best = np.zeros((len(queries), len(references)), dtype=np.int64)
-        peak = np.zeros(best.shape)
-        for part in circular.blocks(*best.shape, steps):
-            found = circular.correlate(queries.spectrum[:, part[0]], references.spectrum[:, part[1]], steps)
-            best[part] = found.argmax(axis=2)
-            peak[part] = np.take_along_axis(found, best[part][..., None], axis=2)[..., 0]
-        squared = queries.squares[:, None] + references.squares[None, :] - 2 * peak
-        return Alignment(circular.heading(best, steps), np.sqrt(np.maximum(squared, 0)))
+        turns = self._best_turns(queries, references, steps)
+        return Alignment(heading(turns.step, steps), aligned_distances("euclidean", queries, references, turns))
 
     def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
         """Return how far the robot of each query has turned left since its reference (B,), rad in (-pi, pi].
@@ -201,8 +140,12 @@ class Descriptor(ABC):
         """Raise AnalyticError unless both can have been made by this descriptor, with these parameters."""
         for description in (queries, references):
             if description.identity is not None and description.identity != self.identity:
-                raise AnalyticError(_other_parameters(self.identity, description.identity))
+                raise AnalyticError(other_parameters(self.identity, description.identity))
         check_alike(queries, references)
+
+    def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
+        """Return the best turn of each pair; a subclass that looks for it in another way overrides this."""
+        return best_turns(queries.spectrum, references.spectrum, steps)
 
     def _steps(self, queries: Description, references: Description) -> int:
         for description in (queries, references):
@@ -215,101 +158,186 @@ class Descriptor(ABC):
         return int(queries.orientation.shape[1])
 
 
-def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[NDArray[Any], NDArray[Any] | None]:
-    """Return position and orientation parts of all rows.
+@dataclass(frozen=True, kw_only=True)
+class ImageDescriptor(Descriptor):
+    """A descriptor computed from pixels. Subclasses are frozen dataclasses whose fields are the parameters.
 
-    Where the position part is the orientation part in one line, it stays so: they are kept in memory once.
+    Args:
+        circular: whether columns are azimuth and wrap around. Those of an ordinary camera do not, and have no heading.
+        homomorphic: whether images go through `analytic.filters.homomorphic` first ([C] 2.4).
+        device: where torch computes; it changes no result beyond rounding and is no part of the identity.
+
+    Example:
+        >>> import analytic
+        >>> hog = analytic.descriptor("hog", rows=16, bins=16)
+        >>> isinstance(hog, ImageDescriptor), hog.sizes(128, 512), round(360 * hog.resolution(512) / (2 * np.pi), 2)
+        (True, ((256,), (256, 16)), 1.41)
     """
-    if len(parts) == 1:
-        return parts[0]
-    orientations = [orientation for _, orientation in parts if orientation is not None]
-    if not orientations:
-        return np.concatenate([position for position, _ in parts]), None
-    orientation = np.concatenate(orientations)
-    if all(both is not None and np.shares_memory(position, both) for position, both in parts):
-        return orientation.reshape(len(orientation), -1), orientation
-    return np.concatenate([position for position, _ in parts]), orientation
+
+    circular: bool = True
+    homomorphic: bool = False
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            kind, plain, wanted = _KINDS[str(field.type)]
+            value = getattr(self, field.name)
+            value = value.item() if isinstance(value, np.generic) else value
+            if not isinstance(value, kind) or isinstance(value, bool) != (kind is bool):
+                raise AnalyticError(f"{self.name} needs {wanted} for {field.name}, got {value!r}")
+            object.__setattr__(self, field.name, plain(value))
+        self._check_parameters()
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Name and parameters."""
+        return {"name": self.name, **{f.name: getattr(self, f.name) for f in fields(self) if f.name != "device"}}
+
+    @property
+    def tells_heading(self) -> bool:
+        """Whether columns wrap around; without that there is no heading."""
+        return self.circular
+
+    @abstractmethod
+    def resolution(self, width: int) -> float:
+        """Return the smallest turn that shows in the orientation part of images with that many columns, rad."""
+
+    @abstractmethod
+    def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the shapes of position and orientation of one image, as [T] table 3.2 writes them."""
+
+    def describe(self, batch: ArrayLike) -> Description:
+        """Describe grey or colour images (colour becomes BT.601 luma, unless the descriptor is one of colours).
+
+        Args:
+            batch: (B, H, W), (B, 3, H, W) or one image (H, W), (3, H, W); uint8, or floating point in [0, 1]. A
+                tensor may lie on any device.
+
+        Raises:
+            AnalyticError: another shape or type, images of different sizes, values that are not finite or out of
+                range, a size that the parameters do not fit.
+        """
+        images = image_tensor(batch)
+        height, width = int(images.shape[2]), int(images.shape[3])
+        if width < 2:
+            raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
+        self._check_size(height, width)
+        # A few images at a time: they stay in the cache, and are enough work for a thread between two calls.
+        few = max(1, _PIXELS // (height * width)) if self.device == "cpu" else len(images)
+        parts = each(self._describe_part, images.split(few))
+        return Description(*joined(parts), self.identity)
+
+    def _describe_part(self, images: Tensor) -> tuple[NDArray[Any], NDArray[Any]]:
+        import torch
+
+        with torch.inference_mode():
+            position, orientation = self._describe(self._seen(unit_tensor(images, self.device)))
+            return _array(position), _array(orientation)
+
+    def _seen(self, images: Tensor) -> Tensor:
+        """Return what is described of images (B, C, H, W), float32 in [0, 1]: their luma (B, H, W)."""
+        grey = grey_tensor(images)
+        if self.homomorphic:
+            from analytic.filters import homomorphic_tensor
+
+            grey = homomorphic_tensor(grey, circular=self.circular)
+        return grey
+
+    def align(self, queries: Description, references: Description) -> Alignment:
+        """Return the relative heading and the aligned distance of every query to every reference; see `Descriptor`."""
+        self.check_turns()
+        return super().align(queries, references)
+
+    def check_turns(self) -> None:
+        """Raise AnalyticError if columns do not wrap around, so that there is no heading to be found."""
+        if not self.circular:
+            raise AnalyticError(
+                f"{self.name} was made with circular=False: the columns of an ordinary camera are no full turn, so "
+                "there is no relative heading to be found"
+            )
+
+    @abstractmethod
+    def _check_parameters(self) -> None:
+        """Raise AnalyticError for parameters that fit no image."""
+
+    @abstractmethod
+    def _check_size(self, height: int, width: int) -> None:
+        """Raise AnalyticError, naming sizes that would do, for images that the parameters do not fit."""
+
+    @abstractmethod
+    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
+        """Return position (B, D) and orientation (B, K, F) of grey images (B, H, W), float32 in [0, 1]."""
 
 
-def check_alike(first: Description, second: Description) -> None:
-    """Raise AnalyticError unless two descriptions have one identity and one size.
+@dataclass(frozen=True, kw_only=True)
+class AlignedDescriptor(ImageDescriptor):
+    """A descriptor that compares orientation parts (B, K, F) at their best turn ([T] 3.3.4-3.3.5).
 
-    Equal parameters on images of different sizes give orientation parts that cannot be compared.
+    The position part of a description holds the values of the orientation part, in an order of its own; every
+    distance of `analytic.DISTANCES` is taken between whole vectors, so that the order does not matter.
     """
-    if first.identity is not None and second.identity is not None and first.identity != second.identity:
-        raise AnalyticError(_other_parameters(first.identity, second.identity))
-    shapes = [
-        (d.position.shape[1:], None if d.orientation is None else d.orientation.shape[1:]) for d in (first, second)
-    ]
-    if shapes[0] != shapes[1]:
-        raise AnalyticError(
-            f"descriptions of different sizes cannot be compared: {_sizes(shapes[0])} against {_sizes(shapes[1])}; "
-            "describe images of one size with one descriptor"
-        )
+
+    aligned: ClassVar[bool] = True
+
+    def pairwise(
+        self, queries: Description, references: Description, distance: str | None = None
+    ) -> NDArray[np.float64]:
+        """Return the distances (n, m) at the best turn of each pair; with `circular=False`, without any turn.
+
+        Args:
+            queries: n descriptions.
+            references: m descriptions; their spectrum is computed once and kept.
+            distance: a name in `analytic.DISTANCES`; the default distance if None. Whichever it is, the turn is that
+                of the largest correlation.
+
+        Raises:
+            AnalyticError: descriptions that cannot be compared, an unknown distance.
+        """
+        name = self._distance(distance)
+        if not self.circular:
+            return super().pairwise(queries, references, name)
+        self.check(queries, references)
+        turns = self._best_turns(queries, references, self._steps(queries, references))
+        return self._compared(queries, references, turns, name)
+
+    def localize(self, queries: Description, references: Description, distance: str | None = None) -> Match:
+        """Return the nearest reference at its best turn, and the heading that this turn is ([T] 3.3.4-3.3.5).
+
+        Raises:
+            AnalyticError: as `Descriptor.localize`.
+        """
+        if not len(references) or not self.circular:
+            return super().localize(queries, references, distance)
+        self.check(queries, references)
+        steps = self._steps(queries, references)
+        turns = self._best_turns(queries, references, steps)
+        apart = self._compared(queries, references, turns, self._distance(distance))
+        index = apart.argmin(axis=1)
+        rows = np.arange(len(queries))
+        return Match(index, apart[rows, index], heading(turns.step[rows, index], steps))
+
+    def _distance(self, name: str | None) -> str:
+        name = self.default_distance if name is None else name
+        distance_named(name)  # an unknown name is an error before any work
+        return name
+
+    def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> NDArray[np.float64]:
+        """Return the named distance (n, m) of each pair at its turn; a subclass that compares otherwise overrides."""
+        return aligned_distances(name, queries, references, turns)
 
 
-def _sizes(shape: tuple[tuple[int, ...], tuple[int, ...] | None]) -> str:
-    orientation = "no orientation part" if shape[1] is None else "orientation " + " x ".join(map(str, shape[1]))
-    return f"position {' x '.join(map(str, shape[0]))} and {orientation}"
+def divisors_near(number: int, wanted: int) -> str:
+    """Return, for an error, the divisors of a number next to one that does not divide it.
 
-
-def _other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:
-    keys = [key for key in {**expected, **found} if expected.get(key) != found.get(key)]
-    if "name" in keys:
-        keys = ["name"]  # the parameters of two descriptors have nothing to do with each other
-    said = ", ".join(f"{key}={found.get(key)} instead of {expected.get(key)}" for key in keys)
-    return f"the descriptions were made with other parameters ({said}): describe all images with one descriptor"
-
-
-def as_batch(images: ArrayLike) -> NDArray[np.float32]:
-    """Return images as float32 in [0, 1] of shape (B, C, H, W), C being 1 or 3.
-
-    Three planes (3, H, W) are one colour image, not three grey ones.
-
-    Raises:
-        AnalyticError: another shape, another number of channels, or values that are not finite.
+    Example:
+        >>> divisors_near(128, 12)
+        '8 or 16'
     """
-    array = with_channels(images)
-    if array.dtype == np.uint8:
-        return array.astype(np.float32) / np.float32(255)
-    if not np.isfinite(array).all():
-        raise AnalyticError("an image holds values that are not finite: clean it before describing it")
-    return array.astype(np.float32, copy=False)
+    every = [d for d in range(1, number + 1) if number % d == 0]
+    below = [d for d in every if d <= wanted][-1:]
+    above = [d for d in every if d > wanted][:1]
+    return " or ".join(map(str, below + above))
 
 
-def with_channels(images: ArrayLike) -> NDArray[Any]:
-    """Return images as they are, with shape (B, C, H, W). Errors as `as_batch`, but values are not looked at."""
-    try:
-        array = np.asarray(images)
-    except ValueError as error:
-        raise AnalyticError("the images of a batch must have one size: resize them first") from error
-    array = shaped(array)
-    if array.dtype != np.uint8 and array.dtype.kind != "f":
-        raise AnalyticError(f"images must be uint8 or floating point in [0, 1], got {array.dtype}")
-    return array
-
-
-def shaped(array: Any) -> Any:
-    """Return an array or tensor with shape (B, C, H, W), C being 1 or 3.
-
-    Raises:
-        AnalyticError: another shape.
-    """
-    shape = tuple(array.shape)
-    if array.ndim == 2:
-        array = array[None, None]
-    elif array.ndim == 3:
-        if shape[2] == 3 and shape[0] != 3:
-            raise AnalyticError(f"a colour image must have its channels first, (3, H, W), got {shape}: transpose it")
-        array = array[None] if shape[0] == 3 else array[:, None]
-    if array.ndim != 4 or array.shape[1] not in (1, 3) or 0 in shape:
-        raise AnalyticError(f"images must have shape (H, W), (3, H, W), (B, H, W) or (B, 3, H, W), got {shape}")
-    return array
-
-
-def as_grey(images: ArrayLike) -> NDArray[np.float32]:
-    """Return images as float32 luma (ITU-R BT.601) in [0, 1] of shape (B, H, W). Errors as `as_batch`."""
-    batch = as_batch(images)
-    if batch.shape[1] == 1:
-        return batch[:, 0]
-    return np.einsum("bchw,c->bhw", batch, np.array([0.299, 0.587, 0.114], dtype=np.float32))
+def _array(part: Part) -> NDArray[Any]:
+    return np.ascontiguousarray(part if isinstance(part, np.ndarray) else part.cpu().numpy())

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors import circular
-from analytic.descriptors.aligned import AlignedDescriptor, Turned
-from analytic.descriptors.base import Description
-from analytic.descriptors.image import Part, divisors_near
+from analytic.alignment import Turns, best_turns
+from analytic.description import Description
+from analytic.descriptors.base import AlignedDescriptor, Part, divisors_near
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:
@@ -95,16 +94,11 @@ class BriefGist(AlignedDescriptor):
     def _distance(self, name: str | None) -> str:
         return super()._distance("manhattan" if name == "hamming" else name)
 
-    def _correlation(
-        self, queries: NDArray[np.complex64], references: NDArray[np.complex64], steps: int
-    ) -> NDArray[np.float32]:
-        # Correlations of bits are whole numbers: without the rounding of the transform, equal turns are equal.
-        return np.rint(circular.correlate(queries, references, steps))
+    def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
+        return best_turns(queries.spectrum, references.spectrum, steps, whole=True)
 
-    def _compared(
-        self, queries: Description, references: Description, turned: Turned, name: str
-    ) -> NDArray[np.float64]:
+    def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> NDArray[np.float64]:
         if name != "manhattan":
-            return super()._compared(queries, references, turned, name)
-        # |a - b| = (a - b)^2 for bits, so that the count follows from the correlation.
-        return np.rint(super()._compared(queries, references, turned, "euclidean") ** 2)
+            return super()._compared(queries, references, turns, name)
+        # |a - b| = (a - b)^2 for bits, and all of these are whole numbers.
+        return queries.squares[:, None] + references.squares[None, :] - 2 * turns.peak

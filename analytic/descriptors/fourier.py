@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from math import pi
+from functools import cache
+from math import pi, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors import circular
-from analytic.descriptors.base import Alignment, Description
-from analytic.descriptors.image import ImageDescriptor, divisors_near
-from analytic.errors import AnalyticError
+from analytic.alignment import best_turns, euclidean, norm
+from analytic.alignment import heading as angle
+from analytic.description import Alignment, Description
+from analytic.descriptors.base import ImageDescriptor, divisors_near
+from analytic.errors import AnalyticError, hint
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -94,16 +96,51 @@ class FourierSignature(ImageDescriptor):
         self.check_turns()
         self.check(queries, references)
         self._steps(queries, references)  # both have an orientation part
-        best = np.zeros((len(queries), len(references)), dtype=np.int64)
-        distance = np.zeros(best.shape)
-        values = max(len(references), self.orientation_rows * self.orientation_columns)
-        for part in _parts(len(queries), _CHUNK // (self.turns * values)):
-            some = queries.take(part)
-            if self.heading == "correlation":
-                best[part], distance[part] = _correlated(some, references, self.turns, self.whitened)
-            else:
-                best[part], distance[part] = _multiplied(some, references, self.turns)
-        return Alignment(circular.heading(best, self.turns), distance)
+        if self.heading == "correlation":
+            step, distance = self._correlated(queries, references)
+        else:
+            step, distance = self._multiplied(queries, references)
+        return Alignment(angle(step, self.turns), distance)
+
+    def _correlated(
+        self, queries: Description, references: Description
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the best turn and the aligned distance (n, m) by correlation of the rows."""
+        rows = queries.kept("rows", _by_frequency), references.kept("rows", _by_frequency)
+        if self.whitened:
+            white = queries.kept("white", _white), references.kept("white", _white)
+            found = best_turns(*white, self.turns, product=rows)
+        else:
+            found = best_turns(*rows, self.turns)
+        lengths = queries.kept("power", _power)[:, None] + references.kept("power", _power)[None]
+        turn = 2j * pi / self.turns * np.arange(len(rows[0]))[:, None]
+
+        def turned(row: int) -> Callable[[int], NDArray[Any]]:
+            return cache(lambda step: queries.turnable[row] * np.exp(turn * step).astype(np.complex64))
+
+        product = self.turns * found.peak  # the inverse transform divides by the number of turns
+        return found.step, euclidean(product, lengths, found.step, turned, references.turnable, _between_rows)
+
+    def _multiplied(
+        self, queries: Description, references: Description
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the best turn and the aligned distance (n, m) by products of phases."""
+        step = np.zeros((len(queries), len(references)), dtype=np.int64)
+        distance = np.zeros(step.shape)
+        known = references.kept("phases", _flat_phases)
+        frequency = np.arange(queries.turnable.shape[1])[:, None]
+        turns = np.arange(self.turns)[:, None, None] * frequency * (2 * pi / self.turns)
+        size = max(1, _CHUNK // (self.turns * max(1, *known.shape)))
+        for start in range(0, len(queries), size):
+            part = slice(start, start + size)
+            turned = _in_half_turn(_phases(queries.take(part))[:, None] + turns)
+            query = turned.reshape(len(turned), self.turns, -1).astype(np.float32)
+            product = (query @ known.T).transpose(0, 2, 1)
+            best = step[part] = product.argmax(axis=2)
+            peak = np.take_along_axis(product, best[..., None], axis=2)[..., 0].astype(np.float64)
+            lengths = np.take_along_axis(_squares(query), best, axis=1) + _squares(known)[None]
+            distance[part] = euclidean(peak, lengths, best, lambda row, q=query: q[row].__getitem__, known)
+        return step, distance
 
     def _check_parameters(self) -> None:
         for key in ("rows", "columns", "orientation_rows", "orientation_columns", "turns"):
@@ -115,7 +152,7 @@ class FourierSignature(ImageDescriptor):
                 f"orientation_columns={self.orientation_columns}: use more turns or fewer columns"
             )
         if self.heading not in _HEADINGS:
-            raise AnalyticError(f"unknown heading {self.heading!r} of fs: valid: {', '.join(_HEADINGS)}")
+            raise AnalyticError(f"unknown heading {self.heading!r} of fs: {hint(self.heading, _HEADINGS)}")
 
     def _check_size(self, height: int, width: int) -> None:
         for key in ("rows", "orientation_rows"):
@@ -160,88 +197,44 @@ def _signature(grey: Tensor, rows: int, wraps: bool) -> Tensor:
     return torch.fft.rfft(few, dim=2, norm="forward")
 
 
-def _correlated(
-    queries: Description, references: Description, turns: int, whitened: bool
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the best turn and the aligned distance (n, m) of n and m descriptions."""
-    from scipy import fft
-
-    crossed = sought = _crossed(queries, references, _by_frequency)
-    if whitened:
-        sought = _crossed(queries, references, _white)
-    best = fft.irfft(sought, n=turns, axis=2).argmax(axis=2)
-    frequencies = np.arange(crossed.shape[2])
-    weights = np.where(frequencies, 2, 1) * np.exp(2j * pi * frequencies * np.arange(turns)[:, None] / turns)
-    peak = np.einsum("nmu,nmu->nm", crossed, weights.astype(np.complex64)[best]).real
-    lengths = _power(queries)[:, None] + _power(references)[None]
-    return best, np.sqrt(np.maximum(lengths - 2 * peak, 0))
-
-
-def _crossed(
-    queries: Description, references: Description, values: Callable[[Description], NDArray[np.complex64]]
-) -> NDArray[np.complex64]:
-    """Return the sum over the rows of Q conj(R), (n, m, U)."""
-    # It is conj(R conj(Q)), which needs no conjugate copy of a whole map.
-    return (values(references) @ values(queries).conj().transpose(0, 2, 1)).conj().transpose(2, 1, 0)
-
-
-def _multiplied(
-    queries: Description, references: Description, turns: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the best turn and the aligned distance (n, m) by products of phases; arguments as `_correlated`."""
-    phases = np.angle(_coefficients(queries))
-    turned = np.arange(turns)[:, None, None] * np.arange(phases.shape[1])[:, None] * (2 * pi / turns)
-    query = phases[:, None] + turned
-    query = (pi - np.mod(pi - query, 2 * pi)).reshape(len(queries), turns, -1).astype(np.float32)
-    reference = np.angle(_coefficients(references)).reshape(len(references), -1).astype(np.float32)
-    product = (query @ reference.T).transpose(0, 2, 1)
-    best = product.argmax(axis=2)
-    lengths = np.take_along_axis(_squares(query), best, axis=1) + _squares(reference)[None]
-    return best, np.sqrt(np.maximum(lengths - 2 * _at(product, best), 0))
-
-
-def _coefficients(description: Description) -> NDArray[np.complex64]:
-    assert description.orientation is not None
-    return description.orientation
-
-
 def _by_frequency(description: Description) -> NDArray[np.complex64]:
-    """Return the coefficients (U, B, R), kept so that a map is put into this order once for all queries."""
-    kept: dict[str, Any] = vars(description)
-    if "by_frequency" not in kept:
-        kept["by_frequency"] = np.ascontiguousarray(_coefficients(description).transpose(1, 0, 2))
-    return kept["by_frequency"]
-
-
-def _at(values: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.take_along_axis(values, best[..., None], axis=2)[..., 0].astype(np.float64)
+    """Return the coefficients (U, B, R)."""
+    return np.ascontiguousarray(description.turnable.transpose(1, 0, 2))
 
 
 def _white(description: Description) -> NDArray[np.complex64]:
-    """Return the coefficients (U, B, R) with magnitudes of 1, or of 0 where there is next to nothing; kept."""
-    kept: dict[str, Any] = vars(description)
-    if "white" not in kept:
-        values = _by_frequency(description)
-        magnitude = np.abs(values)
-        least = _NOTHING * magnitude.max(axis=(0, 2), keepdims=True)
-        kept["white"] = np.divide(values, magnitude, out=np.zeros_like(values), where=magnitude > least)
-    return kept["white"]
+    """Return the coefficients (U, B, R) with magnitudes of 1, or of 0 where there is next to nothing."""
+    values = description.kept("rows", _by_frequency)
+    magnitude = np.abs(values)
+    least = _NOTHING * magnitude.max(axis=(0, 2), keepdims=True)
+    return np.divide(values, magnitude, out=np.zeros_like(values), where=magnitude > least)
 
 
 def _power(description: Description) -> NDArray[np.float64]:
     """Return the mean squares of rows of which only the kept frequencies are known, summed over the rows (B,)."""
-    kept: dict[str, Any] = vars(description)
-    if "power" not in kept:
-        values = _coefficients(description)
-        squares = np.square(np.abs(values), dtype=np.float64).sum(axis=2)
-        kept["power"] = 2 * squares.sum(axis=1) - squares[:, 0]
-    return kept["power"]
+    squares = np.square(np.abs(description.turnable), dtype=np.float64).sum(axis=2)
+    return 2 * squares.sum(axis=1) - squares[:, 0]
+
+
+def _between_rows(one: NDArray[np.complex64], other: NDArray[np.complex64]) -> float:
+    """Return the distance of rows, in the sense of `_power`, by their coefficients (U, R)."""
+    values, known = one.view(np.float32), np.ascontiguousarray(other).view(np.float32)
+    return sqrt(2 * norm(values, known) ** 2 - norm(values[:1], known[:1]) ** 2)
+
+
+def _phases(description: Description) -> NDArray[np.float64]:
+    return np.angle(description.turnable.astype(np.complex128))
+
+
+def _flat_phases(description: Description) -> NDArray[np.float32]:
+    """Return the phases (B, U * R) in (-pi, pi]."""
+    return _in_half_turn(_phases(description)).reshape(len(description), -1).astype(np.float32)
+
+
+def _in_half_turn(phases: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles in (-pi, pi]."""
+    return pi - np.mod(pi - phases, 2 * pi)
 
 
 def _squares(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.einsum("...f,...f->...", values, values, dtype=np.float64)
-
-
-def _parts(number: int, size: int) -> Iterator[slice]:
-    size = max(1, size)
-    return (slice(start, start + size) for start in range(0, number, size))

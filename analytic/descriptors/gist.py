@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.image import ImageDescriptor, Part, divisors_near
+from analytic.descriptors.base import ImageDescriptor, Part, divisors_near
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:

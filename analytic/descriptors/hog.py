@@ -5,20 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import pi
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors import circular
-from analytic.descriptors.base import Alignment, Description
-from analytic.descriptors.image import ImageDescriptor, divisors_near
+from analytic.alignment import Turns, best_turns
+from analytic.description import Description
+from analytic.descriptors.base import ImageDescriptor, divisors_near
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-_CHUNK = 1 << 22  # values of a correlation held at once
 _NOTHING = 1e-5
 
 
@@ -84,24 +83,6 @@ class Hog(ImageDescriptor):
         """Return (k5 b1,) and (k6, b2), k6 = width / step."""
         return (self.rows * self.bins,), (width // self.step, self.orientation_bins)
 
-    def align(self, queries: Description, references: Description) -> Alignment:
-        """Return the relative heading and the aligned distance of every query to every reference; see the class."""
-        self.check_turns()
-        self.check(queries, references)
-        steps = self._steps(queries, references)
-        best = np.zeros((len(queries), len(references)), dtype=np.int64)
-        peak = np.zeros(best.shape)
-        size = max(1, _CHUNK // (steps * max(1, len(references))))
-        for start in range(0, len(queries), size):
-            part = slice(start, start + size)
-            plain = sought = circular.correlate(queries.spectrum[:, part], references.spectrum, steps)
-            if self.whitened:
-                sought = circular.correlate(_phases(queries)[:, part], _phases(references), steps)
-            best[part] = sought.argmax(axis=2)
-            peak[part] = np.take_along_axis(plain, best[part, :, None], axis=2)[..., 0]
-        squared = queries.squares[:, None] + references.squares[None] - 2 * peak
-        return Alignment(circular.heading(best, steps), np.sqrt(np.maximum(squared, 0)))
-
     def _check_parameters(self) -> None:
         for key in ("rows", "bins", "window", "step", "orientation_bins"):
             if getattr(self, key) < 1:
@@ -138,6 +119,12 @@ class Hog(ImageDescriptor):
         each = histograms(place, magnitude, width, self.orientation_bins)
         return position.flatten(1), self._windows(each)
 
+    def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
+        if not self.whitened:
+            return super()._best_turns(queries, references, steps)
+        phases = queries.kept("phases", _phases), references.kept("phases", _phases)
+        return best_turns(*phases, steps, product=(queries.spectrum, references.spectrum))
+
     def _windows(self, each: Tensor) -> Tensor:
         """Return the sums (B, W / step, b) over windows of the histograms of columns (B, W, b)."""
         import torch
@@ -151,14 +138,11 @@ class Hog(ImageDescriptor):
 
 
 def _phases(description: Description) -> NDArray[np.complex64]:
-    """Return the spectrum with magnitudes of 1, or of 0 where there is next to nothing; kept like the spectrum."""
-    kept: dict[str, Any] = vars(description)
-    if "phases" not in kept:
-        magnitude = np.abs(description.spectrum)
-        least = _NOTHING * magnitude.max(axis=(0, 2), keepdims=True)
-        zeros = np.zeros_like(description.spectrum)
-        kept["phases"] = np.divide(description.spectrum, magnitude, out=zeros, where=magnitude > least)
-    return kept["phases"]
+    """Return the spectrum with magnitudes of 1, or of 0 where there is next to nothing."""
+    magnitude = np.abs(description.spectrum)
+    least = _NOTHING * magnitude.max(axis=(0, 2), keepdims=True)
+    zeros = np.zeros_like(description.spectrum)
+    return np.divide(description.spectrum, magnitude, out=zeros, where=magnitude > least)
 
 
 def differences(grey: Tensor, circular: bool) -> tuple[Tensor, Tensor]:

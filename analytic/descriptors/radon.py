@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import TYPE_CHECKING, ClassVar
 
-from analytic.descriptors.aligned import AlignedDescriptor
-from analytic.descriptors.image import ImageDescriptor, Part, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, ImageDescriptor, Part, divisors_near
 from analytic.descriptors.radon_transform import check_geometry, check_image, harmonics, orientations, steps
 from analytic.errors import AnalyticError
 

@@ -42,8 +42,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors.image import divisors_near, grey_tensor, image_tensor
-from analytic.errors import AnalyticError
+from analytic.descriptors.base import divisors_near
+from analytic.errors import AnalyticError, hint
+from analytic.images import grey_tensor, image_tensor, unit_tensor
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -73,7 +74,7 @@ def radon_transform(
 
     check_geometry("radon_transform", step, size, source)
     with torch.inference_mode():
-        grey = grey_tensor(image_tensor(batch), device)
+        grey = grey_tensor(unit_tensor(image_tensor(batch), device))
         check_image("radon_transform", source, int(grey.shape[1]), int(grey.shape[2]))
         found = harmonics(grey, step, size, size // 2, source)
         return orientations(found, steps(step)).to(torch.float32).cpu().numpy()
@@ -94,7 +95,7 @@ def check_geometry(name: str, step: float, size: int, source: str) -> None:
     if size < 2 or size % 2:
         raise AnalyticError(f"{name} needs an even size of at least 2 pixels, got size={size}")
     if source not in SOURCES:
-        raise AnalyticError(f"unknown source {source!r} of {name}: valid: {', '.join(SOURCES)}")
+        raise AnalyticError(f"unknown source {source!r} of {name}: {hint(source, SOURCES)}")
 
 
 def check_image(name: str, source: str, height: int, width: int) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Any, cast
 
-from analytic.descriptors.image import ImageDescriptor
-from analytic.errors import AnalyticError
+from analytic.descriptors.base import ImageDescriptor
+from analytic.errors import AnalyticError, hint
 
 DESCRIPTORS: dict[str, tuple[str, str]] = {
     "fs": ("fourier", "FourierSignature"),
@@ -35,7 +34,7 @@ def descriptor(name: str, **params: Any) -> ImageDescriptor:
     valid = [field.name for field in fields(made)]
     for key in params:
         if key not in valid:
-            raise AnalyticError(f"descriptor {name!r} has no parameter {key!r}: {_nearest(key, valid)}")
+            raise AnalyticError(f"descriptor {name!r} has no parameter {key!r}: {hint(key, valid)}")
     return made(**params)
 
 
@@ -50,12 +49,6 @@ def parameters(name: str) -> dict[str, Any]:
 
 def _class(name: str) -> type[ImageDescriptor]:
     if name not in DESCRIPTORS:
-        raise AnalyticError(f"unknown descriptor {name!r}: {_nearest(name, list(DESCRIPTORS))}")
+        raise AnalyticError(f"unknown descriptor {name!r}: {hint(name, DESCRIPTORS)}")
     module, kind = DESCRIPTORS[name]
     return cast(type[ImageDescriptor], getattr(import_module(f"analytic.descriptors.{module}"), kind))
-
-
-def _nearest(word: str, valid: list[str]) -> str:
-    close = get_close_matches(str(word), valid, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}valid: {', '.join(valid)}"

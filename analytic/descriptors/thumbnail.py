@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analytic.descriptors.base import Description, Descriptor, as_grey
+from analytic.description import Description
+from analytic.descriptors.base import Descriptor
 from analytic.errors import AnalyticError
+from analytic.images import as_grey
 
 
 class Thumbnail(Descriptor):

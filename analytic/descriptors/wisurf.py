@@ -7,8 +7,7 @@ from functools import lru_cache
 from math import pi
 from typing import TYPE_CHECKING, ClassVar
 
-from analytic.descriptors.aligned import AlignedDescriptor
-from analytic.descriptors.image import Part, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, Part, divisors_near
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:

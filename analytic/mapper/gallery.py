@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors import circular
+from analytic.description import spectrum
 from analytic.descriptors.base import Description
 
 BLOCK = 128  # frames
@@ -57,7 +57,7 @@ class _Buffers:
         assert self.orientation is not None
         # Row by row, so that the values do not depend on when a map was stored.
         for row in range(self.transformed, rows):
-            column = circular.spectrum(self.orientation[row : row + 1])
+            column = spectrum(self.orientation[row : row + 1])
             self._spectra(column)[:, row] = column[:, 0]
         self.transformed = max(self.transformed, rows)
         assert self.spectra is not None

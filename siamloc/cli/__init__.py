@@ -1,12 +1,10 @@
 """The command line: `siamloc <command> [Hydra overrides]`.
 
-This module loads nothing heavy: help and a mistyped command are answered at once. Each command is a module of this
-package with a function `main(config)`.
+This module loads nothing heavy: help and a mistyped command are answered at once.
 """
 
 from __future__ import annotations
 
-import importlib
 import sys
 from collections.abc import Sequence
 
@@ -49,10 +47,10 @@ def _dispatch(words: list[str]) -> int:
     if "-h" in overrides or "--help" in overrides:
         print(command_help(command))
         return 0
-    module = importlib.import_module(f"siamloc.cli.{COMMANDS[command].module}")
+    from siamloc.cli import commands
     from siamloc.cli.compose import run
 
-    return run(command, module.main, overrides)
+    return run(command, getattr(commands, COMMANDS[command].function), overrides)
 
 
 def _command(words: list[str]) -> tuple[str | None, list[str]]:

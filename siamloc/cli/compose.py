@@ -6,18 +6,14 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from contextvars import ContextVar
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
-from siamloc.cli.checks import check
 from siamloc.cli.help import COMMANDS
+from siamloc.cli.schema import register
 from siamloc.errors import ConfigError, hint
-from siamloc.files import plain as as_plain
-from siamloc.runs import Run, newest_run
 
 Main = Callable[[DictConfig], None]
 # Hydra neither changes folder nor writes files or log lines of its own; a sweep names its jobs by what is swept.
@@ -31,48 +27,37 @@ _HYDRA = (
     "hydra.job.config.override_dirname.kv_sep=-",
     "hydra.job.config.override_dirname.item_sep=_",
 )
-_given: ContextVar[list[str] | None] = ContextVar("overrides of a command that another command runs", default=None)
-_PATH_KEYS = ("data.manifest", "data.root", "data.cache", "model.branch.weights")
 
 
 def config_folder() -> Path:
-    """Return the folder of the configuration files: inside the installed package, or beside it in a checkout."""
+    """Return the folder of the configuration files: inside the installed package, or next to it in a checkout."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "conf", package.parent / "conf"):
         if (folder / "config.yaml").is_file():
             return folder
-    raise ConfigError(f"the configuration files are missing from {package}: install siamloc anew")
+    raise ConfigError(f"the configuration files are missing from {package}: install siamloc again")
 
 
 def run(command: str, main: Main, words: list[str]) -> int:
     """Compose the configuration of a command and run it; with -m once for each combination.
-
-    A command that works on a finished run begins with the overrides the run was trained with, so that only what
-    differs has to be said again.
 
     Raises:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
     """
     given = words
     _check_words(words)
-    words = [_network_of_a_run(word) for word in words]
-    if COMMANDS[command].inherits or (command == "train" and _value_of("resume", words) == "true"):
-        words = _inherited(command, words)
-    if {"-m", "--multirun"} & set(words):
-        words = _sweep(words)
+    words = _sweep(words) if {"-m", "--multirun"} & set(words) else words
     words = _flags_first([*_HYDRA, *words])
     import hydra
 
     name = COMMANDS[command].config
-    _register_defaults(name)
-
+    register(name)
     failed: list[Exception] = []
 
     def job(config: DictConfig) -> None:
         sys.argv = arguments  # what the trainer starts further processes with
         try:
-            check(config)
-            main(config)
+            main(finished(command, config, given))
         except Exception as error:
             if sweep_suffix():
                 raise
@@ -94,29 +79,41 @@ def run(command: str, main: Main, words: list[str]) -> int:
     return 0
 
 
-def run_composed(command: str, main: Main, words: list[str]) -> None:
-    """Run a command inside another one, as `run` would, without Hydra's launcher."""
-    if COMMANDS[command].inherits:
-        words = _inherited(command, words)
-    config = compose(words, COMMANDS[command].config)
-    check(config)
-    token = _given.set(words)
-    try:
-        main(config)
-    finally:
-        _given.reset(token)
-
-
-def compose(overrides: list[str], name: str = "config") -> DictConfig:
-    """Return the configuration that these overrides make, without running anything.
+def composed(command: str, words: list[str]) -> DictConfig:
+    """Return the configuration that a command would get from these words, without running it.
 
     Raises:
         ConfigError: as `run`.
     """
+    name = COMMANDS[command].config
+    _check_words(words)
     try:
-        return _hydra_compose(name, overrides)
+        return finished(command, _hydra_compose(name, words), words)
     except Exception as error:
-        raise _explained(error, overrides, name) from error
+        raise _explained(error, words, name) from error
+
+
+def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
+    """Return a configuration with the settings of the run that it names, and everything set.
+
+    A command that works on a run takes that run's settings; what is said on the command line wins. A group that is
+    chosen there, such as data=cold, replaces the run's altogether, but for the size of the images, which is that of
+    the network.
+
+    Raises:
+        ConfigError: a key that has no value.
+    """
+    resumed = command == "train" and config.get("resume") is True
+    if (COMMANDS[command].inherits or resumed) and config.get("run") is not None:
+        from siamloc.cli.inherit import settings_of
+
+        kept = settings_of(config, whole=resumed)
+        if kept is not None:
+            config = _with_settings(config, kept, words)
+    missing = sorted(OmegaConf.missing_keys(config))
+    if missing:
+        raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=VALUE")
+    return config
 
 
 def plain(config: DictConfig) -> dict[str, Any]:
@@ -124,25 +121,49 @@ def plain(config: DictConfig) -> dict[str, Any]:
     return OmegaConf.to_container(config, resolve=True)  # type: ignore[return-value]
 
 
-def task_overrides() -> list[str]:
-    """Return the overrides of the job that is running, with the paths made absolute."""
+def sweep_suffix() -> str:
+    """Return what tells the jobs of a sweep apart, such as "model-branch-vgg11_seed-1"; empty outside sweeps."""
     from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
 
-    overrides = _given.get()
-    if overrides is None:
-        overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
-    passing = ("run=", "resume=", "overwrite=", "bundle=", "images=", "descriptor")
-    return [_absolute(word) for word in overrides if not word.startswith(passing)]
+    if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
+        return ""
+    swept = HydraConfig.get().job.override_dirname or str(HydraConfig.get().job.num)
+    return re.sub(r"[^\w.+-]+", "-", swept)
+
+
+def _with_settings(config: DictConfig, kept: dict[str, Any], words: list[str]) -> DictConfig:
+    given = [_key(word) for word in words if not word.startswith("-")]
+    chosen = {key.replace("/", ".") for key in given if (config_folder() / key.replace(".", "/")).is_dir()}
+    if chosen & {"data", "experiment"}:  # they choose how to unwrap and the protocol as well
+        chosen |= {"data", "unwrap", "protocol"}
+    said = {key: OmegaConf.select(config, key) for key in given if key not in chosen and "." in key}
+    size = kept.get("data", {}).get("image_size")
+    result = config.copy()
+    with open_dict(result):
+        for section, values in kept.items():
+            if section not in chosen and section not in given:
+                OmegaConf.update(result, section, values, merge=False)
+        if "data" in chosen and size is not None and _needs_network(config):
+            result.data.image_size = size
+        for key, value in said.items():
+            if not any(key.startswith(f"{group}.") for group in chosen) or key == "data.image_size":
+                OmegaConf.update(result, key, value, merge=False)
+    return result
+
+
+def _needs_network(config: DictConfig) -> bool:
+    return config.get("descriptor", {}).get("name", "network") in ("network", "untrained")
 
 
 def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
-    """Compose beside a Hydra job that may be running, whose state is put back afterwards."""
+    """Compose while a Hydra job may be running, whose state is put back afterwards."""
     from hydra import compose as hydra_compose
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.singleton import Singleton
 
-    _register_defaults(name)
+    register(name)
     state = Singleton.get_state()
     GlobalHydra.instance().clear()
     try:
@@ -158,42 +179,11 @@ def _folder_of(name: str) -> Path:
     return folder if folder.is_dir() else config_folder()
 
 
-def _register_defaults(name: str) -> None:
-    """Make the dataclasses that hold a command's defaults known to Hydra, so that a value stands in one place."""
-    from hydra.core.config_store import ConfigStore
-
-    store = ConfigStore.instance()
-    if name == "simulate":
-        from siamloc.simulate import SimulateConfig
-
-        store.store("simulate_defaults", OmegaConf.create(as_plain(asdict(SimulateConfig()))))
-    if name == "config":
-        from analytic.descriptors.registry import DESCRIPTORS, parameters
-        from analytic.mapper import Parameters
-
-        for descriptor in DESCRIPTORS:
-            # Whether columns wrap around follows from the data, and where to compute from `device`.
-            fields = {k: v for k, v in parameters(descriptor).items() if k not in ("circular", "device")}
-            store.store(descriptor, OmegaConf.create(fields), group="parameters/descriptor")
-        store.store("mapper", OmegaConf.create(asdict(Parameters())), group="parameters")
-
-
-def sweep_suffix() -> str:
-    """Return what tells the jobs of a sweep apart, such as "model-branch-vgg11_seed-1"; empty outside sweeps."""
-    from hydra.core.hydra_config import HydraConfig
-    from hydra.types import RunMode
-
-    if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
-        return ""
-    swept = HydraConfig.get().job.override_dirname or str(HydraConfig.get().job.num)
-    return re.sub(r"[^\w.+-]+", "-", swept)
-
-
 def _sweep(words: list[str]) -> list[str]:
     """Let the folders of a sweep's jobs lie in the run's folder, named by what is swept alone."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    folder = _value_of("run", words) or "runs/sweep"
+    folder = next((word.partition("=")[2].strip("'\"") for word in words if word.startswith("run=")), None)
     fixed = []
     for word in words:
         if not word.startswith("-") and "=" in word:
@@ -201,63 +191,10 @@ def _sweep(words: list[str]) -> list[str]:
             if not override.is_sweep_override():
                 fixed.append(override.key_or_group)
     settings = [
-        f"hydra.sweep.dir={_quoted(folder)}",
+        f"hydra.sweep.dir={_quoted(folder or 'runs/sweep')}",
         f"hydra.job.config.override_dirname.exclude_keys=[{','.join(map(_quoted, fixed))}]",
     ]
-    if _value_of("run", words) is None:
-        settings.append(f"run={_quoted(folder)}")
-    return [*settings, *words]
-
-
-def _inherited(command: str, words: list[str]) -> list[str]:
-    """Put the overrides of the run that is named, or of the newest one, before those that were given."""
-    folder = _value_of("run", words)
-    if folder is None and _value_of("bundle", words) is not None:
-        return words
-    network = _value_of("descriptor.run", words)
-    if folder is not None:
-        found = Run(Path(folder))
-        if command == "train" and not found.record.is_file():
-            return words
-        if network is not None and not found.record.is_file():
-            found = Run(Path(network))
-    elif network is not None:
-        found = Run(Path(network))
-        words = [f"run={_quoted(network)}", *words]
-    else:
-        try:
-            found = newest_run()
-        except ConfigError:
-            if _needs_network(words):
-                raise
-            return words
-        print(f"using the newest run, {found.folder}")
-        words = [f"run={_quoted(found.folder)}", *words]
-    if not found.record.is_file() and not _needs_network(words):
-        return words
-    record = found.load_record()
-    kept = list(record["overrides"])
-    if command in ("evaluate", "export", "localize"):
-        kept += _of_map(found)
-    given = set(map(_key, words))
-    return [*(word for word in kept if _key(word) not in given and _has_place(_key(word), words)), *words]
-
-
-def _has_place(key: str, words: list[str]) -> bool:
-    """Say whether a key still exists when groups are chosen anew: with data=cold there is no data.manifest."""
-    group, _, name = key.rpartition(".")
-    option = _value_of(group.replace(".", "/"), words) if group else None
-    path = config_folder() / group.replace(".", "/") / f"{option}.yaml"
-    return option is None or not path.is_file() or name in OmegaConf.load(path)
-
-
-def _of_map(run: Run) -> list[str]:
-    """Return the overrides that chose the frames of the run's map."""
-    if not run.map.is_file():
-        return []
-    from siamloc.maps import VisualMap
-
-    return list(VisualMap.load(run.map).made.get("overrides", []))
+    return [*settings, *([] if folder else ["run=runs/sweep"]), *words]
 
 
 def _check_words(words: list[str]) -> None:
@@ -281,10 +218,6 @@ def _check_words(words: list[str]) -> None:
             ) from error
 
 
-def _needs_network(words: list[str]) -> bool:
-    return (_value_of("descriptor", words) or "network") in ("network", "untrained")
-
-
 def _flags_first(words: list[str]) -> list[str]:
     """Gather the overrides behind the flags: Hydra's parser takes them in one piece only."""
     overrides = [word for word in words if word.startswith("~") or ("=" in word and not word.startswith("-"))]
@@ -295,30 +228,9 @@ def _key(word: str) -> str:
     return word.partition("=")[0].lstrip("+~")
 
 
-def _value_of(key: str, words: list[str]) -> str | None:
-    values = [word.partition("=")[2] for word in words if word.startswith(f"{key}=")]
-    return values[-1].strip("'\"") if values else None
-
-
 def _quoted(text: object) -> str:
     """Return a text as a value that Hydra's grammar takes whole, whatever signs it holds."""
     return "'" + str(text).replace("\\", "\\\\").replace("'", "\\'") + "'"
-
-
-def _network_of_a_run(word: str) -> str:
-    """Read `descriptor=FOLDER` as the trained network of that run."""
-    key, _, value = word.partition("=")
-    if key == "descriptor" and (Path(value) / "run.json").is_file():
-        return f"descriptor.run={value}"
-    return word
-
-
-def _absolute(word: str) -> str:
-    key, _, value = word.partition("=")
-    value = value.strip("'\"")
-    if key.lstrip("+") in _PATH_KEYS and value and Path(value).exists():
-        return f"{key}={_quoted(Path(value).resolve())}"
-    return word
 
 
 def _explained(error: Exception, words: list[str], name: str) -> Exception:

@@ -8,13 +8,13 @@ from textwrap import dedent, indent
 
 @dataclass(frozen=True)
 class Command:
-    """A command's module in this package, and its help."""
+    """A command's function in `siamloc.cli.commands`, and its help."""
 
-    module: str
+    function: str
     summary: str
     details: str
     example: str
-    inherits: bool = False  # takes its settings from the run that is named or newest
+    inherits: bool = False  # takes its settings from the run that is named
     config: str = "config"  # the configuration file it begins with
 
 
@@ -79,7 +79,7 @@ COMMANDS = {
         "siamloc train data=cold data.root=/data/COLD protocol=freiburg model/branch=vgg16 run=runs/vgg16",
     ),
     "map": Command(
-        "map",
+        "map_frames",
         "describe the map frames of a run",
         """
         Writes map.npz into the run: descriptors, poses and rooms of the frames that the robot knows.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from siamloc.data.checks import check
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, concatenate
@@ -17,10 +19,15 @@ from siamloc.data.panorama import (
 )
 from siamloc.data.protocol import Protocol, Role
 from siamloc.data.reading import READERS, DataSettings, read
+from siamloc.lazy import lazy
+
+if TYPE_CHECKING:
+    from siamloc.data.enlarge import Expanded, expand
 
 __all__ = [
     "READERS",
     "DataSettings",
+    "Expanded",
     "FrameTable",
     "HyperbolicMirror",
     "OmnidirectionalCamera",
@@ -34,6 +41,12 @@ __all__ = [
     "check",
     "column_azimuth",
     "concatenate",
+    "expand",
     "read",
     "unwrap",
 ]
+
+# They need torch, which nothing else here loads.
+_HOMES = {"Expanded": "enlarge", "expand": "enlarge"}
+
+__getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -135,6 +135,21 @@ class Preprocessing:
             raise UnreadableImageError(f"the image cannot be brought to size ({error.err})") from error
         return np.ascontiguousarray(picture[..., ::-1].transpose(2, 0, 1))
 
+    def panoramas(self, paths: Sequence[str | Path], count: int) -> NDArray[np.uint8]:
+        """Read up to `count` images, spread evenly over a list, and return their panoramas (B, 3, H, W), uint8, RGB.
+
+        Raises:
+            DataError: an image that cannot be read.
+        """
+        spread = np.linspace(0, len(paths) - 1, min(count, len(paths))).round().astype(int)
+        found = []
+        for number in spread.tolist():
+            try:
+                found.append(self.panorama(paths[number]))
+            except UnreadableImageError as error:
+                raise DataError(f"{paths[number]} cannot be shown: {error}") from error
+        return np.stack(found)
+
     def prepare(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the panorama (3, H, W) of an image in memory (rows, columns, 3); both uint8, RGB.
 

@@ -4,16 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.errors import ConfigError, DataError
+from siamloc.settings import Count, Positive, Settings, Share
 
-LABELS = ("auto", "room", "distance")
-BALANCES = ("frames", "rooms")
+
+@dataclass(frozen=True)
+class PairSettings(Settings):
+    """Which pairs of frames an epoch has, and their labels.
+
+    Attributes:
+        label: "room": 0 for one room, 1 for two ([T] 5.3.4). "distance": the distance between the two positions
+            divided by `scale` inside one room, 1 across rooms ([T] 5.3.5). "auto": "room" where there are at least
+            two rooms, otherwise "distance".
+        same_room_share: share of same-room pairs; exact up to rounding. None: one half, or 1 where there is one room
+            only.
+        epoch_pairs: pairs in an epoch; as many as there are frames if None.
+        balance: "frames": every frame is equally likely to be the first of a pair; "rooms": every room is.
+        scale: what "distance" divides by, in the unit of the positions: one number for all frames, or numbers by
+            building. Buildings without a number get the largest distance between two of their frames of one room
+            (18.99 m in Freiburg A).
+    """
+
+    WHERE = "pairs"
+
+    label: Literal["auto", "room", "distance"] = "auto"
+    same_room_share: Share | None = None
+    epoch_pairs: Count | None = None
+    balance: Literal["frames", "rooms"] = "frames"
+    scale: Positive | Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -36,12 +60,12 @@ class Pairs:
         return len(self.first)
 
     def take(self, rows: Any) -> Pairs:
-        """Return the pairs of these positions."""
+        """Select the pairs of these positions."""
         return Pairs(self.first[rows], self.second[rows], self.label[rows], self.same[rows])
 
 
 class PairSampler:
-    """Draws the pairs of an epoch.
+    """Draw the pairs of an epoch.
 
     A pair is two different frames of one room, or two frames of different rooms. Frames without a room label count
     as one room. Rooms of different buildings are different rooms. Which pairs an epoch has depends on the seed, the
@@ -49,69 +73,53 @@ class PairSampler:
 
     Args:
         frames: the frames to pair (N).
-        label: "room": 0 for one room, 1 for two ([T] 5.3.4). "distance": the distance between the two positions
-            divided by `scale` inside one room, 1 across rooms ([T] 5.3.5). "auto": "room" where there are at least
-            two rooms, otherwise "distance".
-        same_room_share: share of same-room pairs, in [0, 1]; exact up to rounding. None: one half, or 1 where there
-            is one room only.
-        epoch_pairs: pairs in an epoch; as many as there are frames if None.
-        balance: "frames": every frame is equally likely to be the first of a pair; "rooms": every room is.
-        scale: what "distance" divides by, in the unit of the positions: one number for all frames, or numbers by
-            building. Buildings without a number get the largest distance between two of their frames of one room
-            (18.99 m in Freiburg A).
+        settings: which pairs; the defaults of `PairSettings` if None.
         seed: any whole number, not negative.
 
     Attributes:
-        scale: what "distance" divides by, in a form that another sampler accepts: one number where one was given or
+        label: "room" or "distance".
+        same_room_share: share of same-room pairs.
+        epoch_pairs: pairs in an epoch.
+        scale: what "distance" divides by, in a form that `PairSettings` accepts: one number where one was given or
             where the frames are of one building, otherwise numbers by building; NaN for label "room".
 
     Raises:
-        ConfigError: an unknown label or balance, a share outside [0, 1], no pairs asked for, or pairs that cannot
-            exist, such as different-room pairs where there is one room.
+        ConfigError: pairs that cannot exist, such as different-room pairs where there is one room.
         DataError: fewer than two frames, or "distance" for frames without positions.
+
+    Example:
+        >>> frames = FrameTable(path=["a.png", "b.png", "c.png"], room=["office", "office", "kitchen"])
+        >>> pairs = PairSampler(frames, PairSettings(epoch_pairs=4), seed=0).epoch(0)
+        >>> pairs.label.tolist() == (frames.room[pairs.first] != frames.room[pairs.second]).tolist()
+        True
+        >>> int(pairs.same.sum())
+        2
     """
 
-    def __init__(
-        self,
-        frames: FrameTable,
-        label: str = "auto",
-        same_room_share: float | None = None,
-        epoch_pairs: int | None = None,
-        balance: str = "frames",
-        scale: float | Mapping[str, float] | None = None,
-        seed: int = 0,
-    ) -> None:
-        if label not in LABELS:
-            raise ConfigError(f"unknown pair label {label!r}: {hint(label, LABELS)}")
-        if balance not in BALANCES:
-            raise ConfigError(f"unknown balance {balance!r}: {hint(balance, BALANCES)}")
+    def __init__(self, frames: FrameTable, settings: PairSettings | None = None, *, seed: int = 0) -> None:
         if len(frames) < 2:
             raise DataError(f"pairs need at least two frames, got {len(frames)}")
+        if int(seed) < 0:
+            raise ConfigError(f"the seed must be a whole number from 0, got {seed}")
+        self.settings = settings = PairSettings() if settings is None else settings
         self.frames = frames
+        self.seed = int(seed)
         self._rooms = _Rooms(frames)
         single = self._rooms.count == 1
-        self.label = ("distance" if single else "room") if label == "auto" else label
-        share = (1.0 if single else 0.5) if same_room_share is None else float(same_room_share)
-        if not 0 <= share <= 1:
-            raise ConfigError(f"the share of same-room pairs (pairs.same_room_share) must lie in [0, 1], got {share}")
-        self.same_room_share = share
-        self.epoch_pairs = len(frames) if epoch_pairs is None else int(epoch_pairs)
-        if self.epoch_pairs < 1:
-            raise ConfigError(f"an epoch needs at least 1 pair (pairs.epoch_pairs), got {self.epoch_pairs}")
-        if int(seed) < 0:
-            raise ConfigError(f"the seed must be a whole number that is not negative, got {seed}")
-        self.seed = int(seed)
-        self.balance = balance
+        self.label = ("distance" if single else "room") if settings.label == "auto" else settings.label
+        share = settings.same_room_share
+        self.same_room_share = (1.0 if single else 0.5) if share is None else share
+        self.epoch_pairs = settings.epoch_pairs or len(frames)
         self._check_possible()
         self.scale: float | dict[str, float] = float("nan")
         if self.label == "distance":
-            self.scale, self._divisor = _scales(frames, scale)
+            self.scale, self._divisor = _scales(frames, settings.scale)
 
     def __len__(self) -> int:
         return self.epoch_pairs
 
     def epoch(self, epoch: int, rank: int = 0, world_size: int = 1) -> Pairs:
-        """Return the pairs of an epoch, or the share of one process among `world_size`.
+        """Draw the pairs of an epoch, or the share of one process among `world_size`.
 
         Process r has the pairs r, r + world_size, r + 2 world_size, ...: no pair is given to two processes, and the
         union over the processes is the epoch.
@@ -132,7 +140,7 @@ class PairSampler:
         second = np.empty(len(same), dtype=np.int64)
         for kind in (True, False):
             rows = same == kind
-            anchor = self._rooms.anchors(uniform[rows, 0], uniform[rows, 1], same=kind, balance=self.balance)
+            anchor = self._rooms.anchors(uniform[rows, 0], uniform[rows, 1], same=kind, balance=self.settings.balance)
             first[rows] = anchor
             second[rows] = self._rooms.partners(anchor, uniform[rows, 2], same=kind)
         return Pairs(first, second, self._labels(first, second, same), same)
@@ -204,7 +212,7 @@ class _Rooms:
 
 
 def largest_same_room_distance(frames: FrameTable) -> float:
-    """Return the largest distance between two frames of one room, in the unit of the positions ([T] table 5.5).
+    """Find the largest distance between two frames of one room, in the unit of the positions ([T] table 5.5).
 
     Equals the maximum over all same-room pairs: the two frames that are farthest apart lie on the convex hull of
     their room, so that only the hull's corners are compared where a room has many frames.

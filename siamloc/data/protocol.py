@@ -149,6 +149,21 @@ class Protocol(Settings):
         self._check_apart(role, frames, table)
         return frames
 
+    def roles(self, table: FrameTable, *names: str) -> dict[str, FrameTable]:
+        """Return the frames of several roles by name; each has at least one.
+
+        Raises:
+            ConfigError: as `frames`, or a role that selects no frame.
+        """
+        found = {name: self.frames(name, table) for name in names}
+        for name, frames in found.items():
+            if not len(frames):
+                raise ConfigError(
+                    f"protocol.{name} selects none of the {len(table)} frames; the data holds {table.describe()}: "
+                    f"choose others with protocol.{name}.sequences, lightings or rooms"
+                )
+        return found
+
     def excluded(
         self, queries: FrameTable, known: FrameTable, drives: FrameTable | None = None
     ) -> NDArray[np.bool_] | None:

@@ -1,4 +1,10 @@
-"""Evaluation: pure measures, the tasks that use them, and the files that hold the results. Does not load torch."""
+"""Evaluation: one call for each task, one kind of result, and the pure measures that they use.
+
+A task takes a map, the panoramas and the frames to be located, and returns a `Result`:
+
+    result = siamloc.evaluation.localization(known, images, tuesday, baselines=["hog"])
+    print(result.measures["error"], result.table())
+"""
 
 from __future__ import annotations
 
@@ -7,8 +13,39 @@ from typing import TYPE_CHECKING
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc.evaluation import absolute, metrics, results, room_retrieval
+    from siamloc.evaluation import metrics
+    from siamloc.evaluation.building_choice import buildings
+    from siamloc.evaluation.disturbed import robustness
+    from siamloc.evaluation.hierarchy import hierarchical
+    from siamloc.evaluation.layers import mapping
+    from siamloc.evaluation.localize import error_model, localization, rooms
+    from siamloc.evaluation.result import Result
+    from siamloc.evaluation.session import Session
 
-__all__ = ["absolute", "metrics", "results", "room_retrieval"]
+__all__ = [
+    "Result",
+    "Session",
+    "buildings",
+    "error_model",
+    "hierarchical",
+    "localization",
+    "mapping",
+    "metrics",
+    "robustness",
+    "rooms",
+]
 
-__getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, ""))
+_HOMES = {
+    "Result": "result",
+    "Session": "session",
+    "buildings": "building_choice",
+    "error_model": "localize",
+    "hierarchical": "hierarchy",
+    "localization": "localize",
+    "mapping": "layers",
+    "metrics": "",
+    "robustness": "disturbed",
+    "rooms": "localize",
+}
+
+__getattr__, __dir__ = lazy(__name__, _HOMES)

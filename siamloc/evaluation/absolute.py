@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import Columns, retrieve, room_names, rows_by_label
+from siamloc.evaluation.columns import retrieve, room_names
 from siamloc.evaluation.metrics import (
     error_floor,
     first_rank_within,
@@ -21,59 +21,10 @@ from siamloc.evaluation.metrics import (
     recall_from_ranks,
     summarize,
 )
+from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-
-
-@dataclass(frozen=True, eq=False)
-class AbsoluteResult:
-    """What became of each query, as columns; every measure follows from them.
-
-    Attributes:
-        columns: arrays of length n by name: what `queries.csv` holds. `first_rank_within_<radius>` is the rank of
-            the first retrieved frame within that radius, 0 where none of those retrieved is.
-        map_columns: path, x, y, theta, room of the map's frames: what `map.csv` holds and the plots need.
-        radii: radii of the recall, in units of x and y.
-        ks: numbers of retrieved frames.
-        unit: what x and y count.
-    """
-
-    columns: Columns
-    map_columns: Columns
-    radii: tuple[float, ...]
-    ks: tuple[int, ...]
-    unit: str
-
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        """One dictionary per query."""
-        plain = {name: column.tolist() for name, column in self.columns.items()}
-        return [{name: values[i] for name, values in plain.items()} for i in range(len(self))]
-
-    def __len__(self) -> int:
-        return len(self.columns["query"])
-
-    def measures(self) -> dict[str, Any]:
-        """Return all measures, as `measures_of`."""
-        return measures_of(self.columns, self.radii, self.ks, len(self.map_columns["path"]), self.unit)
-
-    def denominators(self) -> dict[str, Any]:
-        """Return how many queries and map frames the measures rest on, in all and by lighting and room."""
-        counts = {
-            by: {label: len(rows) for label, rows in rows_by_label(self.columns[by]).items()}
-            for by in ("lighting", "room")
-        }
-        return {"queries": len(self), "map_frames": len(self.map_columns["path"]), **counts}
-
-    def with_baseline(self, name: str, baseline: AbsoluteResult) -> AbsoluteResult:
-        """Return the result with the errors of another method on the same queries beside its own.
-
-        Raises:
-            DataError: the baseline answered other queries.
-        """
-        if not np.array_equal(self.columns["path"], baseline.columns["path"]):
-            raise DataError(f"baseline {name!r} answered other queries than the result it should stand beside")
-        return replace(self, columns={**self.columns, f"baseline_{name}": baseline.columns["error"]})
+from siamloc.results import Columns, rows_by_label
 
 
 def evaluate_absolute(
@@ -84,8 +35,12 @@ def evaluate_absolute(
     ks: Sequence[int] = (1, 5, 10, 20),
     retrieval: Retrieval | None = None,
     headings: ArrayLike | None = None,
-) -> AbsoluteResult:
+    excluded: NDArray[np.bool_] | None = None,
+) -> Result:
     """Locate queries in a map and compare with their true poses.
+
+    The table "queries" has a row for each query; its column `first_rank_within_<radius>` is the rank of the first
+    retrieved frame within that radius, 0 where none of those retrieved is. The table "map" has what pictures need.
 
     Args:
         visual_map: m frames, all with positions.
@@ -95,6 +50,7 @@ def evaluate_absolute(
         ks: numbers of retrieved frames for the recall; that of 1 % of the map is always measured too.
         retrieval: what the map's search gave, to search only once; it must hold enough neighbours.
         headings: estimated headings of the queries (n,), rad; measured where the true one is known.
+        excluded: (n, m) map frames that a query was not compared with; its floor leaves them out too.
 
     Raises:
         ConfigError: no radii or ks, or such that are out of range or stand twice.
@@ -108,7 +64,7 @@ def evaluate_absolute(
     if len(found) != len(frames) or found.indices.shape[1] < k:
         raise DataError(f"the retrieval must hold {k} neighbours of {len(frames)} queries, got {found.indices.shape}")
     known = visual_map.frames
-    columns = _columns(known, frames, found)
+    columns = _columns(known, frames, found, excluded)
     if headings is not None:
         estimated = np.asarray(headings, dtype=np.float64)
         if estimated.shape != (len(frames),):
@@ -122,7 +78,38 @@ def evaluate_absolute(
         columns[rank_column(radius)] = first_rank_within(found.indices[:, :k], known.xy, frames.xy, radius)
     rooms = room_names(known, frames)[0]
     map_columns = {"path": known.path, "x": known.x, "y": known.y, "theta": known.theta, "room": rooms}
-    return AbsoluteResult(columns, map_columns, radii, ks, visual_map.unit)
+    counts = {
+        by: {label: len(rows) for label, rows in rows_by_label(columns[by]).items()} for by in ("lighting", "room")
+    }
+    return Result(
+        name="absolute",
+        parts={"absolute": measures_of(columns, radii, ks, len(known), visual_map.unit)},
+        tables={"queries": columns, "map": map_columns},
+        denominators={"queries": len(frames), "map_frames": len(known), **counts},
+    )
+
+
+def with_baseline(result: Result, name: str, baseline: Result) -> Result:
+    """Return a result with the errors of another method on the same queries alongside its own.
+
+    Raises:
+        DataError: the baseline answered other queries.
+    """
+    own, other = result.tables["queries"], baseline.tables["queries"]
+    if not np.array_equal(own["path"], other["path"]):
+        raise DataError(f"baseline {name!r} answered other queries than the result it is compared with")
+    columns = {**own, f"baseline_{name}": other["error"]}
+    held = result.parts["absolute"]
+    parts = {
+        **result.parts,
+        "absolute": measures_of(columns, held["radii"], held["ks"], held["map_frames"], held["unit"]),
+    }
+    return replace(
+        result,
+        parts=parts,
+        tables={**result.tables, "queries": columns},
+        baselines={**result.baselines, name: baseline},
+    )
 
 
 def neighbours(ks: Sequence[int], map_frames: int) -> int:
@@ -168,13 +155,15 @@ def baseline_names(columns: Mapping[str, NDArray]) -> list[str]:
     return [name.removeprefix("baseline_") for name in columns if name.startswith("baseline_")]
 
 
-def _columns(known: FrameTable, frames: FrameTable, found: Retrieval) -> Columns:
+def _columns(
+    known: FrameTable, frames: FrameTable, found: Retrieval, excluded: NDArray[np.bool_] | None = None
+) -> Columns:
     match = found.indices[:, 0]
     known_rooms, rooms = room_names(known, frames)
     estimated = known.xy[match]
     error = localization_error(estimated, frames.xy)
     # The floor is at most the error; the minimum takes care of the last bit, so that the excess is never negative.
-    floor = np.minimum(error_floor(known.xy, frames.xy), error)
+    floor = np.minimum(error_floor(known.xy, frames.xy, excluded), error)
     return {
         "query": np.arange(len(frames)),
         "path": frames.path,

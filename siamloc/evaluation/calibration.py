@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import rows_by_label
+from siamloc.results import rows_by_label
 
 
 def calibration_curve(predicted: ArrayLike, error: ArrayLike, bins: int = 10) -> list[dict[str, Any]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -12,25 +10,24 @@ from siamloc.errors import DataError
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
-Columns = dict[str, NDArray[Any]]
-UNLABELLED = "(unlabelled)"
-
-
-def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
-    """Return the row numbers of each label, labels in alphabetic order.
-
-    Rows without a label come under "(unlabelled)"; where no row carries one there are no groups at all.
-    """
-    names, inverse = np.unique(labels, return_inverse=True)
-    if names.tolist() == [""]:
-        return {}
-    return {str(name) or UNLABELLED: np.flatnonzero(inverse == i) for i, name in enumerate(names)}
-
 
 def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
     """Return each table's rooms by names that tell them apart: with their building only where there are several."""
     buildings = {building for table in tables for building in np.unique(table.building).tolist()}
     return [table.room if len(buildings) <= 1 else table.place for table in tables]
+
+
+def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
+    """Return which rooms of the queries the map lacks and what to do about it; nothing if it has all."""
+    in_map, rooms = room_names(known, queries)
+    missing = sorted(set(rooms.tolist()) - set(in_map.tolist()) - {""})
+    if not missing:
+        return ""
+    count = int(np.isin(rooms, missing).sum())
+    return (
+        f"{count} of {len(rooms)} queries are in rooms that the map lacks ({', '.join(missing)}), and cannot be found "
+        "there: add frames of these rooms to the map, or leave those queries out"
+    )
 
 
 def retrieve(

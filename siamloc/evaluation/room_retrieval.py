@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,106 +12,90 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import Columns, retrieve, room_names, rows_by_label
+from siamloc.evaluation.columns import retrieve, room_names
 from siamloc.evaluation.metrics import confusion_matrix, pair_accuracy, pair_dissimilarity, pair_threshold_curve
+from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
+from siamloc.results import Columns, rows_by_label
+
+TOP = (1, 5, 10)  # numbers of retrieved frames among which the right room is looked for
+DEPTH = 100  # retrieved frames that average precision looks at
 
 
-@dataclass(frozen=True, eq=False)
-class PairResult:
-    """The verdict on each pair, as columns.
+def pair_measures(columns: Mapping[str, NDArray], margin: float, threshold: float) -> dict[str, Any]:
+    """Return all measures of judged pairs, from the columns of `pairs.csv`.
 
-    Attributes:
-        columns: arrays of length n by name: what `pairs.csv` holds.
-        margin: what divides the distance of the descriptors.
-        threshold: dissimilarities below it mean "same room".
+    Returns:
+        margin, threshold, and the groups "overall" and "lighting" (by label): `metrics.PairAccuracy` as dictionaries,
+        with the `auc`. Then `auc` of all pairs, and `curve`: one dictionary of threshold, same, different and overall
+        for each threshold. The groups by lighting hold a `curve` of their own.
     """
 
-    columns: Columns
-    margin: float
-    threshold: float
+    def accuracy(rows: NDArray) -> tuple[dict[str, Any], list[dict[str, float]]]:
+        distance, same = columns["distance"][rows], columns["same"][rows]
+        curve = pair_threshold_curve(distance, same, margin)
+        parts = (curve.thresholds.tolist(), curve.same.tolist(), curve.different.tolist(), curve.overall.tolist())
+        points = [dict(zip(names, values, strict=True)) for values in zip(*parts, strict=True)]
+        return {**asdict(pair_accuracy(distance, same, margin, threshold)), "auc": curve.auc}, points
 
-    def __len__(self) -> int:
-        return len(self.columns["same"])
-
-    def measures(self) -> dict[str, Any]:
-        """Return all measures.
-
-        Returns:
-            margin, threshold, and the groups "overall" and "lighting" (by label): `metrics.PairAccuracy` as
-            dictionaries, with the `auc`. Then `auc` of all pairs, and `curve`: one dictionary of threshold, same,
-            different and overall for each threshold. The groups by lighting hold a `curve` of their own.
-        """
-
-        def accuracy(rows: NDArray) -> tuple[dict[str, Any], list[dict[str, float]]]:
-            distance, same = self.columns["distance"][rows], self.columns["same"][rows]
-            curve = pair_threshold_curve(distance, same, self.margin)
-            parts = (curve.thresholds.tolist(), curve.same.tolist(), curve.different.tolist(), curve.overall.tolist())
-            points = [dict(zip(names, values, strict=True)) for values in zip(*parts, strict=True)]
-            shares = asdict(pair_accuracy(distance, same, self.margin, self.threshold))
-            return {**shares, "auc": curve.auc}, points
-
-        names = ("threshold", "same", "different", "overall")
-        overall, curve = accuracy(np.arange(len(self)))
-        by_lighting = {label: accuracy(rows) for label, rows in rows_by_label(self.columns["lighting"]).items()}
-        return {
-            "margin": self.margin,
-            "threshold": self.threshold,
-            "overall": overall,
-            "lighting": {label: {**shares, "curve": points} for label, (shares, points) in by_lighting.items()},
-            "auc": overall["auc"],
-            "curve": curve,
-        }
+    names = ("threshold", "same", "different", "overall")
+    overall, curve = accuracy(np.arange(len(columns["same"])))
+    by_lighting = {label: accuracy(rows) for label, rows in rows_by_label(columns["lighting"]).items()}
+    return {
+        "margin": margin,
+        "threshold": threshold,
+        "overall": overall,
+        "lighting": {label: {**shares, "curve": points} for label, (shares, points) in by_lighting.items()},
+        "auc": overall["auc"],
+        "curve": curve,
+    }
 
 
-@dataclass(frozen=True, eq=False)
-class RoomResult:
-    """The room of each query by retrieval, as columns.
+def room_measures(columns: Mapping[str, NDArray], labels: Sequence[str], missing: Sequence[str]) -> dict[str, Any]:
+    """Return all measures of room retrieval, from the columns of `rooms.csv`.
 
-    Attributes:
-        columns: arrays of length n by name: query, path, lighting, room, predicted_room, correct, ...
-        labels: rooms of the map and of the queries in alphabetic order: the order of the confusion matrix.
+    Args:
+        columns: room, predicted_room, correct, lighting, first_rank and chance of each query.
+        labels: rooms of the map and of the queries: the order of the confusion matrix.
         missing: rooms that queries are in and the map lacks: none of those can be right.
+
+    Returns:
+        The groups "overall", "room" (by label) and "lighting" (by label), each with `accuracy`, `correct`, `queries`,
+        `top` (the share of queries with a frame of their room among the k nearest, by k), `mean_average_precision` (of
+        the 100 nearest frames) and `chance` (what a map frame drawn at random would reach); `confusion` with
+        the `labels`, the `counts` of all queries (row = true room, column = room of the match) and those by `lighting`;
+        and `rooms_missing_in_map`.
     """
+    room, predicted = columns["room"], columns["predicted_room"]
 
-    columns: Columns
-    labels: tuple[str, ...]
-    missing: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.columns["room"])
-
-    def measures(self) -> dict[str, Any]:
-        """Return all measures.
-
-        Returns:
-            The groups "overall", "room" (by label) and "lighting" (by label), each with `accuracy`, `correct` and
-            `queries`; `confusion` with the `labels`, the `counts` of all queries (row = true room, column = room of the
-            match) and those by `lighting`; and `rooms_missing_in_map`.
-        """
-        room, predicted, correct = (self.columns[name] for name in ("room", "predicted_room", "correct"))
-
-        def accuracy(rows: NDArray) -> dict[str, Any]:
-            hits = int(correct[rows].sum())
-            return {"accuracy": hits / len(rows) if len(rows) else math.nan, "correct": hits, "queries": len(rows)}
-
-        def confused(rows: NDArray) -> list[list[int]]:
-            counts: list[list[int]] = confusion_matrix(room[rows], predicted[rows], self.labels).tolist()
-            return counts
-
-        by_lighting, every = rows_by_label(self.columns["lighting"]), np.arange(len(self))
+    def group(rows: NDArray) -> dict[str, Any]:
+        hits, n, rank = int(columns["correct"][rows].sum()), len(rows), columns["first_rank"][rows]
         return {
-            "overall": accuracy(every),
-            "room": {label: accuracy(rows) for label, rows in rows_by_label(room).items()},
-            "lighting": {label: accuracy(rows) for label, rows in by_lighting.items()},
-            "confusion": {
-                "labels": list(self.labels),
-                "counts": confused(every),
-                "lighting": {label: confused(rows) for label, rows in by_lighting.items()},
-            },
-            "rooms_missing_in_map": list(self.missing),
+            "accuracy": hits / n if n else math.nan,
+            "correct": hits,
+            "queries": n,
+            "top": {str(k): float(((rank > 0) & (rank <= k)).mean()) if n else math.nan for k in TOP},
+            "mean_average_precision": float(columns["average_precision"][rows].mean()) if n else math.nan,
+            "chance": float(columns["chance"][rows].mean()) if n else math.nan,
         }
+
+    def confused(rows: NDArray) -> list[list[int]]:
+        counts: list[list[int]] = confusion_matrix(room[rows], predicted[rows], labels).tolist()
+        return counts
+
+    by_lighting, every = rows_by_label(columns["lighting"]), np.arange(len(room))
+    return {
+        "overall": group(every),
+        "room": {label: group(rows) for label, rows in rows_by_label(room).items()},
+        "lighting": {label: group(rows) for label, rows in by_lighting.items()},
+        "confusion": {
+            "labels": list(labels),
+            "counts": confused(every),
+            "lighting": {label: confused(rows) for label, rows in by_lighting.items()},
+        },
+        "rooms_missing_in_map": list(missing),
+    }
 
 
 def evaluate_pairs(
@@ -122,7 +106,7 @@ def evaluate_pairs(
     threshold: float = 0.5,
     lighting: ArrayLike | None = None,
     labels: Mapping[str, ArrayLike] | None = None,
-) -> PairResult:
+) -> Result:
     """Judge pairs of descriptors by their Euclidean distance.
 
     Args:
@@ -163,26 +147,37 @@ def evaluate_pairs(
     for name, column in columns.items():
         if column.shape != (len(a),):
             raise DataError(f"column {name!r} of the pairs has shape {column.shape}, expected ({len(a)},)")
-    return PairResult(columns, float(margin), float(threshold))
+    return Result(
+        name="room_pairs",
+        parts={"room_pairs": pair_measures(columns, float(margin), float(threshold))},
+        tables={"pairs": columns},
+        denominators={"pairs": len(a)},
+    )
 
 
 def evaluate_rooms(
-    visual_map: VisualMap, descriptors: ArrayLike | None, frames: FrameTable, retrieval: Retrieval | None = None
-) -> RoomResult:
+    visual_map: VisualMap,
+    descriptors: ArrayLike | None,
+    frames: FrameTable,
+    retrieval: Retrieval | None = None,
+    excluded: NDArray[np.bool_] | None = None,
+) -> Result:
     """Take the room of the nearest map frame for each query's room.
 
     Args:
         visual_map: m frames, all with room labels.
         descriptors: of the queries (n, D), n at least 1; None where their retrieval is given.
         frames: the queries (n), all with room labels. Rooms of different buildings are different rooms.
-        retrieval: what the map's search gave, to search only once.
+        retrieval: what the map's search gave, to search only once; with `neighbours(m)` frames, or fewer: then top-k
+            and average precision look at these alone.
+        excluded: (n, m) map frames that a query was not compared with.
 
     Raises:
         DataError: frames without room labels, or descriptors that do not fit the frames or the map.
     """
     _require_rooms(frames, "queries")
     _require_rooms(visual_map.frames, "map frames")
-    found = retrieve(visual_map, descriptors, frames, 1, retrieval)
+    found = retrieve(visual_map, descriptors, frames, neighbours(len(visual_map)), retrieval)
     if len(found) != len(frames):
         raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")
     match = found.indices[:, 0]
@@ -196,12 +191,44 @@ def evaluate_rooms(
         "room": room,
         "predicted_room": predicted,
         "correct": room == predicted,
+        **_ranking(room, known, found, excluded),
         "match": match,
         "match_path": visual_map.frames.path[match],
         "descriptor_distance": found.distances[:, 0],
     }
     rooms, in_map = set(room.tolist()), set(known.tolist())
-    return RoomResult(columns, tuple(sorted(rooms | in_map)), tuple(sorted(rooms - in_map)))
+    labels, missing = tuple(sorted(rooms | in_map)), tuple(sorted(rooms - in_map))
+    return Result(
+        name="room_retrieval",
+        parts={"room_retrieval": room_measures(columns, labels, missing)},
+        tables={"rooms": columns},
+        denominators={"queries": len(frames)},
+    )
+
+
+def neighbours(map_frames: int) -> int:
+    """Return how many neighbours of each query the measures of room retrieval look at."""
+    return min(DEPTH, map_frames)
+
+
+def _ranking(
+    room: NDArray[np.str_], known: NDArray[np.str_], found: Retrieval, excluded: NDArray[np.bool_] | None
+) -> Columns:
+    """Return what follows from the rooms of all frames that were retrieved for a query.
+
+    Average precision of the k retrieved frames: the sum, over those of the right room, of the share of the right room
+    among the frames up to each, divided by k or by the frames of that room in the map, whichever is smaller.
+    """
+    right = known[found.indices] == room[:, None]
+    precision = np.cumsum(right, axis=1) / np.arange(1, right.shape[1] + 1)
+    of_room = known[None, :] == room[:, None]
+    allowed = np.ones_like(of_room) if excluded is None else ~excluded
+    findable = (of_room & allowed).sum(axis=1)
+    return {
+        "first_rank": np.where(right.any(axis=1), right.argmax(axis=1) + 1, 0),
+        "average_precision": (precision * right).sum(axis=1) / np.clip(findable, 1, right.shape[1]),
+        "chance": findable / allowed.sum(axis=1),
+    }
 
 
 def _require_rooms(frames: FrameTable, what: str) -> None:

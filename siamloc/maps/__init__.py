@@ -1,4 +1,10 @@
-"""Maps: descriptors with poses and rooms on disk, and exact search in them. Loads neither torch nor scipy at import."""
+"""Maps: descriptors with poses and rooms on disk, exact search in them, coarse layers and the sequence filter.
+
+    known = siamloc.maps.build("hog", images, monday)
+    found = known.search(vectors, k=5)
+
+Importing this package loads neither torch nor scipy.
+"""
 
 from __future__ import annotations
 
@@ -7,35 +13,67 @@ from typing import TYPE_CHECKING
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc.maps.coarse import CoarseLayer
+    from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
+    from siamloc.maps.describing import build, describe
+    from siamloc.maps.error_model import ErrorModel
+    from siamloc.maps.grouping import WAYS, Built, group
     from siamloc.maps.heading import HeadingPart, WithHeading
-    from siamloc.maps.layers import build_layer
-    from siamloc.maps.matching import estimated_headings, match
-    from siamloc.maps.search import Retrieval, nearest
+    from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking
+    from siamloc.maps.matching import frame_distances, headings, match
+    from siamloc.maps.search import Retrieval, VectorIndex
+    from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
     from siamloc.maps.visual_map import VisualMap
 
-__all__ = [
-    "CoarseLayer",
-    "HeadingPart",
-    "Retrieval",
-    "VisualMap",
-    "WithHeading",
-    "build_layer",
-    "estimated_headings",
-    "match",
-    "nearest",
-]
-
 _HOMES = {
+    "UNASSIGNED": "coarse",
     "CoarseLayer": "coarse",
+    "build": "describing",
+    "describe": "describing",
+    "ErrorModel": "error_model",
+    "WAYS": "grouping",
+    "Built": "grouping",
+    "group": "grouping",
     "HeadingPart": "heading",
     "WithHeading": "heading",
-    "build_layer": "layers",
-    "Retrieval": "search",
-    "nearest": "search",
-    "VisualMap": "visual_map",
+    "HierarchicalRetrieval": "hierarchy",
+    "HierarchicalSearch": "hierarchy",
+    "NodeRanking": "hierarchy",
+    "frame_distances": "matching",
+    "headings": "matching",
     "match": "matching",
-    "estimated_headings": "matching",
+    "Retrieval": "search",
+    "VectorIndex": "search",
+    "MotionModel": "sequence_filter",
+    "SequenceFilter": "sequence_filter",
+    "temperature_of_map": "sequence_filter",
+    "tune_filter": "sequence_filter",
+    "VisualMap": "visual_map",
 }
+
+__all__ = [
+    "UNASSIGNED",
+    "WAYS",
+    "Built",
+    "CoarseLayer",
+    "ErrorModel",
+    "HeadingPart",
+    "HierarchicalRetrieval",
+    "HierarchicalSearch",
+    "MotionModel",
+    "NodeRanking",
+    "Retrieval",
+    "SequenceFilter",
+    "VectorIndex",
+    "VisualMap",
+    "WithHeading",
+    "build",
+    "describe",
+    "frame_distances",
+    "group",
+    "headings",
+    "match",
+    "temperature_of_map",
+    "tune_filter",
+]
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -158,7 +158,7 @@ class CoarseLayer:
                 header = json.loads(str(archive["header"][()]))
                 arrays = {name: archive[name] for name in _ARRAYS}
         except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
-            raise FormatError(f"{path} is not a coarse layer, or not a whole one: build it anew") from error
+            raise FormatError(f"{path} is not a coarse layer, or not a whole one: build it again") from error
         own = isinstance(header, dict) and header.get("format") == _FORMAT and isinstance(header.get("version"), int)
         if not own:
             raise FormatError(f"{path} is not a coarse layer: build it with `siamloc map build=...`")
@@ -169,7 +169,7 @@ class CoarseLayer:
         try:
             return cls(**arrays, made=header.get("made", {}))
         except DataError as error:
-            raise FormatError(f"{path} is not a whole coarse layer ({error}): build it anew") from error
+            raise FormatError(f"{path} is not a whole coarse layer ({error}): build it again") from error
 
 
 _ARRAYS = ("labels", "representatives", "positions", "names", "edges")

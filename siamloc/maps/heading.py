@@ -1,14 +1,16 @@
-"""Headings in a map whose own descriptor tells none: an analytic descriptor stands beside it."""
+"""Headings in a map whose own descriptor gives none, such as a network: an analytic descriptor adds them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors.base import Description, Descriptor
+from analytic import Description, Descriptor, Thumbnail, descriptor
 from siamloc.errors import ConfigError, DataError
 from siamloc.files import plain
 
@@ -17,7 +19,7 @@ _EXPONENT = 14
 
 @dataclass(frozen=True, eq=False)
 class HeadingPart:
-    """What an analytic descriptor keeps of a map's frames to tell headings by.
+    """What an analytic descriptor keeps of a map's frames to find headings by.
 
     Values are in half precision, those of each frame scaled by a power of two that brings the largest one to
     2^13 ... 2^14: a heading is the turn of the largest correlation, which no scale changes.
@@ -75,27 +77,36 @@ class HeadingPart:
         """Return the rows given by positions or by a mask."""
         return HeadingPart(self.identity, self.values[rows])
 
+    @cached_property
     def descriptor(self) -> Descriptor:
-        """Return the descriptor; it loads torch only when it describes an image.
+        """The descriptor, on the CPU; it loads torch only when it describes an image.
 
         Raises:
             AnalyticError: a descriptor or a parameter that this version does not know.
         """
-        from analytic.descriptors.registry import descriptor
+        return descriptor_of(self.identity)
 
-        options = dict(self.identity)
-        return descriptor(options.pop("name"), **options)
+
+def descriptor_of(identity: Mapping[str, Any]) -> Descriptor:
+    """Return the analytic descriptor that an identity names.
+
+    Raises:
+        AnalyticError: a descriptor or a parameter that this version does not know.
+    """
+    options = {key: value for key, value in identity.items() if key != "images"}
+    name = options.pop("name", "")
+    return Thumbnail(**options) if name == Thumbnail.name else descriptor(name, **options)
 
 
 class WithHeading(Descriptor):
     """The position part of one descriptor with the orientation part of another, in one pass over the images.
 
     Args:
-        position: what tells places, such as a trained network.
-        heading: what tells headings, an analytic descriptor.
+        position: what finds places, such as a trained network.
+        heading: what finds headings, an analytic descriptor.
 
     Raises:
-        ConfigError: a pair that cannot stand together.
+        ConfigError: a pair that does not work together.
     """
 
     name: ClassVar[str] = "with_heading"
@@ -104,7 +115,7 @@ class WithHeading(Descriptor):
         if position.aligned or heading.aligned:
             found = position if position.aligned else heading
             raise ConfigError(
-                f"{found.name} compares whole images after turning them and tells headings by itself: use it as the "
+                f"{found.name} compares whole images after turning them and finds headings by itself: use it as the "
                 "descriptor, and one such as hog for the heading of others"
             )
         if not heading.tells_heading:

@@ -1,33 +1,32 @@
 """Hierarchical search: the nearest map frames among those of a few nodes, exactly ([T] 5.2.1).
 
-The descriptors are kept in the order of their nodes, so that a node is one contiguous block, and all queries that want
-a node are compared with it by one matrix product. As in `siamloc.maps.search`, the product in float32 finds the
-candidates and float64 decides among them: the answer is that of a loop over all pairs in float64.
+First the nodes of a coarse layer are ranked, then the frames in the best of them are searched; queries that want the
+same node are compared with it together. With all nodes as candidates the answer is that of the whole map.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import Description, Descriptor
+from analytic import Description
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
-from siamloc.maps.node_ranking import NodeRanking
-from siamloc.maps.scores import ProductScores
-from siamloc.maps.search import Retrieval, nearest
+from siamloc.maps.matching import match, nearest_in_rows
+from siamloc.maps.search import Retrieval, VectorIndex, check_neighbours
 from siamloc.maps.visual_map import VisualMap
 
-_PAIRS = 1 << 18  # scores held at once; if all tie, as many pairs of descriptors
+if TYPE_CHECKING:
+    from siamloc.data.frames import FrameTable
+    from siamloc.data.library import PanoramaLibrary
+
 _ALIGNED_PAIRS = 1 << 17  # distances at the best turn held at once
 _FOUND = 1 << 21  # neighbours gathered before they are sorted
-_FRAMES = 1 << 16  # map frames prepared at once
-_LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
-
+_COUNTS = 1 << 22  # votes counted at once
 
 _BY_QUERY = ("node", "tried", "frames_compared", "nodes_compared")
 
@@ -72,62 +71,159 @@ class HierarchicalRetrieval:
         return HierarchicalRetrieval(self.found.take(rows), *(getattr(self, name)[rows] for name in _BY_QUERY))
 
 
-class _Hits(NamedTuple):
-    """Candidates (p,): row of the query, row of the map, distance."""
+@dataclass(frozen=True, eq=False)
+class NodeRanking:
+    """The candidate nodes of each query.
 
-    query: NDArray[np.int64]
-    frame: NDArray[np.int64]
-    distance: NDArray[np.float64]
+    Attributes:
+        nodes: (n, c) the best first, no node twice in a row; UNASSIGNED where a query has fewer candidates.
+        compared: (n,) descriptors that were compared to rank them.
+
+    Raises:
+        DataError: arrays that do not fit each other, or a node that appears twice in a row.
+    """
+
+    nodes: NDArray[np.int64]
+    compared: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        nodes, compared = np.asarray(self.nodes), np.asarray(self.compared)
+        whole = nodes.dtype.kind in "iu" and compared.dtype.kind in "iu"
+        if not whole or nodes.ndim != 2 or not nodes.shape[1] or compared.shape != nodes.shape[:1]:
+            raise DataError(
+                f"a ranking needs whole numbers of nodes (n, c) and of comparisons (n,), got {nodes.dtype} "
+                f"{nodes.shape} and {compared.dtype} {compared.shape}"
+            )
+        ordered = np.sort(nodes, axis=1)
+        if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != UNASSIGNED)).any():
+            raise DataError("a ranking names a node twice for one query: rank each node once")
+        object.__setattr__(self, "nodes", nodes.astype(np.int64, copy=False))
+        object.__setattr__(self, "compared", compared.astype(np.int64, copy=False))
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def take(self, rows: NDArray) -> NodeRanking:
+        """Return the ranking for some of the queries: their numbers, or a mask."""
+        return NodeRanking(self.nodes[rows], self.compared[rows])
+
+    @staticmethod
+    def concatenate(parts: Sequence[NodeRanking]) -> NodeRanking:
+        """Return the rankings for one batch of queries after the other."""
+        return NodeRanking(
+            np.concatenate([part.nodes for part in parts]), np.concatenate([part.compared for part in parts])
+        )
 
 
 class HierarchicalSearch:
-    """A map made ready for searching inside nodes; it takes as much memory as the map's descriptors once more.
+    """A map made ready for searching inside nodes.
 
     Frames that are in no node are searched for every query, whatever nodes it tries: otherwise they could not be found
     at all. The comparisons count them.
 
     Args:
         known: m frames.
-        layer: nodes over the same m frames.
-        descriptor: what described the map; needed only if it compares after turning (`aligned`).
+        layer: nodes over the same m frames, built over `coarse`.
+        coarse: a map of the same frames by another descriptor, which ranks the nodes; `known` if None.
+        by: how nodes are ranked: by their "representatives" ([C] 4), or by the "vote" of the nearest map frames.
+        candidates: nodes searched for each query; all of them if there are fewer.
+        neighbours: map frames that vote.
 
     Attributes:
         known: the map.
         layer: its nodes.
+        coarse: the map that ranks the nodes.
 
     Raises:
-        DataError: a layer of another number of frames.
+        ConfigError: numbers below 1, an unknown way to rank, or representatives of descriptors that are compared only
+            after turning: their means stand for nothing.
+        DataError: a layer or a coarse map of other frames.
+
+    Example:
+        >>> from siamloc.data import FrameTable
+        >>> known = VisualMap([[0.0], [1.0], [8.0], [9.0]], FrameTable(path=["a.png", "b.png", "c.png", "d.png"]))
+        >>> search = HierarchicalSearch(known, CoarseLayer.of_labels(known, [0, 0, 1, 1]), candidates=1)
+        >>> queries = Description(np.array([[8.2], [0.7]]))
+        >>> found = search.search(queries, search.rank(queries))
+        >>> found.found.indices[:, 0], found.node, found.compared
+        (array([2, 1]), array([1, 0]), array([4, 4]))
     """
 
-    def __init__(self, known: VisualMap, layer: CoarseLayer, descriptor: Descriptor | None = None) -> None:
+    def __init__(
+        self,
+        known: VisualMap,
+        layer: CoarseLayer,
+        *,
+        coarse: VisualMap | None = None,
+        by: Literal["representatives", "vote"] = "representatives",
+        candidates: int = 3,
+        neighbours: int = 10,
+    ) -> None:
+        self.known, self.layer, self.coarse = known, layer, known if coarse is None else coarse
         if len(layer.labels) != len(known):
             raise DataError(
                 f"the coarse layer has labels for {len(layer.labels)} frames and the map has {len(known)}: "
                 "build the layer from this map"
             )
-        self.known, self.layer = known, layer
-        self._descriptor = descriptor
+        if not np.array_equal(self.coarse.frames.path, known.frames.path):
+            raise DataError("the map that ranks the nodes must hold the map's frames in the same order")
+        if by not in ("representatives", "vote"):
+            raise ConfigError(f"nodes are ranked by representatives or vote, got {by!r}")
+        if by == "representatives" and self.coarse.aligned:
+            raise ConfigError(
+                f"descriptors of {self.coarse.descriptor.name} are compared after turning, and their means stand for "
+                "nothing: rank nodes by vote, or by another descriptor"
+            )
+        self._by, self._candidates, self._neighbours = by, _check_candidates(candidates), check_neighbours(neighbours)
         self._order = np.argsort(layer.labels, kind="stable")
         # Block b holds node b - 1: the frames in no node come first.
         self._bounds = np.searchsorted(layer.labels[self._order], np.arange(UNASSIGNED, len(layer) + 1))
-        self._parts: dict[int, Description] = {}
-        self._scores: ProductScores | None = None
-        self._largest = 1.0
-        if descriptor is not None and descriptor.aligned:
-            return
-        if known.distance in ("manhattan", "minkowski"):
-            self._vectors = known.descriptors[self._order]
-        else:
-            self._prepare_product()
+        self._representatives: VectorIndex | None = None
+        self._aligned_parts: dict[int, Description] = {}
 
     def __len__(self) -> int:
         return len(self.known)
 
+    def find(self, images: PanoramaLibrary, frames: FrameTable, k: int = 1) -> HierarchicalRetrieval:
+        """Describe frames, rank the nodes for each and return its k nearest map frames among the best of them.
+
+        Args:
+            images: panoramas of the frames.
+            frames: n queries.
+            k: how many map frames to return for each.
+
+        Raises:
+            AnalyticError, ConfigError, DataError: as `rank` and `search`.
+        """
+        from siamloc.maps.describing import describe
+
+        fine = describe(self.known, images, frames, progress="describing the queries")
+        if self.coarse is self.known:
+            return HierarchicalRetrieval.concatenate([self.search(part, self.rank(part), k) for part in fine])
+        by = describe(self.coarse, images, frames)
+        return HierarchicalRetrieval.concatenate(
+            [self.search(part, self.rank(other), k) for part, other in zip(fine, by, strict=True)]
+        )
+
+    def rank(self, queries: Description) -> NodeRanking:
+        """Return the candidate nodes of queries (n), described by the descriptor of `coarse`.
+
+        Raises:
+            AnalyticError, DataError: descriptions that cannot be compared with the coarse map.
+        """
+        if self._by == "vote":
+            return rank_by_vote(
+                match(self.coarse, queries, self._neighbours), self.layer.labels, self._candidates, len(self.coarse)
+            )
+        if self._representatives is None:
+            self._representatives = VectorIndex(self.layer.representatives, self.coarse.distance)
+        found = self._representatives.search(queries.position, self._candidates)
+        return NodeRanking(found.indices, np.full(len(found), len(self.layer)))
+
     def search(self, queries: Description | ArrayLike, ranking: NodeRanking, k: int = 1) -> HierarchicalRetrieval:
         """Return the k nearest frames of each query among those of its candidate nodes, exactly.
 
-        Of equally near frames the smaller row of the map comes first. With all nodes as candidates the answer is that
-        of the search in the whole map. It does not depend on the other queries.
+        Of equally near frames the smaller row of the map comes first. The answer does not depend on the other queries.
 
         Args:
             queries: n descriptions, or their vectors (n, D) where the descriptor is not aligned.
@@ -138,140 +234,150 @@ class HierarchicalSearch:
             AnalyticError, ConfigError, DataError: queries that do not fit the map or the ranking, a query without
                 anything to search, or a k below 1.
         """
-        if int(k) != k or k < 1:
-            raise ConfigError(f"a search needs a whole number of neighbours k >= 1, got {k}")
-        described = queries if isinstance(queries, Description) else Description(_vectors(queries))
-        self._check(described, ranking)
-        k, n = min(int(k), len(self.known)), len(ranking)
+        described = queries if isinstance(queries, Description) else Description(np.asarray(queries))
+        n, k = len(described), min(check_neighbours(k), len(self))
+        nodes = ranking.nodes
+        if n != len(ranking):
+            raise DataError(f"{n} queries need as many rows in the ranking, got {len(ranking)}")
+        if nodes.size and not UNASSIGNED <= nodes.min() <= nodes.max() < len(self.layer):
+            raise DataError(f"the candidates must be nodes of the layer, 0 to {len(self.layer) - 1}")
         members = np.diff(self._bounds)
-        wanted = ranking.nodes + 1
-        if members[0]:
-            wanted = np.column_stack([np.zeros(n, dtype=np.int64), wanted])
-        searched = np.where(wanted > 0, members[wanted], 0).sum(axis=1) + members[0]
+        searched = members[0] + np.where(nodes == UNASSIGNED, 0, members[nodes + 1]).sum(axis=1)
         if (searched == 0).any():
             raise DataError(f"{int((searched == 0).sum())} of {n} queries have no candidate node: nothing to search")
         best = Retrieval(np.zeros((n, k), dtype=np.int64), np.full((n, k), np.inf))
-        step = max(1, _FOUND // (k * wanted.shape[1]))
+        step = max(1, _FOUND // (k * (nodes.shape[1] + 1)))
         for start in range(0, n, step):
             part = slice(start, min(start + step, n))
-            hits = list(self._visits(described.take(part), wanted[part], k))
-            _keep(best, start, _Hits(*(np.concatenate(column) for column in zip(*hits, strict=True))))
+            self._fill(best.take(part), described.take(part), nodes[part])
         empty = np.isinf(best.distances)
         best.indices[empty] = np.broadcast_to(best.indices[:, :1], empty.shape)[empty]
         node = self.layer.labels[best.indices[:, 0]]
-        return HierarchicalRetrieval(best, node, ranking.nodes, searched, ranking.compared)
+        return HierarchicalRetrieval(best, node, nodes, searched, ranking.compared)
 
-    def _visits(self, queries: Description, wanted: NDArray[np.int64], k: int) -> Iterator[_Hits]:
-        """Yield what each block that some queries want has for them."""
-        prepared = self._scores.queries(queries.position) if self._scores is not None else None
-        flat = wanted.ravel()
-        order = np.argsort(flat, kind="stable")
-        blocks, first = np.unique(flat[order], return_index=True)
-        for block, places in zip(blocks.tolist(), np.split(order, first[1:]), strict=True):
-            part = slice(int(self._bounds[block]), int(self._bounds[block + 1]))
-            size = part.stop - part.start
-            if not size or (block == 0 and not self._bounds[1]):
+    def _fill(self, best: Retrieval, queries: Description, nodes: NDArray[np.int64]) -> None:
+        """Write what each query finds in its nodes, and among the frames in no node, in place."""
+        k, hits = best.indices.shape[1], []
+        for node in np.union1d(nodes, UNASSIGNED).tolist():
+            rows = self._order[self._bounds[node + 1] : self._bounds[node + 2]]
+            if not len(rows):
                 continue
-            everyone = places // wanted.shape[1]
-            step = max(1, (_PAIRS if prepared is not None else _ALIGNED_PAIRS) // size)
-            for start in range(0, len(everyone), step):
-                rows = everyone[start : start + step]
-                if prepared is not None:
-                    yield self._by_product(_rows(prepared, rows), rows, part, k)
-                elif self._descriptor is not None and self._descriptor.aligned:
-                    yield self._by_alignment(queries.take(rows), rows, block, part, k)
-                else:
-                    found = nearest(queries.position[rows], self._vectors[part], k, self.known.distance)
-                    yield self._hits(rows, found.indices, found.distances, part)
+            everyone = np.arange(len(nodes)) if node == UNASSIGNED else np.flatnonzero((nodes == node).any(axis=1))
+            found = self._inside(node, rows, queries.take(everyone), k)
+            hits.append((np.repeat(everyone, found.indices.shape[1]), found.indices.ravel(), found.distances.ravel()))
+        query, frame, apart = (np.concatenate(column) for column in zip(*hits, strict=True))
+        order = np.lexsort((frame, apart, query))
+        query = query[order]
+        first = np.flatnonzero(np.diff(query, prepend=-1))
+        rank = np.arange(len(query)) - np.repeat(first, np.diff(np.append(first, len(query))))
+        near = rank < k
+        best.indices[query[near], rank[near]] = frame[order][near]
+        best.distances[query[near], rank[near]] = apart[order][near]
 
-    def _by_product(self, queries: Any, rows: NDArray[np.int64], part: slice, k: int) -> _Hits:
-        assert self._scores is not None
-        score, slack = self._scores.block(queries, _rows(self._prepared, part))
-        last = score.shape[1] - min(k, score.shape[1])
-        top = score.max(axis=1) if k == 1 else np.partition(score, last, axis=1)[:, last]
-        needed = (top.astype(np.float64) - 2 * slack).astype(score.dtype)
-        row, column = np.nonzero(score >= needed[:, None])
-        frames = self._order[part.start + column]
-        candidates = self._scores.references(self.known.descriptors[frames])
-        exact = self._scores.exact(queries, candidates, row, np.arange(len(row)))
-        hits = _Hits(row, frames, exact)
-        if len(row) > k * len(rows):  # frames that look alike tie, and there may be very many
-            order, rank = _ranked(hits)
-            near = order[rank < k]
-            hits = _Hits(hits.query[near], hits.frame[near], hits.distance[near])
-        return hits._replace(query=rows[hits.query])
-
-    def _by_alignment(self, queries: Description, rows: NDArray[np.int64], block: int, part: slice, k: int) -> _Hits:
-        assert self._descriptor is not None
-        if block not in self._parts:  # kept with its spectrum, for the next queries
-            self._parts[block] = self.known.description.take(self._order[part])
-        apart = self._descriptor.pairwise(queries, self._parts[block], self.known.distance)
-        order = np.argsort(apart, axis=1, kind="stable")[:, :k]
-        return self._hits(rows, order, np.take_along_axis(apart, order, axis=1), part)
-
-    def _hits(
-        self, rows: NDArray[np.int64], places: NDArray[np.int64], distances: NDArray[np.float64], part: slice
-    ) -> _Hits:
-        return _Hits(np.repeat(rows, places.shape[1]), self._order[part.start + places].ravel(), distances.ravel())
-
-    def _prepare_product(self) -> None:
-        """Centre and scale the descriptors in the order of their nodes, once for all queries."""
-        vectors = self.known.descriptors
-        self._largest = max(float(vectors.max()), -float(vectors.min())) or 1.0
-        self._scores = ProductScores(self.known.distance, np.empty((0, vectors.shape[1]), np.float32), vectors)
-        blocks = []
-        for start in range(0, len(vectors), _FRAMES):
-            block = self._scores.references(vectors[self._order[start : start + _FRAMES]])
-            blocks.append((block.product, block.norm))
-        product, norm = (np.concatenate(column) for column in zip(*blocks, strict=True))
-        # Exact distances are measured on the map's own descriptors.
-        self._prepared = replace(block, vectors=np.empty((len(vectors), 0)), product=product, norm=norm)
-
-    def _check(self, queries: Description, ranking: NodeRanking) -> None:
-        if len(queries) != len(ranking):
-            raise DataError(f"{len(queries)} queries need as many rows in the ranking, got {len(ranking)}")
-        if ranking.nodes.size and not UNASSIGNED <= ranking.nodes.min() <= ranking.nodes.max() < len(self.layer):
-            raise DataError(f"the candidates must be nodes of the layer, 0 to {len(self.layer) - 1}")
-        if self._descriptor is not None and self._descriptor.aligned:
-            return
-        values = queries.position
-        if values.ndim != 2 or values.shape[1] != self.known.width:
-            raise DataError(
-                f"queries need vectors of {self.known.width} values like the map's, got shape {values.shape}: "
-                "describe both with one model"
-            )
-        if not np.isfinite(values).all():
-            bad = int((~np.isfinite(values)).any(axis=1).sum())
-            raise DataError(
-                f"{bad} of {len(values)} query descriptors hold values that are not finite: "
-                "look at the model and at these images"
-            )
-        if self.known.distance == "euclidean" and values.size and np.abs(values).max() > _LARGEST * self._largest:
-            raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
+    def _inside(self, node: int, rows: NDArray[np.int64], queries: Description, k: int) -> Retrieval:
+        """Return the nearest of some rows of the map."""
+        if not self.known.aligned:
+            return self.known.index.search(queries.position, k, within=rows)
+        if node not in self._aligned_parts:  # kept with its spectrum, for the next queries
+            self._aligned_parts[node] = self.known.description.take(rows)
+        step = max(1, _ALIGNED_PAIRS // len(rows))
+        parts = []
+        for start in range(0, len(queries), step):
+            some = queries.take(slice(start, start + step))
+            apart = self.known.descriptor.pairwise(some, self._aligned_parts[node], self.known.distance)
+            parts.append(nearest_in_rows(apart, k))
+        found = Retrieval.concatenate(parts)
+        return Retrieval(rows[found.indices], found.distances)
 
 
-def _rows(block: Any, rows: Any) -> Any:
-    """Return some rows of a prepared block."""
-    return replace(block, vectors=block.vectors[rows], product=block.product[rows], norm=block.norm[rows])
+def rank_by_representatives(
+    queries: ArrayLike, representatives: ArrayLike, candidates: int = 1, distance: str = "euclidean"
+) -> NodeRanking:
+    """Rank nodes by the distance of a query to what stands for each ([C] 4).
+
+    Args:
+        queries: (n, D), described as the representatives were.
+        representatives: (k, D), those of a `CoarseLayer`.
+        candidates: how many nodes to keep; all of them if there are fewer.
+        distance: that of the map that the coarse layer was made of.
+
+    Raises:
+        ConfigError: a number of candidates below 1, or an unknown distance.
+        DataError: vectors that do not fit each other.
+    """
+    index = VectorIndex(representatives, distance)
+    found = index.search(queries, _check_candidates(candidates))
+    return NodeRanking(found.indices, np.full(len(found), len(index)))
 
 
-def _ranked(hits: _Hits) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the order by query and then by distance, and the rank from 0 of each in its query's hits."""
-    order = np.lexsort((hits.frame, hits.distance, hits.query))
-    query = hits.query[order]
-    fresh = np.flatnonzero(np.diff(query, prepend=-1))
-    return order, np.arange(len(query)) - np.repeat(fresh, np.diff(np.append(fresh, len(query))))
+def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compared: int | None = None) -> NodeRanking:
+    """Rank nodes by how many of the nearest map frames lie in them; of equal numbers, that of the nearest one first.
+
+    Nodes without a vote are no candidates, so that a query may have fewer than asked for. Frames in no node have none.
+
+    Args:
+        found: the nearest frames of the coarse map for each query (n, k): k votes.
+        labels: (m,) the node of each frame of the coarse map.
+        candidates: how many nodes to keep.
+        compared: descriptors compared for one query; all m if None.
+
+    Raises:
+        ConfigError: a number of candidates below 1.
+        DataError: retrieved frames that have no label.
+    """
+    keep, node = _check_candidates(candidates), _labels(labels)
+    if found.indices.size and (found.indices.min() < 0 or found.indices.max() >= len(node)):
+        raise DataError(f"the votes must come from the {len(node)} frames that have labels, rows 0 to {len(node) - 1}")
+    n, k = found.indices.shape
+    total = max(int(node.max()) + 1, 1)
+    kept = np.full((n, min(keep, total)), UNASSIGNED, dtype=np.int64)
+    step = max(1, _COUNTS // total)
+    for start in range(0, n, step):
+        part = slice(start, start + step)
+        kept[part] = _elected(node[found.indices[part]], total, k)[:, : kept.shape[1]]
+    return NodeRanking(kept, np.full(n, len(node) if compared is None else compared))
 
 
-def _keep(best: Retrieval, first: int, hits: _Hits) -> None:
-    """Write the nearest hits of each query, whose numbers count from `first`, in place."""
-    order, rank = _ranked(hits)
-    near = rank < best.indices.shape[1]
-    order, rank = order[near], rank[near]
-    best.indices[first + hits.query[order], rank] = hits.frame[order]
-    best.distances[first + hits.query[order], rank] = hits.distance[order]
+def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) -> NodeRanking:
+    """Return the node of the geometrically nearest map frame: the perfect coarse layer, which no query has for itself.
+
+    A query whose nearest frame is in no node has none.
+
+    Args:
+        query_xy: (n, 2) true positions.
+        map_xy: (m, 2).
+        labels: (m,) the node of each map frame.
+
+    Raises:
+        DataError: arrays that do not fit each other, or a position that is not finite.
+    """
+    node, index = _labels(labels), VectorIndex(map_xy)
+    if len(node) != len(index):
+        raise DataError(f"{len(index)} map frames need as many labels, got {len(node)}")
+    closest = index.search(query_xy)
+    return NodeRanking(node[closest.indices], np.zeros(len(closest), dtype=np.int64))
 
 
-def _vectors(queries: ArrayLike) -> NDArray[Any]:
-    values = np.asarray(queries)
-    return values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
+def _elected(votes: NDArray[np.int64], total: int, k: int) -> NDArray[np.int64]:
+    """Return all nodes (b, total) of some ballots (b, k), UNASSIGNED in place of those without a vote."""
+    row, place = np.nonzero(votes != UNASSIGNED)
+    node = votes[row, place]
+    count = np.zeros((len(votes), total), dtype=np.int64)
+    first = np.full((len(votes), total), k, dtype=np.int64)
+    np.add.at(count, (row, node), 1)
+    np.minimum.at(first, (row, node), place)
+    order = np.argsort(first - count * (k + 1), axis=1, kind="stable")
+    return np.where(np.take_along_axis(count, order, axis=1) > 0, order, UNASSIGNED)
+
+
+def _labels(labels: ArrayLike) -> NDArray[np.int64]:
+    node = np.asarray(labels)
+    if node.ndim != 1 or not len(node) or node.dtype.kind not in "iu" or (node < UNASSIGNED).any():
+        raise DataError(f"labels must be whole numbers of shape (m,), -1 or more, got {node.dtype} {node.shape}")
+    return node.astype(np.int64, copy=False)
+
+
+def _check_candidates(candidates: Any) -> int:
+    if int(candidates) != candidates or candidates < 1:
+        raise ConfigError(f"hierarchical localization needs a whole number of candidate nodes >= 1, got {candidates}")
+    return int(candidates)

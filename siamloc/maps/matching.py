@@ -1,57 +1,101 @@
-"""Finding queries in a map by the descriptor that made it: nearest frames, and the heading relative to the best."""
+"""Finding described frames in a map: the nearest map frames, the heading by them, and the distances to all."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Iterator
 
-from analytic import Description, Descriptor
-from siamloc.maps.search import Retrieval
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic import Description
+from analytic.distances import distance as distance_named
+from siamloc.maps.search import Retrieval, check_excluded, check_neighbours
 from siamloc.maps.visual_map import VisualMap
 
-_PAIRS = 1 << 17  # distances held at once
+_PAIRS = 1 << 17  # aligned distances held at once
 
 
-def match(known: VisualMap, queries: Description, descriptor: Descriptor, k: int) -> Retrieval:
-    """Return the k nearest map frames of each query, exactly; min(k, len(known)) of them.
+def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
+    """Find the k nearest map frames of each query, exactly; min(k, m) of them.
 
     Descriptors that are compared after turning them alike ([T] 3.3.4-3.3.6) are asked for every distance, the others
     are searched as vectors.
 
     Args:
-        known: m frames, described by `descriptor`.
-        queries: n descriptions.
-        descriptor: what made both.
+        known: m frames.
+        queries: n descriptions by the map's descriptor.
         k: how many to return, at least 1.
+        excluded: (n, m) bool, True where a query must not find a map frame; see `Protocol.excluded`.
 
     Raises:
-        AnalyticError, ConfigError, DataError: descriptions that cannot be compared, or a k below 1.
+        AnalyticError, ConfigError, DataError: descriptions that cannot be compared, a k below 1, or a query with fewer
+            than k map frames left.
+
+    Example:
+        >>> from siamloc.data import FrameTable
+        >>> known = VisualMap([[0.0], [1.0], [5.0]], FrameTable(path=["a.png", "b.png", "c.png"]))
+        >>> query = Description(np.array([[0.9]]))
+        >>> match(known, query, 2).indices
+        array([[1, 0]])
+        >>> match(known, query, 2, excluded=[[False, True, False]]).indices
+        array([[0, 2]])
     """
-    if not descriptor.aligned:
-        return known.search(queries.position, k)
-    k = min(k, len(known))
-    rows = max(1, _PAIRS // len(known))
-    indices, distances = np.zeros((len(queries), k), dtype=np.int64), np.zeros((len(queries), k))
-    for start in range(0, len(queries), rows):
-        part = slice(start, start + rows)
-        apart = descriptor.pairwise(queries.take(part), known.description, known.distance)
-        order = np.argsort(apart, axis=1, kind="stable")[:, :k]  # of equally near ones the smaller index comes first
-        indices[part], distances[part] = order, np.take_along_axis(apart, order, axis=1)
-    return Retrieval(indices, distances)
+    if not known.aligned:
+        return known.search(queries.position, k, excluded=excluded)
+    k, m = min(check_neighbours(k), len(known)), len(known)
+    mask = None if excluded is None else check_excluded(excluded, (len(queries), m), k)
+    parts = [Retrieval(np.zeros((0, k), dtype=np.int64), np.zeros((0, k)))]
+    for part in _parts(len(queries), _PAIRS // m):
+        apart = known.descriptor.pairwise(queries.take(part), known.description, known.distance)
+        parts.append(nearest_in_rows(apart if mask is None else np.where(mask[part], np.inf, apart), k))
+    return Retrieval.concatenate(parts)
 
 
-def estimated_headings(
-    known: VisualMap, queries: Description, descriptor: Descriptor, found: Retrieval
-) -> NDArray[np.float64] | None:
-    """Return the heading of each query from its nearest map frame's (n,), rad in (-pi, pi]; NaN where that is unknown.
+def headings(known: VisualMap, queries: Description, found: Retrieval, count: int = 1) -> NDArray[np.float64]:
+    """Estimate the heading of each query by each of the first map frames found for it.
 
-    None if the descriptor tells no headings, or no map frame has one.
+    Args:
+        known: m frames, whose headings and orientation parts are used; see `siamloc.maps.build(heading=...)`.
+        queries: n descriptions by `known.describer`.
+        found: their nearest map frames, at least one.
+        count: how many of them to ask.
+
+    Returns:
+        (n, count) rad in (-pi, pi]; NaN where the map frame has no heading, or where there is no orientation part to
+        compare.
     """
-    if queries.orientation is None or known.orientation is None or not descriptor.tells_heading:
-        return None
-    best = found.indices[:, 0]
-    theta = known.frames.theta[best]
-    if not np.isfinite(theta).any():
-        return None
-    turned = theta + descriptor.relative_heading(queries, known.description.take(best))
+    turned = np.full((len(queries), count), np.nan)
+    if queries.orientation is None or (known.orientation is None and known.heading is None):
+        return turned
+    by = known.descriptor if known.heading is None else known.heading.descriptor
+    for place in range(min(count, found.indices.shape[1])):
+        rows = found.indices[:, place]
+        theta = known.frames.theta[rows]
+        if by.tells_heading and np.isfinite(theta).any():
+            turned[:, place] = theta + by.relative_heading(queries, known.turning(rows))
     return np.pi - np.remainder(np.pi - turned, 2 * np.pi)
+
+
+def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
+    """Return the distances (n, m) of queries to all map frames, by the map's distance.
+
+    Raises:
+        AnalyticError: descriptions that cannot be compared.
+    """
+    if not known.aligned:
+        return distance_named(known.distance)(queries.position, known.descriptors)
+    parts = [np.empty((0, len(known)))]
+    for part in _parts(len(queries), _PAIRS // len(known)):
+        parts.append(known.descriptor.pairwise(queries.take(part), known.description, known.distance))
+    return np.concatenate(parts)
+
+
+def nearest_in_rows(apart: NDArray[np.float64], k: int) -> Retrieval:
+    """Return the k smallest distances of each row (n, m); of equal ones the first."""
+    order = np.argsort(apart, axis=1, kind="stable")[:, :k]
+    return Retrieval(order, np.take_along_axis(apart, order, axis=1))
+
+
+def _parts(count: int, step: int) -> Iterator[slice]:
+    step = max(step, 1)
+    return (slice(start, start + step) for start in range(0, count, step))

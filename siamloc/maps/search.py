@@ -3,7 +3,7 @@
 The rounding error of the product is bounded (Higham, *Accuracy and Stability of Numerical Algorithms*, section 3.1:
 a sum of D products is off by at most about D u |q| |r|, in whatever order it is added up). Every reference whose
 score lies within that bound of the k-th best is compared again in float64, so the answer is the one that a loop
-over all pairs in float64 gives, whatever the sizes of the chunks.
+over all pairs in float64 gives, however many queries are asked at once.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic.distances import DISTANCES
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps.scores import DirectScores, ProductScores, Scores
 
-_REFERENCES_PER_BLOCK = 4096
-_QUERIES_PER_BLOCK = 2048  # the fewer products, the less their threads wait for each other
-_GROUP = 256  # neighbouring scores of which the largest tells whether to look at the others
-_MANY_GROUPS = 4  # a query's groups to look at, beyond which a better bound is worth its time
-_BYTES_PER_SCORE = 16
+MEMORY = 256 << 20  # bytes that a search uses on top of its input and its answer
 _BYTES_PER_PAIR = 80  # of rows in which everything ties: score, mask, two indices, distance, and sorting them
+_REFERENCES_PER_BLOCK = 4096  # prepared at once
+_VALUES_PER_SLICE = 1 << 17  # 1 MiB of float64: a slice of candidates stays in the processor's cache
+_SAMPLE = 4096  # references whose mean is the centre
+_ROUNDOFF = float(np.finfo(np.float32).eps)
+_SMALLEST = float(np.finfo(np.float32).tiny)
+_LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
 
 
 @dataclass(frozen=True)
@@ -53,182 +54,249 @@ class Retrieval:
         )
 
 
-def nearest(
-    queries: ArrayLike, references: ArrayLike, k: int = 1, distance: str = "euclidean", memory: int = 256 << 20
-) -> Retrieval:
-    """Return the k nearest references of each query, exactly; of equally near ones the smaller index comes first.
+class VectorIndex:
+    """Vectors made ready for exact search; that takes their memory once more, as float32.
 
-    A map of fewer than k references gives all of them: the answer has min(k, m) columns. It depends neither on
-    how many queries are asked at once nor on `memory`.
+    Euclidean distances are ordered by the score q.r - |r|^2 / 2 of centred vectors; centring and scaling keep the
+    rounding small where all vectors lie close together. Cosine and correlation are Euclidean distances between unit
+    vectors: 1 - cos = |u - v|^2 / 2. Manhattan distances have no such product and are computed for every pair.
 
     Args:
-        queries: (n, D); n may be 0.
-        references: (m, D).
-        k: how many to return, at least 1.
+        references: (m, D), m and D at least 1; kept, not copied.
         distance: a name in `analytic.DISTANCES`; "minkowski" is that of order 2.
-        memory: bytes that the search may use on top of its input and its answer; about 8 MiB are the least.
 
     Raises:
-        ConfigError: an unknown distance, or a number of neighbours or bytes that is not positive.
-        DataError: no references, arrays of another shape, or values that are not finite.
+        ConfigError: an unknown distance.
+        DataError: no references, another shape, or values that are not finite.
+
+    Example:
+        >>> index = VectorIndex([[0.0, 0.0], [3.0, 4.0], [0.0, 1.0]])
+        >>> index.search([[0.0, 0.2]], k=2).indices
+        array([[0, 2]])
     """
-    if distance not in DISTANCES:
-        raise ConfigError(f"unknown distance {distance!r}: {hint(distance, DISTANCES)}")
-    if int(k) != k or k < 1:
-        raise ConfigError(f"a search needs a whole number of neighbours k >= 1, got {k}")
-    if not memory > 0:
-        raise ConfigError(f"the memory of a search must be a positive number of bytes, got {memory}")
-    q, r = _checked(queries, references)
-    k = min(int(k), len(r))
-    best = Retrieval(np.full((len(q), k), len(r), dtype=np.int64), np.full((len(q), k), np.inf))
-    scores: Scores = DirectScores(distance) if distance in ("manhattan", "minkowski") else ProductScores(distance, q, r)
-    sizes = _Sizes.fitting(q.shape[1], len(r), int(memory), scores.bytes_per_query(q))
-    for rows in _slices(0, len(q), sizes.batch):
-        _search(best, q, r, rows, scores, sizes)
-    return best
+
+    def __init__(self, references: ArrayLike, distance: str = "euclidean") -> None:
+        if distance not in DISTANCES:
+            raise ConfigError(f"unknown distance {distance!r}: {hint(distance, DISTANCES)}")
+        self.distance = distance
+        self._references = _checked(references, "map")
+        if not self._references.size:
+            raise DataError("the map holds no descriptors: there is nothing to search in")
+        if distance != "manhattan":
+            self._prepare()
+
+    def __len__(self) -> int:
+        return len(self._references)
+
+    def search(
+        self,
+        queries: ArrayLike,
+        k: int = 1,
+        *,
+        excluded: ArrayLike | None = None,
+        within: NDArray[np.int64] | None = None,
+        memory: int = MEMORY,
+    ) -> Retrieval:
+        """Return the k nearest references of each query, exactly; of equally near ones the smaller row comes first.
+
+        Fewer than k references are all returned: the answer has min(k, m) columns. It depends neither on the other
+        queries nor on `memory`.
+
+        Args:
+            queries: (n, D); n may be 0.
+            k: how many to return, at least 1.
+            excluded: (n, m) bool, True where a query must not find a reference.
+            within: rows to search alone, increasing, not together with `excluded`; all if None.
+            memory: bytes that the search may use on top of its input and its answer; some MiB are the least.
+
+        Raises:
+            ConfigError: a number of neighbours or bytes that is not positive.
+            DataError: queries of another shape, or values that are not finite or far beyond the references'; or a
+                query with fewer than k references that are not excluded.
+        """
+        k, q = check_neighbours(k), self._checked_queries(queries)
+        if not memory > 0:
+            raise ConfigError(f"the memory of a search must be a positive number of bytes, got {memory}")
+        m = len(self) if within is None else len(within)
+        k = min(k, m)
+        mask = None if excluded is None else check_excluded(excluded, (len(q), len(self)), k)
+        found = Retrieval(np.zeros((len(q), k), dtype=np.int64), np.zeros((len(q), k)))
+        for block in _slices(len(q), memory // 3 // (4 * m)):
+            sight = self._look(q[block], within)
+            if mask is not None:
+                sight.scores[mask[block]] = -np.inf
+            for part in _slices(len(sight.scores), memory // 2 // (_BYTES_PER_PAIR * m)):
+                row, column = _candidates(sight.scores[part], sight.slack[part], k)
+                rows = column if within is None else within[column]
+                if self.distance == "manhattan":
+                    apart = -sight.scores[part][row, column].astype(np.float64)
+                else:
+                    apart = self._distances(sight.queries[part], row, rows)
+                place = slice(block.start + part.start, block.start + part.stop)
+                found.indices[place], found.distances[place] = _nearest(row, rows, apart, k)
+        return found
+
+    def _look(self, queries: NDArray, within: NDArray[np.int64] | None) -> _Sight:
+        """Score queries against the references."""
+        if self.distance == "manhattan":
+            references = self._references if within is None else self._references[within]
+            scores = np.empty((len(queries), len(references)))
+            for columns in _slices(len(references), _REFERENCES_PER_BLOCK):
+                scores[:, columns] = -DISTANCES["manhattan"](queries, references[columns])
+            return _Sight(queries, scores, np.zeros(len(queries)))
+        embedded = self._embed(queries, is_query=True)
+        left = np.ones((len(queries), self._product.shape[1]), dtype=np.float32)
+        left[:, :-1] = (embedded - self._centre) * self._scale
+        right = self._product if within is None else self._product[within]
+        norm = np.sqrt(np.einsum("ij,ij->i", left[:, :-1], left[:, :-1], dtype=np.float64))
+        rounding = _ROUNDOFF * (norm * self._longest + self._longest**2) + _SMALLEST
+        return _Sight(embedded, left @ right.T, (left.shape[1] + 8) * rounding)
+
+    def _distances(
+        self, queries: NDArray[np.float64], row: NDArray[np.int64], column: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return the distances of pairs (p,) from the differences of the vectors in float64."""
+        squared = np.empty(len(row))
+        for part in _slices(len(row), _VALUES_PER_SLICE // queries.shape[1]):
+            difference = self._embed(self._references[column[part]], is_query=False)
+            difference -= queries[row[part]]
+            # One dot product per pair: its bits do not depend on what else is in the slice.
+            squared[part] = np.matmul(difference[:, None, :], difference[:, :, None])[:, 0, 0]
+        if self.distance in ("cosine", "correlation"):
+            return np.minimum(squared / 2, 2.0)
+        return np.sqrt(squared)
+
+    def _prepare(self) -> None:
+        """Centre and scale the references, and add the column of the constant term of the score."""
+        m, angular = len(self), self.distance in ("cosine", "correlation")
+        largest = 1.0 if angular else max(float(self._references.max()), -float(self._references.min()))
+        # A power of two, so that scaling rounds nothing.
+        self._scale = float(np.exp2(-np.ceil(np.log2(largest)))) if largest > 1e-290 else 1.0
+        # Any centre gives the right answer, so a sample of a large map will do.
+        self._centre = self._embed(self._references[:: -(-m // _SAMPLE)], is_query=False).mean(axis=0)
+        self._product = np.empty((m, len(self._centre) + 1), dtype=np.float32)
+        squares = np.empty(m)
+        for part in _slices(m, _REFERENCES_PER_BLOCK):
+            product = self._product[part, :-1]
+            product[:] = (self._embed(self._references[part], is_query=False) - self._centre) * self._scale
+            squares[part] = np.einsum("ij,ij->i", product, product, dtype=np.float64)
+        self._product[:, -1] = -squares / 2
+        self._longest = float(np.sqrt(squares.max()))
+
+    def _embed(self, vectors: NDArray, *, is_query: bool) -> NDArray[np.float64]:
+        """Return float64 vectors whose Euclidean distance is the wanted one, or gives it: (n, D) or (n, D + 2).
+
+        A zero vector is at cosine distance 1 from everything: two more coordinates, one for zero queries and one for
+        zero references, make that so.
+        """
+        values = vectors.astype(np.float64)
+        if self.distance not in ("cosine", "correlation"):
+            return values
+        if self.distance == "correlation":
+            mean = values.mean(axis=1, keepdims=True)
+            rounding = 1e-12 * np.abs(values).max(axis=1, keepdims=True)
+            values = values - mean
+            values[np.abs(values).max(axis=1) <= rounding[:, 0]] = 0
+        # Dividing by the largest value first keeps the squares inside the range of float64.
+        largest = np.maximum(values.max(axis=1), -values.min(axis=1))[:, None]
+        unit = np.zeros((len(values), values.shape[1] + 2))
+        np.divide(values, largest, out=unit[:, :-2], where=largest > 0)
+        norm = np.linalg.norm(unit, axis=1, keepdims=True)
+        np.divide(unit, norm, out=unit, where=norm > 0)
+        unit[norm[:, 0] == 0, -1 if is_query else -2] = 1
+        return unit
+
+    def _checked_queries(self, queries: ArrayLike) -> NDArray:
+        q, width = _checked(queries, "query"), self._references.shape[1]
+        if q.shape[1] != width:
+            raise DataError(
+                f"queries have {q.shape[1]} values each, the map's descriptors {width}: describe both with one model"
+            )
+        plain = self.distance in ("euclidean", "minkowski")
+        if plain and q.size and max(float(q.max()), -float(q.min())) * self._scale > _LARGEST:
+            raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
+        return q
 
 
 @dataclass(frozen=True)
-class _Sizes:
-    """What is held at once.
+class _Sight:
+    """What a block of queries sees of the references: the higher a score, the nearer.
 
     Attributes:
-        batch: queries that are prepared and kept while all references pass by.
-        height: queries of a block of scores.
-        width: references of a block of scores.
-        rows: of a block, whose candidates are looked at.
+        queries: as distances are measured from them (n, D').
+        scores: (n, m).
+        slack: by how much a row's scores may be wrong (n,).
     """
 
-    batch: int
-    height: int
-    width: int
-    rows: int
-
-    @classmethod
-    def fitting(cls, values: int, references: int, memory: int, query: int) -> _Sizes:
-        """Return the sizes for vectors of so many values and queries of so many bytes once prepared."""
-        vector = 8 * (values + 3)
-        pairs = max(memory // 4 // _BYTES_PER_PAIR, 1)
-        width = max(min(_REFERENCES_PER_BLOCK, references, memory // 8 // (3 * vector), pairs), 1)
-        height = max(min(_QUERIES_PER_BLOCK, memory // 2 // (_BYTES_PER_SCORE * width), memory // 8 // (3 * vector)), 1)
-        return cls(max(memory // 8 // query // height, 1) * height, height, width, max(pairs // width, 1))
+    queries: NDArray
+    scores: NDArray
+    slack: NDArray[np.float64]
 
 
-def _search(
-    best: Retrieval, queries: NDArray, references: NDArray, batch: slice, scores: Scores, sizes: _Sizes
-) -> None:
-    """Fill the rows of one batch; its queries are prepared once and kept while the references pass by."""
-    blocks = [(rows, scores.queries(queries[rows])) for rows in _slices(batch.start, batch.stop, sizes.height)]
-    buffer = np.empty(min(sizes.height, batch.stop - batch.start) * sizes.width, dtype=np.float32)
-    for columns in _slices(0, len(references), sizes.width):
-        prepared = scores.references(references[columns])
-        for rows, block in blocks:
-            score, slack = scores.block(block, prepared, buffer)
-            indices, distances = best.indices[rows], best.distances[rows]
-            needed = scores.at(block, distances[:, -1]) - slack
-            for part in _slices(0, len(score), sizes.rows):
-                row, column = _candidates(score[part], slack[part], needed[part], indices.shape[1])
-                if len(row):
-                    exact = scores.exact(block, prepared, part.start + row, column)
-                    _merge(indices[part], distances[part], row, column + columns.start, exact)
+def check_neighbours(k: int) -> int:
+    """Return a number of neighbours as a plain integer.
 
-
-def _candidates(score: NDArray, slack: NDArray, needed: NDArray, k: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return row and column, in order, of what may be among the k nearest so far of queries (n,).
-
-    Args:
-        score: of a block of references (n, m).
-        slack: by how much the scores may be wrong (n,).
-        needed: score below which a reference is not wanted (n,).
-        k: neighbours wanted.
+    Raises:
+        ConfigError: it is not a whole number from 1.
     """
-    groups, peaks = _groups(score)
-    # The k nearest of all are among the k nearest of the block. Where references come nearer and nearer, as along a
-    # drive, that is the better bound.
-    if k == 1:
-        needed = np.maximum(needed, peaks.max(axis=1) - 2 * slack)
-        row, group = _reaching(peaks, needed)
-    else:
-        row, group = _reaching(peaks, needed)
-        live = row[np.diff(row, prepend=-1) != 0]
-        if len(row) > _MANY_GROUPS * len(live) or np.isinf(needed).any():
-            needed[live] = np.maximum(needed[live], _kth_largest(score[live], k) - 2 * slack[live])
-            row, group = _reaching(peaks, needed)
-    if not len(row):
-        return row, group
-    place, offset = _reaching(groups[row, group], needed[row])
-    return row[place], group[place] * groups.shape[2] + offset
+    if int(k) != k or k < 1:
+        raise ConfigError(f"a search needs a whole number of neighbours k >= 1, got {k}")
+    return int(k)
 
 
-def _groups(score: NDArray) -> tuple[NDArray, NDArray]:
-    """Return scores in groups of neighbours (n, groups, size), filled up with -inf, and the groups' maxima."""
-    n, width = score.shape
-    size = min(_GROUP, width)
-    if width % size:
-        filled = np.full((n, -(-width // size) * size), -np.inf, dtype=score.dtype)
-        filled[:, :width] = score
-        score = filled
-    peaks = np.maximum.reduceat(score, np.arange(0, score.shape[1], size), axis=1)
-    return score.reshape(n, -1, size), peaks
+def _candidates(scores: NDArray, slack: NDArray, k: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return row and column, in order, of all scores (n, m) that may be among the k highest of their rows."""
+    m = scores.shape[1]
+    best = scores.max(axis=1) if k == 1 else np.partition(scores, m - k, axis=1)[:, m - k]
+    needed = (best.astype(np.float64) - 2 * slack).astype(scores.dtype)
+    place = np.flatnonzero(scores >= needed[:, None])
+    return place // m, place % m
 
 
-def _reaching(values: NDArray, needed: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return row and column, in order, of the values (n, m) that reach what their row needs (n,)."""
-    place = np.flatnonzero(values >= needed.astype(values.dtype)[:, None])
-    return place // values.shape[1], place % values.shape[1]
+def _nearest(
+    row: NDArray[np.int64], column: NDArray[np.int64], apart: NDArray[np.float64], k: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return columns and distances (n, k) of the nearest of each row's candidates, of which it has k at least."""
+    # Columns increase within a row, so that a stable sort settles ties.
+    order = np.lexsort((apart, row))
+    first = np.flatnonzero(np.diff(row, prepend=-1))
+    chosen = order[first[:, None] + np.arange(k)]
+    return column[chosen], apart[chosen]
 
 
-def _merge(indices: NDArray, distances: NDArray, row: NDArray, column: NDArray, exact: NDArray) -> None:
-    """Keep the k nearest of those known (n, k) and of the candidates, in place; `row` never decreases."""
-    k = indices.shape[1]
-    fresh = np.diff(row, prepend=-1) != 0
-    live, row = row[fresh], np.cumsum(fresh) - 1
-    counts = np.bincount(row)
-    place = k + np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
-    near = np.full((len(live), k + int(counts.max())), np.inf)
-    found = np.zeros(near.shape, dtype=np.int64)
-    near[:, :k], found[:, :k] = distances[live], indices[live]
-    near[row, place], found[row, place] = exact, column
-    # Known references have the smaller numbers and candidates come in order, so a stable sort settles ties.
-    order = np.argsort(near, axis=1, kind="stable")[:, :k]
-    distances[live] = np.take_along_axis(near, order, axis=1)
-    indices[live] = np.take_along_axis(found, order, axis=1)
+def _slices(count: int, step: int) -> Iterator[slice]:
+    step = max(step, 1)
+    return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
 
-def _kth_largest(score: NDArray, k: int) -> NDArray[np.float64]:
-    """Return the k-th largest score of each row; -inf where a row has fewer."""
-    if k == 1:
-        return score.max(axis=1).astype(np.float64)
-    if k > score.shape[1]:
-        return np.full(len(score), -np.inf)
-    return np.partition(score, score.shape[1] - k, axis=1)[:, score.shape[1] - k].astype(np.float64)
+def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArray[np.bool_]:
+    """Return a mask (n, m) of what queries must not find.
 
-
-def _slices(start: int, stop: int, step: int) -> Iterator[slice]:
-    return (slice(first, min(first + step, stop)) for first in range(start, stop, step))
-
-
-def _checked(queries: ArrayLike, references: ArrayLike) -> tuple[NDArray, NDArray]:
-    q, r = _as_float(queries), _as_float(references)
-    if q.ndim != 2 or r.ndim != 2:
-        raise DataError(f"a search needs queries (n, D) and references (m, D), got shapes {q.shape} and {r.shape}")
-    if not len(r):
-        raise DataError("the map holds no descriptors: there is nothing to search in")
-    if q.shape[1] != r.shape[1] or not r.shape[1]:
+    Raises:
+        DataError: another shape or type, or a query with fewer than k references left.
+    """
+    mask = np.asarray(excluded)
+    if mask.dtype != np.bool_ or mask.shape != shape:
+        raise DataError(f"what is excluded must be true or false of shape {shape}, got {mask.dtype} {mask.shape}")
+    left = (~mask).sum(axis=1)
+    if (left < k).any():
         raise DataError(
-            f"queries have {q.shape[1]} values each, the map's descriptors {r.shape[1]}: describe both with one model"
+            f"{int((left < k).sum())} of {len(mask)} queries have fewer than {k} map frames that they may find, the "
+            f"first has {left[left < k][0]}: exclude less, ask for fewer neighbours, or take more frames into the map"
         )
-    for what, array in (("query", q), ("map", r)):
-        # The two extremes show NaN and infinity without a temporary array of the input's size.
-        if array.size and not (np.isfinite(array.min()) and np.isfinite(array.max())):
-            bad = int((~np.isfinite(array)).any(axis=1).sum())
-            raise DataError(
-                f"{bad} of {len(array)} {what} descriptors hold values that are not finite: "
-                "look at the model and at these images"
-            )
-    return q, r
+    return mask
 
 
-def _as_float(array: ArrayLike) -> NDArray:
+def _checked(array: ArrayLike, what: str) -> NDArray:
     values = np.asarray(array)
-    return values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
+    values = values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
+    if values.ndim != 2:
+        raise DataError(f"a search needs {what} descriptors of shape (n, D), got shape {values.shape}")
+    # The two extremes show NaN and infinity without a temporary array of the input's size.
+    if values.size and not (np.isfinite(values.min()) and np.isfinite(values.max())):
+        bad = int((~np.isfinite(values)).any(axis=1).sum())
+        raise DataError(
+            f"{bad} of {len(values)} {what} descriptors hold values that are not finite: "
+            "look at the model and at these images"
+        )
+    return values

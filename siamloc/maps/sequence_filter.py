@@ -1,24 +1,29 @@
 """A discrete Bayes filter over the frames of a map, so that a moving robot's estimate uses its last frames.
 
 Only the forward pass: an estimate rests on the queries up to its own. What a query says of a map frame is the softmax
-of its descriptor distances, exp(-d / temperature) ([T] 5.3.5 takes the smallest distance alone).
+of its descriptor distances, exp(-d / temperature) ([T] 5.3.5 takes the smallest distance alone). How the robot moves
+is learned from the map's own spacing (`MotionModel`), and the temperature from the map itself (`temperature_of_map`)
+or, with the probability of kidnapping, on a validation sequence (`tune_filter`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import Description, Descriptor
-from analytic.distances import distance as distance_named
+from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED
-from siamloc.maps.motion import MotionModel
+from siamloc.maps.matching import frame_distances
 from siamloc.maps.visual_map import VisualMap
 
-_PAIRS = 1 << 20  # distances held at once
+_REACH = 4.0  # standard deviations; the weight beyond is below 4e-4 and left to kidnapping
+_FAST = 95  # percentile of the map's speeds that a robot keeps below
+_SAMPLE = 500  # map frames by which a temperature is learned
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +58,7 @@ class SequenceFilter:
 
     Args:
         motion: of a robot in this map (m frames).
-        temperature: of the softmax, in units of the descriptor distance; see `siamloc.maps.filter_learning`.
+        temperature: of the softmax, in units of the descriptor distance; see `temperature_of_map`.
         kidnapping: probability that the robot is anywhere, in (0, 1).
         labels: (m,) the node of each frame, -1 for none, to report nodes as well.
 
@@ -101,7 +106,7 @@ class SequenceFilter:
         return self.belief
 
     def run(self, distances: ArrayLike, sequence: ArrayLike) -> Track:
-        """Follow robots through whole sequences, beginning each one anew.
+        """Follow robots through whole sequences, starting again at each one.
 
         Args:
             distances: (n, m) of each query to the map, in capture order inside each sequence.
@@ -136,24 +141,200 @@ class SequenceFilter:
         return float(np.sqrt(self.belief @ squared))
 
 
-def frame_distances(
-    known: VisualMap, queries: Description, descriptor: Descriptor | None = None
-) -> NDArray[np.float64]:
-    """Return the distances (n, m) of queries to all map frames, by the map's distance.
+@dataclass(frozen=True, eq=False)
+class MotionModel:
+    """Probabilities of going from one map frame to another between two queries, as a list of pairs.
+
+    The probability falls with the distance d between two frames as exp(-d^2 / (2 sigma^2)), in whatever direction, with
+    sigma^2 = step^2 + spacing^2 / 6. The second term is there because a frame stands for all places up to half a
+    spacing from it: the difference of two such places has that variance.
+
+    Attributes:
+        xy: (m, 2) positions of the map's frames.
+        source: (e,) frame from which, every frame to itself among them.
+        target: (e,) frame to which.
+        weight: (e,) probability; those of one source add up to 1.
+        step: how far the robot goes between two queries.
+        spacing: median distance between consecutive frames of the map.
+    """
+
+    xy: NDArray[np.float64]
+    source: NDArray[np.int64]
+    target: NDArray[np.int64]
+    weight: NDArray[np.float64]
+    step: float
+    spacing: float
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    @classmethod
+    def learn(cls, frames: FrameTable, step: float | None = None, interval: float | None = None) -> MotionModel:
+        """Learn the motion from the frames of a map.
+
+        Args:
+            frames: m frames in capture order inside each sequence, all with positions.
+            step: how far a robot goes between two queries, in units of x and y. If None, it goes as far in `interval`
+                as the map's robot at the speed that 95 % of its steps kept below; and as far as the map's spacing
+                where there is no interval or the map has no times.
+            interval: seconds between two queries.
+
+        Raises:
+            ConfigError: a step or an interval that is not positive.
+            DataError: no frames, or a frame without a position.
+        """
+        for name, value in (("step", step), ("interval", interval)):
+            if value is not None and not 0 < value < np.inf:
+                raise ConfigError(f"the {name} of a motion model must be positive, got {value}")
+        if not len(frames) or not frames.has_position.all():
+            raise DataError(
+                f"{int((~frames.has_position).sum())} of {len(frames)} map frames have no position: motion is learned "
+                "from a map whose frames all have one"
+            )
+        length, seconds = _steps(frames)
+        spacing = float(np.median(length[length > 0])) if (length > 0).any() else 0.0
+        if step is None:
+            timed = (seconds > 0) & np.isfinite(seconds)
+            step = spacing
+            if interval is not None and (length[timed] > 0).any():
+                step = interval * float(np.percentile(length[timed] / seconds[timed], _FAST))
+        return cls(frames.xy, *_transitions(frames, np.sqrt(step**2 + spacing**2 / 6)), float(step), spacing)
+
+    def predict(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the belief (m,) after one more step of the robot."""
+        moved = np.bincount(self.target, self.weight * belief[self.source], minlength=len(self))
+        return np.asarray(moved, dtype=np.float64)
+
+
+def _steps(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the distances and the times between consecutive frames of each sequence."""
+    length, seconds = [np.empty(0)], [np.empty(0)]
+    for rows in frames.rows_by("sequence").values():
+        length.append(np.hypot(np.diff(frames.x[rows]), np.diff(frames.y[rows])))
+        seconds.append(np.diff(frames.time[rows]))
+    return np.concatenate(length), np.concatenate(seconds)
+
+
+def _transitions(frames: FrameTable, sigma: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(frames.xy).query_pairs(_REACH * sigma, output_type="ndarray").astype(np.int64)
+    near = near[frames.building[near[:, 0]] == frames.building[near[:, 1]]]
+    own = np.arange(len(frames))
+    source = np.concatenate([own, near[:, 0], near[:, 1]])
+    target = np.concatenate([own, near[:, 1], near[:, 0]])
+    squared = np.square(frames.xy[source] - frames.xy[target]).sum(axis=1)
+    weight = np.exp(-squared / (2 * sigma**2)) if sigma > 0 else np.ones(len(source))
+    return source, target, weight / np.bincount(source, weight, minlength=len(frames))[source]
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """What a sequence filter runs with.
+
+    Attributes:
+        temperature: of the softmax, in units of the descriptor distance.
+        kidnapping: probability that the robot is anywhere.
+        error: mean error on the validation sequence.
+    """
+
+    temperature: float
+    kidnapping: float
+    error: float
+
+
+def learn_temperature(distances: ArrayLike, true: ArrayLike) -> float:
+    """Return the temperature that makes the true frames likeliest under softmax(-d / temperature).
+
+    There, the distance expected under the softmax is on average that of the true frame.
 
     Args:
-        known: m frames.
-        queries: n descriptions.
-        descriptor: what described both; needed only if it compares after turning.
+        distances: (n, m) of queries to the map; infinite where a frame is left out.
+        true: (n,) the geometrically nearest map frame of each.
 
     Raises:
-        AnalyticError: descriptions that cannot be compared.
+        DataError: no queries, or arrays that do not fit each other.
     """
-    if descriptor is None or not descriptor.aligned:
-        return distance_named(known.distance)(queries.position, known.descriptors)
-    rows = max(1, _PAIRS // len(known))
-    parts = [slice(start, start + rows) for start in range(0, len(queries), rows)]
-    return np.concatenate(
-        [np.empty((0, len(known)))]
-        + [descriptor.pairwise(queries.take(part), known.description, known.distance) for part in parts]
-    )
+    apart, rows = np.asarray(distances, dtype=np.float64), np.asarray(true)
+    if apart.ndim != 2 or not apart.size or rows.shape != apart.shape[:1] or rows.dtype.kind not in "iu":
+        raise DataError(f"a temperature needs distances (n, m) and true frames (n,), got {apart.shape}, {rows.shape}")
+    apart = apart - apart.min(axis=1, keepdims=True)
+    wanted = apart[np.arange(len(apart)), rows]
+    finite = apart[np.isfinite(apart)]
+    if not np.isfinite(wanted).all():
+        raise DataError("a true frame is at no finite distance from its query: leave that query out")
+    scale = float(np.median(finite[finite > 0])) if (finite > 0).any() else 1.0
+    values = np.where(np.isfinite(apart), apart, 0.0)
+    low, high = -12.0, 5.0  # logarithms of the temperature over the scale
+    for _ in range(50):
+        middle = (low + high) / 2
+        weight = np.exp(-apart / (scale * np.exp(middle)))
+        expected = (weight * values).sum(axis=1) / weight.sum(axis=1)
+        # The expected distance grows with the temperature.
+        if expected.mean() < wanted.mean():
+            low = middle
+        else:
+            high = middle
+    return scale * float(np.exp((low + high) / 2))
+
+
+def temperature_of_map(known: VisualMap) -> float:
+    """Return the temperature learned from the map itself: each frame is looked for among the others.
+
+    A large map is sampled. A map of one frame, or of frames that all look alike, gives a temperature all the same: any
+    will do there.
+
+    Raises:
+        DataError: a map frame without a position.
+    """
+    if not known.frames.has_position.all():
+        raise DataError("a temperature is learned from a map whose frames all have positions")
+    if len(known) == 1:
+        return 1.0
+    chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SAMPLE)).astype(np.int64))
+    apart = frame_distances(known, known.description.take(chosen))
+    away = np.hypot(*(known.frames.xy[chosen, None] - known.frames.xy[None]).transpose(2, 0, 1))
+    own = np.arange(len(chosen))
+    apart[own, chosen] = away[own, chosen] = np.inf
+    return learn_temperature(apart, away.argmin(axis=1))
+
+
+def tune_filter(
+    motion: MotionModel,
+    distances: ArrayLike,
+    true_xy: ArrayLike,
+    sequence: ArrayLike,
+    temperature: float,
+    softer: Sequence[float] = (1, 2, 3, 4),
+    kidnapping: Sequence[float] = (1e-3, 1e-5, 1e-7),
+) -> list[FilterSettings]:
+    """Return settings tried on a validation sequence, the one of the smallest mean error first.
+
+    The temperature that suits single queries takes each for news. Consecutive queries see nearly the same, their
+    mistakes last, and a softer one keeps a filter from trusting such a mistake the more the longer it lasts. How much
+    softer depends on how densely the map is sampled, hence on trial.
+
+    Args:
+        motion: of a robot in the map (m frames).
+        distances: (n, m) of the validation queries to the map.
+        true_xy: (n, 2) their true positions.
+        sequence: (n,) their sequences.
+        temperature: the one that suits single queries.
+        softer: factors of it to try, positive.
+        kidnapping: probabilities to try, in (0, 1).
+
+    Raises:
+        ConfigError: nothing to try, or values out of range.
+        DataError: arrays that do not fit each other.
+    """
+    if not len(softer) or not len(kidnapping):
+        raise ConfigError("tuning a sequence filter needs at least one factor and one probability to try")
+    true = np.asarray(true_xy, dtype=np.float64)
+    if true.shape != (len(np.asarray(sequence)), 2) or not np.isfinite(true).all():
+        raise DataError(f"validation queries need true positions of shape (n, 2), all known, got {true.shape}")
+    tried = []
+    for factor, probability in product(softer, kidnapping):
+        track = SequenceFilter(motion, temperature * factor, probability).run(distances, sequence)
+        error = np.hypot(*(motion.xy[track.frame] - true).T)
+        tried.append(FilterSettings(float(temperature * factor), float(probability), float(error.mean())))
+    return sorted(tried, key=lambda settings: settings.error)

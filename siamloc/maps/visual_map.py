@@ -15,45 +15,56 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors.base import Description
+from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail
 from analytic.distances import DISTANCES
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import atomic_path, plain
-from siamloc.maps.heading import HeadingPart
-from siamloc.maps.search import Retrieval, nearest
+from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of
+from siamloc.maps.search import Retrieval, VectorIndex
 
 _FORMAT = "siamloc-map"
 _VERSION = 1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class VisualMap:
-    """Descriptors (n, D) with the frames they describe; immutable.
+    """Descriptors (n, D) with the frames they describe; immutable. `siamloc.maps.build` makes one.
 
     Attributes:
         descriptors: (n, D) float32, read-only.
         frames: n frames; poses and rooms may be missing, and then the tasks that need them say so.
-        identity: what made the descriptors (name, parameters, hash of the weights), as plain values.
+        identity: what made the descriptors (name, parameters, hash of the weights) and under "images" how images
+            became panoramas, as plain values.
         distance: how descriptors are compared: a name in `analytic.DISTANCES`.
-        unit: what x and y count, "m" if nothing else is known.
-        made: how its frames were chosen, as plain values; for the record only.
-        orientation: (n, K, F) what tells headings, read-only; None for a descriptor that has no such part.
-        heading: what another descriptor tells headings by, where this one cannot; None if that is not wanted.
+        unit: what x and y count; that of the frames if None is given.
+        made: what its frames were read from, as plain values; for the record only.
+        orientation: (n, K, F) by which headings are found, read-only; None for a descriptor that has no such part.
+        heading: by what another descriptor finds headings, where this one cannot; None if that is not wanted.
+        describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which makes an analytic one
+            from the identity, and `with_descriptor`.
 
     Raises:
         DataError: no frames, not as many descriptors or heading parts as frames, or values that are not finite.
         ConfigError: an unknown distance.
+
+    Example:
+        >>> known = VisualMap([[0.0, 1.0], [1.0, 0.0]], FrameTable(path=["a.png", "b.png"], x=[0, 5], y=[0, 0]))
+        >>> known
+        VisualMap(2 frames, 2 numbers each, compared by euclidean)
+        >>> known.frames.x[known.search([[0.9, 0.2]]).indices[:, 0]]
+        array([5.])
     """
 
     descriptors: NDArray[np.float32]
     frames: FrameTable
     identity: dict[str, Any] = field(default_factory=dict)
     distance: str = "euclidean"
-    unit: str = "m"
+    unit: str = None  # type: ignore[assignment]
     made: dict[str, Any] = field(default_factory=dict)
     orientation: NDArray[Any] | None = None
     heading: HeadingPart | None = None
+    describes: Descriptor | None = None
 
     def __post_init__(self) -> None:
         descriptors = np.array(self.descriptors, dtype=np.float32)
@@ -73,6 +84,8 @@ class VisualMap:
             raise ConfigError(f"unknown distance {self.distance!r}: {hint(self.distance, DISTANCES)}")
         descriptors.flags.writeable = False
         object.__setattr__(self, "descriptors", descriptors)
+        if self.unit is None:
+            object.__setattr__(self, "unit", self.frames.unit)
         if self.orientation is not None:
             orientation = _checked_orientation(self.orientation, len(self.frames))
             if _in_one_line(orientation, descriptors):
@@ -87,10 +100,42 @@ class VisualMap:
     def __len__(self) -> int:
         return len(self.descriptors)
 
+    def __repr__(self) -> str:
+        name = f" by {self.identity['name']}" if "name" in self.identity else ""
+        heading = f", headings by {self.heading.identity['name']}" if self.heading is not None else ""
+        return f"VisualMap({len(self)} frames, {self.width} numbers each{name}, compared by {self.distance}{heading})"
+
     @property
     def width(self) -> int:
         """Values in a descriptor, D."""
         return self.descriptors.shape[1]
+
+    @cached_property
+    def descriptor(self) -> Descriptor:
+        """What describes queries as the map's frames were described.
+
+        Raises:
+            ConfigError: the map does not hold it: a network comes from its run, a descriptor of one's own from its
+                maker.
+        """
+        if self.describes is not None:
+            return self.describes
+        if not _is_analytic(self.identity):
+            raise ConfigError(
+                f"the map was described by {self.identity.get('name', 'an unknown descriptor')!r}, which it does not "
+                "hold: give it with VisualMap.load(path, descriptor) or known.with_descriptor(descriptor)"
+            )
+        return descriptor_of(self.identity)
+
+    @cached_property
+    def describer(self) -> Descriptor:
+        """What describes queries together with what their headings are found by."""
+        return self.descriptor if self.heading is None else WithHeading(self.descriptor, self.heading.descriptor)
+
+    @property
+    def aligned(self) -> bool:
+        """Whether its descriptors are compared only after turning them alike."""
+        return (self.describes is not None or _is_analytic(self.identity)) and self.descriptor.aligned
 
     @cached_property
     def description(self) -> Description:
@@ -98,41 +143,109 @@ class VisualMap:
         return Description(self.descriptors, self.orientation)
 
     @cached_property
+    def index(self) -> VectorIndex:
+        """The descriptors made ready for exact search, once for all queries."""
+        return VectorIndex(self.descriptors, self.distance)
+
+    @cached_property
     def digest(self) -> str:
-        """What changes with the map's descriptors, frames or descriptor; what tells headings does not count."""
+        """What changes with the map's descriptors, frames or descriptor; what gives headings does not count."""
         digest = hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode())
         digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
         for array in (self.descriptors, self.frames.xy):
             digest.update(array.tobytes())
         return digest.hexdigest()
 
-    def take(self, rows: NDArray) -> VisualMap:
+    def take(self, rows: ArrayLike) -> VisualMap:
         """Return the map of the rows given by positions or by a mask."""
+        key: Any = np.asarray(rows)
         return replace(
             self,
-            descriptors=self.descriptors[rows],
-            frames=self.frames.take(rows),
-            orientation=None if self.orientation is None else self.orientation[rows],
-            heading=None if self.heading is None else self.heading.take(rows),
+            descriptors=self.descriptors[key],
+            frames=self.frames.take(key),
+            orientation=None if self.orientation is None else self.orientation[key],
+            heading=None if self.heading is None else self.heading.take(key),
         )
 
-    def oriented(self) -> VisualMap:
-        """Return the map with its heading part as the orientation part, to compare with what told the headings.
+    def placed(self) -> VisualMap:
+        """Return the map of the frames that have a position: the map itself if all have one.
 
         Raises:
-            DataError: it has no heading part.
+            DataError: none has one.
         """
+        placed = self.frames.has_position
+        if not placed.any():
+            raise DataError("no map frame has a position: add columns x and y to the data")
+        return self if placed.all() else self.take(placed)
+
+    def turning(self, rows: NDArray[np.int64]) -> Description:
+        """Return some rows (p,) as what headings are found by."""
         if self.heading is None:
-            raise DataError("the map holds nothing to tell headings by: build it anew with `siamloc map heading=hog`")
-        return replace(self, orientation=self.heading.orientation)
+            return self.description.take(rows)
+        return Description(self.descriptors[rows], self.heading.take(rows).orientation)
 
-    def search(self, descriptors: ArrayLike, k: int = 1) -> Retrieval:
-        """Return the k nearest map frames of each descriptor (n, D), exactly; min(k, len(map)) of them.
+    def search(self, descriptors: ArrayLike, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
+        """Find the k nearest map frames of each descriptor (n, D), exactly; min(k, len(map)) of them.
+
+        The first search prepares the map for all that follow, which takes the descriptors' memory once more.
+
+        Args:
+            descriptors: (n, D).
+            k: how many to return, at least 1.
+            excluded: (n, len(map)) bool, True where a query must not find a map frame.
 
         Raises:
-            DataError, ConfigError: as `siamloc.maps.nearest`.
+            ConfigError, DataError: as `siamloc.maps.VectorIndex.search`.
         """
-        return nearest(descriptors, self.descriptors, k, self.distance)
+        return self.index.search(descriptors, k, excluded=excluded)
+
+    def with_descriptor(self, descriptor: Descriptor) -> VisualMap:
+        """Return the map with what describes its queries.
+
+        Raises:
+            ConfigError: the map was described by another descriptor.
+        """
+        images = {key: value for key, value in self.identity.items() if key == "images"}
+        self.check_describer({**descriptor.identity, **images})
+        return replace(self, describes=descriptor)
+
+    def with_record(self, **values: Any) -> VisualMap:
+        """Return the map with more plain values in `made`."""
+        return replace(self, made={**self.made, **values})
+
+    def check_heading(self, heading: Descriptor) -> None:
+        """Make sure that the map's headings come from a descriptor.
+
+        Raises:
+            ConfigError: the map holds nothing of this descriptor.
+        """
+        held, wanted = None if self.heading is None else self.heading.identity, plain(heading.identity)
+        if held == wanted:
+            return
+        if held is None:
+            found = "holds nothing to find headings by"
+        else:
+            keys = [key for key in {**held, **wanted} if held.get(key) != wanted.get(key)]
+            said = [f"{key}={held.get(key)} instead of {wanted.get(key)}" for key in keys]
+            found = f"gives headings by {held['name']}" + (
+                f", not by {heading.name}" if "name" in keys else f" with {', '.join(said)}"
+            )
+        raise ConfigError(
+            f"the map {found}: make it again with `siamloc map heading={heading.name}` and the same heading keys, or "
+            "evaluate with heading=none"
+        )
+
+    def check_images(self, preprocessing: Mapping[str, Any]) -> None:
+        """Make sure that the panoramas of queries are made as those of the map were.
+
+        Args:
+            preprocessing: `images.preprocessing.parameters()` of a library.
+
+        Raises:
+            ConfigError: they are not; the keys that differ are named with both values.
+        """
+        if "images" in self.identity:
+            self.check_describer({**self.identity, "images": preprocessing})
 
     def check_describer(self, identity: Mapping[str, Any]) -> None:
         """Make sure that queries were described by what described the map.
@@ -142,11 +255,11 @@ class VisualMap:
         """
         ours, theirs = _flat(self.identity), _flat(plain(dict(identity)))
         keys = [key for key in {**ours, **theirs} if ours.get(key, _ABSENT) != theirs.get(key, _ABSENT)]
-        if keys:
+        if ours and keys:
             listed = "; ".join(f"{key} is {_shown(ours, key)} in the map, {_shown(theirs, key)} here" for key in keys)
             raise ConfigError(
                 f"the map was described by something else than the queries: {listed}. "
-                "Describe the queries with the map's model, or build the map anew"
+                "Describe the queries with the map's model, or build the map again"
             )
 
     def save(self, path: str | Path) -> None:
@@ -184,10 +297,15 @@ class VisualMap:
                     np.lib.format.write_array(member, array, allow_pickle=False)
 
     @classmethod
-    def load(cls, path: str | Path) -> VisualMap:
+    def load(cls, path: str | Path, descriptor: Descriptor | None = None) -> VisualMap:
         """Read a map that `save` wrote.
 
+        Args:
+            path: the file.
+            descriptor: what describes queries; an analytic one is made from the file where it is needed.
+
         Raises:
+            ConfigError: the map was described by another descriptor.
             FormatError: the file is missing, cut short, altered, not a map, or of a newer version.
         """
         path = Path(path)
@@ -198,13 +316,14 @@ class VisualMap:
                 archive = np.load(file, allow_pickle=False)
                 arrays = {name: archive[name] for name in archive.files} if hasattr(archive, "files") else {}
         except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-            raise FormatError(f"{path} is not a siamloc map, or not a whole one: build it anew") from error
+            raise FormatError(f"{path} is not a siamloc map, or not a whole one: build it again") from error
         header = _read_header(path, arrays)
         columns = {name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")}
+        columns.pop("index", None)  # of maps by version 0.1
         try:
             loaded = cls(
                 descriptors=arrays["descriptors"],
-                frames=FrameTable(**columns),
+                frames=FrameTable(**columns, unit=header["unit"]),
                 identity=header["identity"],
                 distance=header["distance"],
                 unit=header["unit"],
@@ -213,20 +332,24 @@ class VisualMap:
                 heading=HeadingPart(header["heading"], arrays["heading"]) if "heading" in header else None,
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise FormatError(f"{path} is not a whole siamloc map ({error}): build it anew") from error
+            raise FormatError(f"{path} is not a whole siamloc map ({error}): build it again") from error
         if (len(loaded), loaded.width) != (header.get("frames"), header.get("width")):
             raise FormatError(
                 f"{path} announces {header.get('frames')} descriptors of {header.get('width')} values and holds "
-                f"{len(loaded)} of {loaded.width}: build it anew"
+                f"{len(loaded)} of {loaded.width}: build it again"
             )
-        return loaded
+        return loaded if descriptor is None else loaded.with_descriptor(descriptor)
 
 
 _ABSENT = object()
 
 
+def _is_analytic(identity: Mapping[str, Any]) -> bool:
+    return identity.get("name") in (Thumbnail.name, *DESCRIPTORS)
+
+
 def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:
-    """Say whether the orientation parts are the descriptors in another shape, so that one copy will do."""
+    """Find out whether the orientation parts are the descriptors in another shape, so that one copy will do."""
     same = orientation.dtype == descriptors.dtype and orientation.size == descriptors.size
     return same and np.array_equal(orientation.reshape(descriptors.shape), descriptors)
 

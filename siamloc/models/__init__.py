@@ -1,4 +1,4 @@
-"""Siamese networks: branches, heads, the contrastive loss and the Lightning module ([T] 5.2-5.3).
+"""Siamese networks: branches and heads, the contrastive loss, the Lightning module, trained weights ([T] 5.2-5.3).
 
 Importing this package loads no torch; each name is loaded when it is first used.
 """
@@ -8,22 +8,36 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from siamloc.lazy import lazy
-from siamloc.models.registry import BRANCHES, HEADS
+from siamloc.models.registry import BRANCHES, HEADS, Optimizer
 
 if TYPE_CHECKING:
-    from siamloc.models.checkpoint import read_hyperparameters
+    from siamloc.models.checkpoint import load
+    from siamloc.models.describing import NetworkDescriptor, as_descriptor
     from siamloc.models.losses import ContrastiveLoss
     from siamloc.models.network import Network, build
     from siamloc.models.siamese import SiameseModule
 
-__all__ = ["BRANCHES", "HEADS", "ContrastiveLoss", "Network", "SiameseModule", "build", "read_hyperparameters"]
+__all__ = [
+    "BRANCHES",
+    "HEADS",
+    "ContrastiveLoss",
+    "Network",
+    "NetworkDescriptor",
+    "Optimizer",
+    "SiameseModule",
+    "as_descriptor",
+    "build",
+    "load",
+]
 
 _HOMES = {
     "ContrastiveLoss": "losses",
     "Network": "network",
+    "NetworkDescriptor": "describing",
     "SiameseModule": "siamese",
+    "as_descriptor": "describing",
     "build": "network",
-    "read_hyperparameters": "checkpoint",
+    "load": "checkpoint",
 }
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

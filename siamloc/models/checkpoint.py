@@ -1,4 +1,4 @@
-"""Reading checkpoints of `SiameseModule` without running anything that may stand in them."""
+"""Loading a trained network from a run or a checkpoint, without running anything that the file may hold."""
 
 from __future__ import annotations
 
@@ -7,22 +7,76 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
-from siamloc.errors import FormatError
+from siamloc.errors import ConfigError, FormatError, SiamlocError
+from siamloc.models.network import build
+from siamloc.models.weights import mismatch
+from siamloc.runs import Run
 
-FORMAT_KEY = "siamloc_format"
-FORMAT_VERSION = 1
+CONTENT_KEY = "siamloc"
+FORMAT_VERSION = 2
+
+
+def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: nn.Module | None = None) -> nn.Module:
+    """Load a trained network, on the CPU and in evaluation mode.
+
+    No code in the file is run, and nothing is downloaded, whatever weights the training started from.
+
+    Args:
+        run_or_checkpoint: a run, its folder, or the file of a checkpoint.
+        which: of a run's checkpoints: "best" (by the validation; the last where nothing was validated) or "last".
+            "untrained" gives the network as it was before the training.
+        network: where the weights go, for a module of your own; networks of `build` are made again if None.
+
+    Raises:
+        ConfigError: a folder without a checkpoint, another `which`, or a module of your own that is not given.
+        FormatError: the file is missing, not whole, not such a checkpoint, or of another architecture.
+
+    Example:
+        >>> network = load("runs/robot")  # doctest: +SKIP
+        >>> network = load("runs/own", network=MyNetwork())  # doctest: +SKIP
+    """
+    path = _checkpoint_of(run_or_checkpoint, "best" if which == "untrained" else which)
+    content = read_checkpoint(path)
+    about = content[CONTENT_KEY]
+    if which == "untrained":
+        if "branch" not in about["model"]:
+            raise ConfigError(
+                f"the network of {path} is a module of your own, {_name(about)}: make it again to have it untrained"
+            )
+        return _made(path, about["model"]).eval()
+    if network is None and "branch" not in about["model"]:
+        raise ConfigError(
+            f"the network of {path} is a module of your own, {_name(about)}: make one and give it as network=..."
+        )
+    if network is None:
+        network = _made(path, {**about["model"], "weights": None})
+        network.settings = dict(about["model"])  # type: ignore[assignment]
+    state = {
+        name.removeprefix("network."): tensor
+        for name, tensor in content["state_dict"].items()
+        if name.startswith("network.")
+    }
+    difference = mismatch(network, state)
+    if difference is not None:
+        raise FormatError(
+            f"the weights in the checkpoint {path} are of another architecture than {_name(about)}: {difference}"
+        )
+    network.load_state_dict(state)
+    network.trained_margin = about["loss"].get("margin")
+    return network.eval()
 
 
 def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
-    """Read a checkpoint of `SiameseModule`: a dictionary with `state_dict` and `hyper_parameters`.
+    """Read a checkpoint of `SiameseModule`: a dictionary with `state_dict` and, under "siamloc", what was trained.
 
     Args:
         path: of the file that Lightning wrote.
         mmap: leave the weights on the disk until they are used.
 
     Raises:
-        FormatError: the file is missing, not whole, not such a checkpoint, or of a newer version.
+        FormatError: the file is missing, not whole, not such a checkpoint, or of another version.
     """
     path = Path(path)
     if not path.is_file():
@@ -33,25 +87,43 @@ def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
             content = torch.load(path, map_location="cpu", weights_only=True, mmap=mmap)
     except Exception as error:  # zip, pickle and torch each raise their own kinds
         raise FormatError(
-            f"the checkpoint {path} cannot be read ({type(error).__name__}): it is cut short, or no file of plain "
-            f"tensors and values; train again or take another checkpoint"
+            f"the checkpoint {path} cannot be read ({type(error).__name__}): it is cut short, or holds more than "
+            f"tensors and plain values; train again or take another checkpoint"
         ) from error
-    keys = ("state_dict", "hyper_parameters")
-    if not isinstance(content, dict) or not all(isinstance(content.get(key), dict) for key in keys):
-        raise FormatError(f"{path} is no checkpoint of a siamese network: it has no weights or no hyper-parameters")
-    version = content.get(FORMAT_KEY, 0)
-    if not isinstance(version, int) or version > FORMAT_VERSION:
+    if not isinstance(content, dict) or not isinstance(content.get("state_dict"), dict):
+        raise FormatError(f"{path} is no checkpoint of a siamese network: it has no weights")
+    if "siamloc_format" in content:
         raise FormatError(
-            f"the checkpoint {path} has format {version}, this version of siamloc reads up to {FORMAT_VERSION}: "
-            f"update siamloc"
+            f"the checkpoint {path} was written by siamloc 0.1, whose runs are no longer read: train again"
+        )
+    about = content.get(CONTENT_KEY)
+    if not isinstance(about, dict) or not {"format", "model", "loss"} <= set(about):
+        raise FormatError(f"{path} is no checkpoint of a siamese network: it does not say what was trained")
+    if not isinstance(about["format"], int) or about["format"] > FORMAT_VERSION:
+        raise FormatError(
+            f"the checkpoint {path} has format {about['format']}, this version of siamloc reads up to "
+            f"{FORMAT_VERSION}: update siamloc"
         )
     return content
 
 
-def read_hyperparameters(path: str | Path) -> dict[str, Any]:
-    """Return the hyper-parameters of a checkpoint as plain values; the weights stay on the disk.
+def _checkpoint_of(source: str | Path | Run, which: str) -> Path:
+    if isinstance(source, Run):
+        return source.checkpoint(which)
+    path = Path(source).expanduser()
+    return Run(path).checkpoint(which) if path.is_dir() else path
 
-    Raises:
-        FormatError: as `read_checkpoint`.
-    """
-    return dict(read_checkpoint(path, mmap=True)["hyper_parameters"])
+
+def _made(path: Path, model: dict[str, Any]) -> nn.Module:
+    try:
+        return build(**model)
+    except (TypeError, SiamlocError) as error:
+        raise FormatError(f"the checkpoint {path} names a network that cannot be made: {error}") from error
+
+
+def _name(about: dict[str, Any]) -> str:
+    model = about["model"]
+    if "branch" not in model:
+        return str(model.get("class"))
+    size = " x ".join(map(str, model.get("image_size", [])))
+    return f"{model['branch']} + {model.get('head')} at {size}"

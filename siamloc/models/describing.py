@@ -1,4 +1,4 @@
-"""Describing images with a network: the mode, the types and the chunks."""
+"""Describing images with a network: `as_descriptor` gives any module the interface of the analytic descriptors."""
 
 from __future__ import annotations
 
@@ -11,15 +11,105 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from siamloc.errors import DataError
+from analytic.descriptors.base import Description, Descriptor
+from siamloc.errors import ConfigError, DataError
+from siamloc.models.network import state_hash
 
 CHUNK = 64
 _ROUNDING = 1e-3
 
 
+class NetworkDescriptor(Descriptor):
+    """Describe images with a network, in evaluation mode and full precision.
+
+    Attributes:
+        module: the network, (B, 3, H, W) floating point in [0, 1] -> (B, D). Its weights are read at each call, and
+            its mode and the random state stay as they are.
+    """
+
+    name = "siamese"
+    default_distance = "euclidean"
+
+    def __init__(self, module: nn.Module) -> None:
+        self.module = module
+
+    def __repr__(self) -> str:
+        return f"NetworkDescriptor({type(self.module).__name__})"
+
+    @property
+    def tells_heading(self) -> bool:
+        """Always False: a network gives no orientation."""
+        return False
+
+    @property
+    def margin(self) -> float | None:
+        """Margin of the loss that the network was trained with; None if unknown."""
+        return getattr(self.module, "trained_margin", None)
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What decides the descriptors: the network's names and a hash of its weights.
+
+        Reads every weight, which takes about a second for the largest networks: keep the result.
+        """
+        return identity_of(self.module)
+
+    def describe(self, batch: Any, chunk: int = CHUNK) -> Description:
+        """Describe images: array or tensor, uint8 or floating point in [0, 1], one image or a batch.
+
+        Args:
+            batch: (B, 3, H, W), (3, H, W), (B, H, W) or (H, W).
+            chunk: images in one pass; it bounds the memory and changes no result beyond rounding.
+
+        Raises:
+            DataError: another shape, type or range.
+        """
+        return Description(position=describe(self.module, batch, chunk))
+
+
+def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | None = None) -> Descriptor:
+    """Make a descriptor of whatever describes images: of a network, or of a descriptor as it is.
+
+    Args:
+        network: a module (B, 3, H, W) floating point in [0, 1] -> (B, D), or a descriptor of `analytic`.
+        device: where to move a module first, such as "cuda"; it stays where it is if None.
+
+    Raises:
+        ConfigError: something else.
+
+    Example:
+        >>> import numpy as np
+        >>> from siamloc.models import build
+        >>> descriptor = as_descriptor(build("simple1", "fc500_500_5", (32, 64)))
+        >>> descriptor.describe(np.zeros((2, 3, 32, 64), np.uint8)).position.shape
+        (2, 5)
+    """
+    if isinstance(network, Descriptor):
+        return network
+    if not isinstance(network, nn.Module):
+        raise ConfigError(
+            f"a torch module or a descriptor such as analytic.descriptor('hog') describes images, got {network!r}"
+        )
+    return NetworkDescriptor(network if device is None else network.to(device))
+
+
+def identity_of(network: nn.Module) -> dict[str, Any]:
+    """Say in plain values what decides a network's descriptors: its own `identity`, or its class and its weights."""
+    own = getattr(network, "identity", None)
+    if isinstance(own, dict):
+        return own
+    return {"name": "siamese", "class": type(network).__qualname__, "weights": state_hash(network.state_dict())}
+
+
+def margin_of(loss: object) -> float | None:
+    """Look up the margin of a loss; None for a loss without one."""
+    margin = getattr(loss, "margin", None)
+    return float(margin) if isinstance(margin, int | float) and not isinstance(margin, bool) else None
+
+
 @contextmanager
 def evaluating(module: nn.Module) -> Iterator[None]:
-    """Put a module into evaluation mode without gradients; afterwards every part has the mode it had before."""
+    """Put a module into evaluation mode without gradients; afterwards every part has its mode back."""
     modes = [(part, part.training) for part in module.modules()]
     module.eval()
     try:
@@ -31,7 +121,7 @@ def evaluating(module: nn.Module) -> Iterator[None]:
 
 
 def as_float(images: Tensor) -> Tensor:
-    """Return images as floating point in [0, 1]: uint8 divided by 255, floating point as it is.
+    """Convert images to floating point in [0, 1]: uint8 is divided by 255, floating point stays as it is.
 
     Raises:
         DataError: another type.
@@ -44,7 +134,7 @@ def as_float(images: Tensor) -> Tensor:
 
 
 def describe(network: nn.Module, batch: Any, chunk: int = CHUNK) -> NDArray[np.float32]:
-    """Return the descriptors (B, D) of images in evaluation mode and full precision.
+    """Compute the descriptors (B, D) of images in evaluation mode and full precision.
 
     Args:
         network: (B, 3, H, W) in [0, 1] -> (B, D).
@@ -56,7 +146,7 @@ def describe(network: nn.Module, batch: Any, chunk: int = CHUNK) -> NDArray[np.f
         DataError: another shape or type, values that are not finite or outside [0, 1].
     """
     images = _as_images(batch)
-    parameter = next(network.parameters())
+    parameter = next(network.parameters(), torch.empty(0))
     with evaluating(network), torch.autocast(device_type=parameter.device.type, enabled=False):
         parts = [network(_ready(part, parameter)).float().cpu() for part in images.split(chunk)]
     return torch.cat(parts).numpy()

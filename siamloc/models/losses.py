@@ -11,10 +11,14 @@ from siamloc.errors import ConfigError, DataError
 
 
 def pair_distance(d0: Tensor, d1: Tensor) -> Tensor:
-    """Return the Euclidean distance of each pair of descriptors (B, D): (B,), at least in float32.
+    """Measure the Euclidean distance of each pair of descriptors (B, D): (B,), in float32 or better.
 
-    Mixed precision is left for this step, whose differences of close numbers need the digits. The gradient at
+    Mixed precision is switched off here, since differences of close numbers need the digits. The gradient at
     distance 0, where the root has none, is 0.
+
+    Example:
+        >>> pair_distance(torch.tensor([[0.0, 0.0]]), torch.tensor([[3.0, 4.0]]))
+        tensor([5.])
     """
     dtype = torch.promote_types(torch.promote_types(d0.dtype, d1.dtype), torch.float32)
     with torch.autocast(device_type=d0.device.type, enabled=False):
@@ -22,13 +26,21 @@ def pair_distance(d0: Tensor, d1: Tensor) -> Tensor:
 
 
 class ContrastiveLoss(nn.Module):
-    """Mean over the pairs of (1 - y) d^2 + y max(margin - d, 0)^2 ([T] eq. 5.1).
+    """Pull similar images together and push dissimilar ones apart, up to a margin ([T] eq. 5.1).
+
+    The mean over the pairs of (1 - y) d^2 + y max(margin - d, 0)^2.
 
     Args:
         margin: distance from which a dissimilar pair costs nothing; alpha in [T], where it is 2.
 
     Raises:
         ConfigError: a margin that is not positive.
+
+    Example:
+        >>> loss = ContrastiveLoss(margin=2.0)
+        >>> first, second = torch.tensor([[0.0], [0.0]]), torch.tensor([[1.0], [1.5]])
+        >>> loss(first, second, torch.tensor([0.0, 1.0]))  # the mean of 1 and 0.25
+        tensor(0.6250)
     """
 
     def __init__(self, margin: float = 2.0) -> None:
@@ -38,7 +50,7 @@ class ContrastiveLoss(nn.Module):
         self.margin = float(margin)
 
     def forward(self, d0: Tensor, d1: Tensor, y: Tensor) -> Tensor:
-        """Return the loss, a scalar.
+        """Compute the loss of a batch of pairs, a scalar.
 
         Args:
             d0: (B, D), descriptors of the first images.
@@ -51,15 +63,11 @@ class ContrastiveLoss(nn.Module):
         check_descriptors(d0, d1)
         check_labels(y, len(d0))
         distance = pair_distance(d0, d1)
-        return self.of_distance(distance, y).mean()
-
-    def of_distance(self, distance: Tensor, y: Tensor) -> Tensor:
-        """Return the loss of each pair (B,) from its distance (B,) and its label (B,); nothing is checked."""
         y = y.to(distance.dtype)
-        return (1 - y) * distance**2 + y * (self.margin - distance).clamp(min=0) ** 2
+        return ((1 - y) * distance**2 + y * (self.margin - distance).clamp(min=0) ** 2).mean()
 
     def extra_repr(self) -> str:
-        """Return what `print` shows of the loss."""
+        """Name the margin when the loss is printed."""
         return f"margin={self.margin:g}"
 
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from math import prod
-from os import PathLike
+from os import PathLike, fspath
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.branches import IMAGENET_MEAN, IMAGENET_STD, Branch, feature_shape
-from siamloc.models.heads import Head
 from siamloc.models.registry import branch_spec, head_widths
-from siamloc.models.weights import load_weights
+from siamloc.models.weights import fill, find_weights
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+SIMPLE_GRID = (4, 16)
 
 
 def build(
@@ -25,7 +29,7 @@ def build(
     weights: str | PathLike[str] | None = None,
     seed: int = 0,
 ) -> Network:
-    """Return a fresh network (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
+    """Make a network that describes panoramas: (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
 
     The weights are drawn from `seed` alone; no global random generator is read or moved. Convolutions and fully
     connected layers get He initialization (normal, variance 2 / inputs; [He 2015]) and zero biases, which keeps
@@ -44,6 +48,12 @@ def build(
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
+
+    Example:
+        >>> import torch
+        >>> network = build("simple1", "fc500_500_5", image_size=(32, 64))
+        >>> network(torch.rand(2, 3, 32, 64)).shape
+        torch.Size([2, 5])
     """
     size = checked_image_size(image_size)
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
@@ -54,13 +64,23 @@ def build(
         network = Network(branch, head, size)
     network.to_empty(device="cpu")
     _initialize(network, seed)
+    network.settings = {
+        "branch": branch,
+        "head": head,
+        "image_size": list(size),
+        "weights": None if weights is None else fspath(weights),
+        "seed": seed,
+    }
     if weights is not None:
-        load_weights(network, weights)
+        found = find_weights(branch, weights)
+        fill(network, found, f"{branch} + {head} at {size[0]} x {size[1]}")
+        if found.mean is not None and found.std is not None:
+            network.branch.normalize_with(found.mean, found.std)
     return network
 
 
 class Network(nn.Module):
-    """Branch and head; made by `build`.
+    """A branch and a head; made by `build`.
 
     Args:
         branch: a name in `BRANCHES`.
@@ -72,12 +92,14 @@ class Network(nn.Module):
         head: the `Head`.
         image_size: (H, W) in pixels.
         grid: rows and columns of the features that the head sees.
+        settings: the arguments of `build` that made it, as plain values.
     """
 
     def __init__(self, branch: str, head: str, image_size: tuple[int, int]) -> None:
         super().__init__()
         shape = feature_shape(branch, image_size)
         self.image_size = image_size
+        self.settings: dict[str, Any] = {"branch": branch, "head": head, "image_size": list(image_size)}
         self.grid = shape[1:]
         self.branch = Branch(branch)
         self.head = Head(head, prod(shape))
@@ -89,9 +111,9 @@ class Network(nn.Module):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Names, image size and a hash of all weights: descriptors may be compared if these agree.
+        """What decides the descriptors: names, image size and a hash of all weights.
 
-        Reads every weight, about a second for the largest networks: keep it, do not ask for it in a loop.
+        Reads every weight, which takes about a second for the largest networks: keep the result.
         """
         return {
             "name": "siamese",
@@ -121,6 +143,104 @@ class Network(nn.Module):
             raise DataError(f"the network needs floating point in [0, 1], got {panorama.dtype}: divide by 255 first")
 
 
+class Branch(nn.Module):
+    """A feature extractor: (B, 3, H, W) in [0, 1] -> (B, C, h, w).
+
+    The channels are normalized first, with the mean and standard deviation of ImageNet unless the loaded weights
+    say otherwise. Branches without ImageNet weights use the same numbers: they bring indoor images close to zero
+    mean and unit variance, which is what He initialization counts on, and one input convention serves all.
+
+    The torchvision networks keep their own stride: nothing is pooled or scaled to a fixed grid after them. At
+    128 x 512 VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU as it does in its paper. The
+    simple branches keep the full resolution through three 3 x 3 convolutions and then average it to 4 x 16.
+
+    Args:
+        name: a name in `BRANCHES`.
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+        self.features = _features(name)
+        self.register_buffer("mean", torch.empty(1, 3, 1, 1))
+        self.register_buffer("std", torch.empty(1, 3, 1, 1))
+        self.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
+
+    def normalize_with(self, mean: Sequence[float], std: Sequence[float]) -> None:
+        """Set what the red, green and blue channels are normalized with, in units of [0, 1]."""
+        for buffer, values in ((self.mean, mean), (self.std, std)):
+            with torch.no_grad():
+                buffer.copy_(torch.tensor(list(values), dtype=buffer.dtype, device="cpu").view(1, 3, 1, 1))
+
+    def forward(self, panorama: Tensor) -> Tensor:
+        """Return the features of panoramas (B, 3, H, W) in [0, 1]."""
+        return self.features((panorama - self.mean) / self.std)
+
+
+class Head(nn.Module):
+    """Three fully connected layers with a ReLU between them: (B, C, h, w) -> (B, D).
+
+    Nothing follows the last layer, and there is no softmax before it: a softmax would press the descriptors of all
+    places together, and the published code of the thesis has none.
+
+    Args:
+        name: a name in `HEADS`.
+        inputs: C * h * w.
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+
+    def __init__(self, name: str, inputs: int) -> None:
+        super().__init__()
+        self.name = name
+        first, second, self.outputs = head_widths(name)
+        self.layers = nn.Sequential(
+            nn.Flatten(),
+            nn.Linear(inputs, first),
+            nn.ReLU(inplace=True),
+            nn.Linear(first, second),
+            nn.ReLU(inplace=True),
+            nn.Linear(second, self.outputs),
+        )
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return the descriptors of features (B, C, h, w)."""
+        return self.layers(features)
+
+
+@lru_cache(maxsize=256)
+def feature_shape(name: str, image_size: tuple[int, int]) -> tuple[int, int, int]:
+    """Return channels, rows and columns of the features at an image size (H, W); computes shapes only.
+
+    Raises:
+        ConfigError: an unknown branch, or an image smaller than the branch can take.
+    """
+    shape = _shape_or_none(name, *image_size)
+    if shape is None:
+        rows, columns = smallest_size(name)
+        raise ConfigError(
+            f"an image of {image_size[0]} x {image_size[1]} pixels is too small for the branch {name!r}: "
+            f"it needs at least {rows} x {columns}"
+        )
+    return shape
+
+
+@lru_cache(maxsize=64)
+def smallest_size(name: str) -> tuple[int, int]:
+    """Return the smallest image (H, W) that the branch can take; each side alone may be as small as that."""
+    if branch_spec(name).widths is not None:
+        return SIMPLE_GRID
+    side = _first(lambda side: _shape_or_none(name, side, side) is not None, enough=256)
+    return side, side  # their kernels are square, so that rows and columns are treated alike
+
+
 def checked_image_size(image_size: Sequence[int]) -> tuple[int, int]:
     """Return (H, W) as plain integers.
 
@@ -133,8 +253,8 @@ def checked_image_size(image_size: Sequence[int]) -> tuple[int, int]:
     return int(values[0]), int(values[1])
 
 
-def state_hash(state: dict[str, Tensor], length: int = 16) -> str:
-    """Return a short hash of a state dict: of names, types, shapes and values, the same on every device."""
+def state_hash(state: Mapping[str, Tensor], length: int = 16) -> str:
+    """Return a short hash of the names, types, shapes and values in a state dict, the same on every device."""
     digest = hashlib.sha256()
     for name in sorted(state):
         tensor = state[name].detach().cpu().contiguous()
@@ -159,3 +279,48 @@ def _initialize(network: Network, seed: int) -> None:
                 nn.init.zeros_(module.bias)
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")
+
+
+def _features(name: str) -> nn.Sequential:
+    widths = branch_spec(name).widths
+    if widths is not None:
+        layers: list[nn.Module] = []
+        for inputs, outputs in zip((3, *widths), widths, strict=False):
+            layers += [nn.Conv2d(inputs, outputs, kernel_size=3, padding=1), nn.ReLU(inplace=True)]
+        return nn.Sequential(*layers, nn.AdaptiveAvgPool2d(SIMPLE_GRID))
+    ensure_torchvision()
+    from torchvision import models
+
+    # The classifier, most of such a network, is thrown away: on the meta device it is never allocated.
+    with torch.device("meta"):
+        features = models.get_model(name, weights=None).features
+    device = torch.empty(0).device
+    features = features.to_empty(device=device)
+    if name.startswith("densenet"):
+        features.append(nn.ReLU(inplace=True))
+    return features
+
+
+@lru_cache(maxsize=32)
+def _weightless(name: str) -> nn.Module:
+    with torch.device("meta"):
+        return _features(name).eval()
+
+
+def _shape_or_none(name: str, rows: int, columns: int) -> tuple[int, int, int] | None:
+    if branch_spec(name).widths is not None and (rows < SIMPLE_GRID[0] or columns < SIMPLE_GRID[1]):
+        return None
+    try:
+        with torch.no_grad():
+            channels, height, width = _weightless(name)(torch.empty(1, 3, rows, columns, device="meta")).shape[1:]
+    except RuntimeError:
+        return None
+    return (channels, height, width) if height > 0 and width > 0 else None
+
+
+def _first(holds: Callable[[int], bool], enough: int) -> int:
+    below = 0
+    while enough - below > 1:
+        middle = (below + enough) // 2
+        below, enough = (below, middle) if holds(middle) else (middle, enough)
+    return enough

@@ -1,10 +1,12 @@
-"""The branches and heads by name ([T] tables 5.1 and 5.2). Loads no torch, so that lists of names are free."""
+"""What a network can be made of and trained with, by name ([T] tables 5.1 and 5.2). Loads no torch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 from siamloc.errors import ConfigError, hint
+from siamloc.settings import NotNegative, Positive, Rule, Settings
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,30 @@ HEADS: dict[str, tuple[int, int, int]] = {
 """Neurons of the three fully connected layers, versions 1 to 4 of [T] table 5.2."""
 
 
+Momentum = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
+
+
+@dataclass(frozen=True)
+class Optimizer(Settings):
+    """How the weights are updated; the defaults are those of [T] 5.3.
+
+    Attributes:
+        name: "sgd", "adam" or "adamw".
+        learning_rate: step size.
+        momentum: of "sgd"; for the other two the decay of the first moment (beta 1).
+        weight_decay: share of a weight that each step takes away, times the learning rate.
+    """
+
+    WHERE = "optimizer"
+
+    name: Literal["sgd", "adam", "adamw"] = "sgd"
+    learning_rate: Positive = 0.001
+    momentum: Momentum = 0.9
+    weight_decay: NotNegative = 0.0
+
+
 def branch_spec(name: str) -> BranchSpec:
-    """Return the branch of that name.
+    """Look up a branch by its name.
 
     Raises:
         ConfigError: an unknown name.
@@ -53,7 +77,7 @@ def branch_spec(name: str) -> BranchSpec:
 
 
 def head_widths(name: str) -> tuple[int, int, int]:
-    """Return the neurons of the three layers of the head of that name.
+    """Look up the neurons of a head's three layers by its name.
 
     Raises:
         ConfigError: an unknown name.

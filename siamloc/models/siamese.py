@@ -1,39 +1,39 @@
-"""Training a siamese network with Lightning ([T] 5.2-5.3)."""
+"""What happens in a step of siamese training ([T] 5.2-5.3): the `LightningModule`."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from os import PathLike, fspath
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import cv2
+import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
+from torch import Tensor, nn
 
-from analytic.descriptors.base import Description, Descriptor
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.models.checkpoint import FORMAT_KEY, FORMAT_VERSION, read_checkpoint
-from siamloc.models.describing import CHUNK, as_float, describe
+from siamloc.errors import ConfigError, DataError
+from siamloc.models.checkpoint import CONTENT_KEY, FORMAT_VERSION
+from siamloc.models.describing import as_float, identity_of, margin_of
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
-from siamloc.models.network import build, checked_image_size
-from siamloc.models.pictures import pair_picture
+from siamloc.models.registry import Optimizer
 from siamloc.models.statistics import PairStatistics
-from siamloc.models.weights import mismatch
 
 ensure_torchvision()
 
 from lightning.pytorch import LightningModule  # noqa: E402
 from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 
-OPTIMIZERS = ("sgd", "adam", "adamw")
+Loss = Callable[[Tensor, Tensor, Tensor], Tensor]
+
 PICTURED_PAIRS = 6
 _BATCH_KEYS = ("first", "second", "label", "same")
+_CAPTION_ROWS = 16
+_GAP = 2
 
 
-class SiameseModule(LightningModule, Descriptor):
-    """One network for both images of a pair, its loss, its optimizer and what is logged; also a `Descriptor`.
+class SiameseModule(LightningModule):
+    """Train one network on both images of a pair: its loss, its optimizer and what is logged.
 
     A batch is a dictionary with `first` and `second` (B, 3, H, W), uint8 or floating point in [0, 1]; `label` (B,)
     float32, dissimilarity in [0, 1]; and `same` (B,) bool, True where both images show the same room. uint8
@@ -44,108 +44,40 @@ class SiameseModule(LightningModule, Descriptor):
     `loss_step` the loss of a training step. A TensorBoard logger also gets a picture of the first pairs.
 
     Args:
-        branch: a name in `BRANCHES`.
-        head: a name in `HEADS`.
-        image_size: (H, W) in pixels.
-        weights: None, the name of ImageNet weights, or a path; see `build`.
-        margin: of the contrastive loss.
-        optimizer: "sgd", "adam" or "adamw".
-        learning_rate: step size, positive.
-        momentum: in [0, 1): of "sgd"; decay of the first moment (beta 1) of the other two.
-        weight_decay: not negative.
-        seed: of the random weights.
+        network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
+        loss: (d0 (B, D), d1 (B, D), y (B,)) -> scalar, the mean over the pairs: a module, whose parameters are
+            trained as well, or a function. A `ContrastiveLoss` of margin 2 if None.
+        optimizer: how the weights are updated.
 
-    Raises:
-        ConfigError: an unknown name or a number out of range.
+    Example:
+        >>> import torch
+        >>> from siamloc.models import SiameseModule, build
+        >>> module = SiameseModule(build("simple1", "fc500_500_5", (32, 64)), optimizer=Optimizer(learning_rate=0.01))
+        >>> first, second = torch.rand(2, 4, 3, 32, 64)
+        >>> batch = {"first": first, "second": second, "label": torch.zeros(4), "same": torch.ones(4, dtype=torch.bool)}
+        >>> module.training_step(batch, 0).shape
+        torch.Size([])
     """
 
-    name = "siamese"
-    default_distance = "euclidean"
-
-    def __init__(
-        self,
-        branch: str,
-        head: str,
-        image_size: Sequence[int] = (128, 512),
-        weights: str | PathLike[str] | None = None,
-        margin: float = 2.0,
-        optimizer: str = "sgd",
-        learning_rate: float = 0.001,
-        momentum: float = 0.9,
-        weight_decay: float = 0.0,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, network: nn.Module, loss: Loss | None = None, optimizer: Optimizer | None = None) -> None:
         super().__init__()
-        size = checked_image_size(image_size)
-        hyperparameters = {
-            "branch": str(branch),
-            "head": str(head),
-            "image_size": size,
-            "weights": None if weights is None else fspath(weights),
-            "margin": float(margin),
-            "optimizer": str(optimizer),
-            "learning_rate": float(learning_rate),
-            "momentum": float(momentum),
-            "weight_decay": float(weight_decay),
-            "seed": seed,
-        }
-        _check_optimizer(hyperparameters)
-        self.loss = ContrastiveLoss(margin)
-        self.network = build(branch, head, size, weights, seed)
-        self.train_statistics = PairStatistics(self.network.outputs, self.loss.margin)
-        self.val_statistics = PairStatistics(self.network.outputs, self.loss.margin)
-        self.save_hyperparameters(hyperparameters)
-
-    @classmethod
-    def load(cls, path: str | Path) -> SiameseModule:
-        """Load a module from a Lightning checkpoint, on the CPU and in evaluation mode.
-
-        No code in the file is run, and nothing is downloaded, whatever weights the training started from.
-
-        Raises:
-            FormatError: the file is missing, not whole, not such a checkpoint, or of another architecture.
-        """
-        content = read_checkpoint(path)
-        hyperparameters = content["hyper_parameters"]
-        try:
-            module = cls(**{**hyperparameters, "weights": None})
-        except (TypeError, ValueError) as error:
-            raise FormatError(f"the checkpoint {path} names a network that cannot be made: {error}") from error
-        difference = mismatch(module, content["state_dict"])
-        if difference is not None:
-            raise FormatError(
-                f"the weights in the checkpoint {path} are of another architecture than its hyper-parameters say "
-                f"({module.hparams['branch']} + {module.hparams['head']}): {difference}"
-            )
-        module.load_state_dict(content["state_dict"])
-        module.hparams["weights"] = hyperparameters.get("weights")
-        return module.eval()
+        self.network = network
+        self.loss = ContrastiveLoss() if loss is None else loss
+        self.optimizer = Optimizer() if optimizer is None else optimizer
+        self.train_statistics = PairStatistics(margin_of(self.loss))
+        self.val_statistics = PairStatistics(margin_of(self.loss))
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Name, branch, head, image size and a hash of the weights; see `Network.identity` for its cost."""
-        return self.network.identity
+        """That of the network: see `NetworkDescriptor`."""
+        return identity_of(self.network)
 
     def forward(self, panorama: Tensor) -> Tensor:
-        """Return descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1]."""
+        """Compute the descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1]."""
         return self.network(panorama)
 
-    def describe(self, batch: Any, chunk: int = CHUNK) -> Description:
-        """Describe images: array or tensor, uint8 or floating point in [0, 1], one image or a batch.
-
-        The mode of the network and of all its parts stays as it was, and so does the random state.
-
-        Args:
-            batch: (B, 3, H, W), (3, H, W), (B, H, W) or (H, W).
-            chunk: images in one pass; it bounds the memory and changes no result beyond rounding.
-
-        Raises:
-            DataError: another shape, type or range.
-        """
-        return Description(position=describe(self.network, batch, chunk))
-
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
-        """Return the loss of a batch of pairs."""
+        """Compute the loss of a batch of pairs."""
         loss = self._step(batch, batch_index, "train", self.train_statistics)
         if self._trainer is not None:
             self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=True, batch_size=1)
@@ -164,17 +96,27 @@ class SiameseModule(LightningModule, Descriptor):
         self._log_epoch("val", self.val_statistics)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Return the optimizer that the hyper-parameters name."""
-        options = self.hparams
-        common = {"lr": options["learning_rate"], "weight_decay": options["weight_decay"]}
-        if options["optimizer"] == "sgd":
-            return torch.optim.SGD(self.network.parameters(), momentum=options["momentum"], **common)
-        kind = torch.optim.Adam if options["optimizer"] == "adam" else torch.optim.AdamW
-        return kind(self.network.parameters(), betas=(options["momentum"], 0.999), **common)
+        """Make the optimizer of all weights, those of the loss included."""
+        settings = self.optimizer
+        common = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
+        if settings.name == "sgd":
+            return torch.optim.SGD(self.parameters(), momentum=settings.momentum, **common)
+        kind = torch.optim.Adam if settings.name == "adam" else torch.optim.AdamW
+        return kind(self.parameters(), betas=(settings.momentum, 0.999), **common)
+
+    def content(self) -> dict[str, Any]:
+        """Describe in plain values what is trained: the network, the loss and the optimizer."""
+        loss: dict[str, Any] = {"class": name_of(self.loss)}
+        if margin_of(self.loss) is not None:
+            loss["margin"] = margin_of(self.loss)
+        model = getattr(self.network, "settings", None)
+        if not isinstance(model, dict) or "branch" not in model:
+            model = {"class": name_of(self.network)}
+        return {"model": model, "loss": loss, "optimizer": self.optimizer.plain()}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Write the version of the format beside the weights."""
-        checkpoint[FORMAT_KEY] = FORMAT_VERSION
+        """Write what `siamloc.models.load` needs alongside the weights."""
+        checkpoint[CONTENT_KEY] = {"format": FORMAT_VERSION, **self.content()}
 
     def _step(self, batch: Mapping[str, Tensor], batch_index: int, stage: str, statistics: PairStatistics) -> Tensor:
         missing = [key for key in _BATCH_KEYS if key not in batch]
@@ -183,12 +125,15 @@ class SiameseModule(LightningModule, Descriptor):
         label = batch["label"]
         check_labels(label, len(batch["first"]))
         descriptors = self.network(as_float(torch.cat([batch["first"], batch["second"]])))
-        distance = pair_distance(*descriptors.chunk(2))
-        losses = self.loss.of_distance(distance, label)
-        statistics.update(descriptors.detach(), distance.detach(), losses.detach(), batch["same"])
+        d0, d1 = _checked(descriptors, 2 * len(label)).chunk(2)
+        loss = self.loss(d0, d1, label)
+        if not isinstance(loss, Tensor) or loss.numel() != 1:
+            raise DataError(f"the loss {name_of(self.loss)} must give one number, got {_shown(loss)}")
+        distance = pair_distance(d0.detach(), d1.detach())
+        statistics.update(descriptors.detach(), distance, loss.detach().squeeze(), batch["same"])
         if batch_index == 0:
-            self._draw(batch, distance.detach(), stage)
-        return losses.mean()
+            self._draw(batch, distance, stage)
+        return loss.squeeze()
 
     def _log_epoch(self, stage: str, statistics: PairStatistics) -> None:
         values = statistics.compute() if statistics.update_called else {}
@@ -196,8 +141,8 @@ class SiameseModule(LightningModule, Descriptor):
         loss = values.get("loss")
         if loss is not None and not bool(torch.isfinite(torch.as_tensor(loss))):
             raise ConfigError(
-                f"the training diverged: {stage}/loss of epoch {self.current_epoch + 1} is {float(loss)}; train anew "
-                f"with a smaller optimizer.learning_rate than {self.hparams['learning_rate']:g}"
+                f"the training diverged: {stage}/loss of epoch {self.current_epoch + 1} is {float(loss)}; train again "
+                f"with a smaller optimizer.learning_rate than {self.optimizer.learning_rate:g}"
             )
         # The sums are already those of all processes; averaging equal numbers over them changes nothing.
         self.log_dict({f"{stage}/{name}": value for name, value in values.items()}, sync_dist=True)
@@ -214,14 +159,53 @@ class SiameseModule(LightningModule, Descriptor):
             board.experiment.add_image(f"{stage}/pairs", picture, self.global_step, dataformats="HWC")
 
 
-def _check_optimizer(hyperparameters: Mapping[str, Any]) -> None:
-    optimizer, rate = hyperparameters["optimizer"], hyperparameters["learning_rate"]
-    momentum, decay = hyperparameters["momentum"], hyperparameters["weight_decay"]
-    if optimizer not in OPTIMIZERS:
-        raise ConfigError(f"unknown optimizer {optimizer!r}: {hint(optimizer, OPTIMIZERS)}")
-    if not (rate > 0 and math.isfinite(rate)):
-        raise ConfigError(f"learning_rate must be positive, got {rate}")
-    if not 0 <= momentum < 1:
-        raise ConfigError(f"momentum must be in [0, 1), got {momentum}")
-    if not (decay >= 0 and math.isfinite(decay)):
-        raise ConfigError(f"weight_decay must not be negative, got {decay}")
+def name_of(thing: object) -> str:
+    """Name a function, or the class of an object, with its module."""
+    named = thing if hasattr(thing, "__qualname__") else type(thing)
+    return f"{named.__module__}.{named.__qualname__}"  # type: ignore[attr-defined]
+
+
+def pair_picture(
+    first: NDArray[Any], second: NDArray[Any], label: NDArray[Any], distance: NDArray[Any]
+) -> NDArray[np.uint8]:
+    """Draw pairs below each other: a caption, the first image and the second image of each.
+
+    Args:
+        first: (B, 3, H, W), uint8, or floating point in [0, 1].
+        second: the same.
+        label: (B,), dissimilarity in [0, 1].
+        distance: (B,), distance of the descriptors.
+
+    Returns:
+        (rows, columns, 3) uint8, RGB.
+    """
+    rows = [_row(*pair) for pair in zip(first, second, label, distance, strict=True)]
+    return np.concatenate(rows, axis=0)
+
+
+def _checked(descriptors: Any, images: int) -> Tensor:
+    if not isinstance(descriptors, Tensor) or descriptors.ndim != 2 or len(descriptors) != images:
+        raise DataError(
+            f"the network must give one descriptor per image, shape ({images}, D), got {_shown(descriptors)}"
+        )
+    return descriptors
+
+
+def _shown(value: Any) -> str:
+    return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+
+
+def _row(first: NDArray[Any], second: NDArray[Any], label: float, distance: float) -> NDArray[np.uint8]:
+    images = [_as_picture(first), _as_picture(second)]
+    gap = np.full((_GAP, images[0].shape[1], 3), 255, np.uint8)
+    caption = np.full((_CAPTION_ROWS, images[0].shape[1], 3), 255, np.uint8)
+    text = f"y={float(label):.2f} d={float(distance):.2f}"
+    cv2.putText(caption, text, (2, _CAPTION_ROWS - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.concatenate([caption, images[0], gap, images[1], gap], axis=0)
+
+
+def _as_picture(image: NDArray[Any]) -> NDArray[np.uint8]:
+    picture = np.moveaxis(image, 0, -1)
+    if picture.dtype != np.uint8:
+        picture = (np.clip(picture, 0, 1) * 255).round().astype(np.uint8)
+    return np.ascontiguousarray(picture)

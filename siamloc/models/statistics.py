@@ -1,4 +1,4 @@
-"""What is logged of the pairs of an epoch: sums and counts over all batches and processes, never means of means."""
+"""The figures of an epoch: sums and counts over all batches and processes, never means of means."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ class PairStatistics(Metric):
 
     - `loss`: mean over the pairs;
     - `distance_same`, `distance_different`: mean distance of the pairs of one room and of two rooms;
-    - `accuracy`, `accuracy_same`, `accuracy_different`: share of pairs told right when a pair counts as the same
+    - `accuracy`, `accuracy_same`, `accuracy_different`: share of correct decisions when a pair counts as the same
       room if min(d / margin, 1) < 0.5 ([T] 5.3.4). `accuracy`, of all pairs, needs both kinds: where all pairs are
       of one kind, a network that tells nothing apart has 0 or 1;
     - `spread`: standard deviation of the descriptors' values, averaged over the D dimensions. Near 0 the network
-      says the same of every image.
+      gives every image the same descriptor.
 
     What has no pair behind it is left out, so that no NaN reaches a logger.
 
     Args:
-        dimensions: D.
-        margin: of the contrastive loss.
+        margin: of the loss; None for a loss without one, which gives no accuracies.
     """
 
     full_state_update = False
@@ -43,14 +42,14 @@ class PairStatistics(Metric):
     values: Tensor
     squares: Tensor
 
-    def __init__(self, dimensions: int, margin: float) -> None:
+    def __init__(self, margin: float | None) -> None:
         super().__init__()
         self.margin = margin
         for name in ("count", "distance", "correct"):
             self.add_state(name, torch.zeros(2, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("loss", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        for name in ("values", "squares"):
-            self.add_state(name, torch.zeros(dimensions, dtype=torch.float64), dist_reduce_fx="sum")
+        for name in ("values", "squares"):  # the first batch gives them the length D of a descriptor
+            self.add_state(name, torch.zeros(1, dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(self, descriptors: Tensor, distance: Tensor, loss: Tensor, same: Tensor) -> None:
         """Add a batch of B pairs.
@@ -58,31 +57,33 @@ class PairStatistics(Metric):
         Args:
             descriptors: (2 B, D).
             distance: (B,).
-            loss: (B,).
+            loss: mean over the batch, a scalar.
             same: (B,) bool, True where both images show the same room.
         """
         distance = distance.double()
-        told_same = distance / self.margin < SAME_BELOW
         groups = torch.stack([same, ~same]).double()
         self.count += groups.sum(1)
         self.distance += groups @ distance
-        self.correct += groups @ (told_same == same).double()
-        self.loss += loss.double().sum()
+        if self.margin is not None:
+            decided_same = distance / self.margin < SAME_BELOW
+            self.correct += groups @ (decided_same == same).double()
+        self.loss += loss.double() * len(distance)
         values = descriptors.double()
-        self.values += values.sum(0)
-        self.squares += values.square().sum(0)
+        self.values = self.values + values.sum(0)
+        self.squares = self.squares + values.square().sum(0)
 
     def compute(self) -> dict[str, Tensor]:
-        """Return the scalars that have at least one pair behind them."""
+        """Compute the scalars that have at least one pair behind them."""
         count, total = self.count, self.count.sum()
         if total == 0:
             return {}
         result = {"loss": self.loss / total}
-        if (count > 0).all():
+        if self.margin is not None and (count > 0).all():
             result["accuracy"] = self.correct.sum() / total
         for index, group in enumerate(_GROUPS):
             if count[index] > 0:
                 result[f"distance_{group}"] = self.distance[index] / count[index]
+            if self.margin is not None and count[index] > 0:
                 result[f"accuracy_{group}"] = self.correct[index] / count[index]
         mean = self.values / (2 * total)
         variance = (self.squares / (2 * total) - mean.square()).clamp(min=0)

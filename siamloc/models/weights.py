@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -15,29 +16,72 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, hint
 from siamloc.models.registry import BRANCHES, branch_spec
 
-if TYPE_CHECKING:
-    from siamloc.models.network import Network
-
 # The published DenseNet files number the layers "norm.1", the class has called them "norm1" for years.
 _OLD_DENSENET = re.compile(r"(denselayer\d+\.(?:norm|relu|conv))\.([12])\.")
 _SUFFIXES = (".pth", ".pt", ".bin", ".ckpt", ".safetensors")
 
 
-def load_weights(network: Network, weights: str | PathLike[str]) -> None:
-    """Put weights into a network, in place.
+@dataclass(frozen=True)
+class Weights:
+    """Weights that were found.
+
+    Attributes:
+        state: names and tensors.
+        origin: where they come from, in words.
+        mean: of the red, green and blue channel of the images they were trained on, in [0, 1]; None if unknown.
+        std: standard deviations, likewise.
+    """
+
+    state: Mapping[str, Tensor]
+    origin: str
+    mean: list[float] | None = None
+    std: list[float] | None = None
+
+
+def find_weights(branch: str, weights: str | PathLike[str]) -> Weights:
+    """Find weights for a branch by their name or path.
 
     Args:
-        network: what `build` makes.
-        weights: "imagenet", the name of a torchvision weight enum, or a path; see `build`.
+        branch: a name in `BRANCHES`.
+        weights: "imagenet", the name of a torchvision weight enum, or a path; see `siamloc.models.build`.
 
     Raises:
-        ConfigError: an unknown name, a failed download, a file that cannot be read or that does not fit.
+        ConfigError: an unknown name, a failed download, or a file that cannot be read.
     """
     if isinstance(weights, PathLike) or Path(weights).suffix in _SUFFIXES or Path(weights).is_file():
         path = Path(weights)
-        _fill(network, read_state(path), str(path))
-    else:
-        _fill_imagenet(network, weights)
+        return Weights(read_state(path), str(path))
+    return _imagenet(branch, weights)
+
+
+def fill(network: nn.Module, weights: Weights, what: str) -> None:
+    """Put weights into a network, in place: into all of it, or into its branch if they are a torchvision network's.
+
+    Args:
+        network: branch and head, as `siamloc.models.build` makes it.
+        weights: of the whole network, or of a torchvision network with this branch.
+        what: the network in words.
+
+    Raises:
+        ConfigError: weights of another architecture.
+    """
+    state = weights.state
+    target: nn.Module = network
+    if not any(key.startswith("branch.") for key in state):
+        what = what.partition(" ")[0]
+        target = network.get_submodule("branch.features")
+        state = {
+            _OLD_DENSENET.sub(r"\1\2.", key.removeprefix("features.")): value
+            for key, value in state.items()
+            if key.startswith("features.")
+        }
+        # Older files lack this counter, which only matters for averaging without momentum.
+        counters = [key for key in target.state_dict() if key.endswith("num_batches_tracked") and key not in state]
+        state |= {key: target.state_dict()[key] for key in counters}
+    difference = mismatch(target, state)
+    if difference is not None:
+        raise ConfigError(f"the weights of {weights.origin} are of another architecture than {what}: {difference}")
+    target.load_state_dict(state)
 
 
 def read_state(path: Path) -> dict[str, Tensor]:
@@ -82,32 +126,7 @@ def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
     return "; ".join(parts) or None
 
 
-def _fill(network: Network, state: Mapping[str, Tensor], origin: str) -> None:
-    if any(key.startswith("branch.") for key in state):
-        target: nn.Module = network
-        what = f"{network.branch.name} + {network.head.name} at {network.image_size[0]} x {network.image_size[1]}"
-    else:
-        target = network.branch.features
-        what = network.branch.name
-        state = {
-            _OLD_DENSENET.sub(r"\1\2.", key.removeprefix("features.")): value
-            for key, value in state.items()
-            if key.startswith("features.")
-        }
-        # Files older than this counter lack it; it only matters for averaging without momentum.
-        state |= {
-            key: value
-            for key, value in target.state_dict().items()
-            if key.endswith("num_batches_tracked") and key not in state
-        }
-    difference = mismatch(target, state)
-    if difference is not None:
-        raise ConfigError(f"the weights of {origin} are of another architecture than {what}: {difference}")
-    target.load_state_dict(state)
-
-
-def _fill_imagenet(network: Network, name: str) -> None:
-    branch = network.branch.name
+def _imagenet(branch: str, name: str) -> Weights:
     if branch_spec(branch).widths is not None:
         trained = ", ".join(spec.name for spec in BRANCHES.values() if spec.widths is None)
         raise ConfigError(
@@ -133,6 +152,5 @@ def _fill_imagenet(network: Network, name: str) -> None:
             f"the weights {member} could not be downloaded from {member.url}: fetch the file elsewhere and give its "
             f"path, or use weights=null"
         ) from error
-    _fill(network, state, str(member))
     preset = member.transforms()
-    network.branch.normalize_with(preset.mean, preset.std)
+    return Weights(state, str(member), preset.mean, preset.std)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.evaluation.absolute import baseline_names
-from siamloc.evaluation.columns import rows_by_label
 from siamloc.report.gathered import Evaluation
 from siamloc.report.markup import Markup, count, number, tag
 from siamloc.report.svg import DASHES, Axis, Line, chart, series_1_2_5
+from siamloc.results import rows_by_label
 
 _LIGHTINGS = {"cloudy": "k0", "night": "k1", "sunny": "k2"}
 _MOST_POINTS = 240

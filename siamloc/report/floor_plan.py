@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.evaluation.columns import rows_by_label
+from siamloc.results import rows_by_label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

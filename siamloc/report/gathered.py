@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.evaluation.columns import Columns, rows_by_label
-from siamloc.evaluation.results import read_results, read_rows
+from siamloc.results import Columns, read_results, read_rows, rows_by_label
 from siamloc.runs import Run
 
 ALL = "all"

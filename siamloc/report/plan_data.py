@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.evaluation.columns import Columns, rows_by_label
 from siamloc.report.floor_plan import is_line
 from siamloc.report.gathered import Evaluation
 from siamloc.report.svg import series_1_2_5
+from siamloc.results import Columns, rows_by_label
 
 WORST = 20
 _CLASSES = 6

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import DataError
-from siamloc.evaluation.columns import rows_by_label
-from siamloc.evaluation.results import read_results, read_rows
 from siamloc.files import atomic_path
 from siamloc.report.floor_plan import error_along_line, error_on_plan, is_line
+from siamloc.results import read_results, read_rows, rows_by_label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +42,7 @@ def draw_all(folder: str | Path, out: str | Path | None = None) -> list[Path]:
     """Draw every picture that a result folder has the numbers for, and return the files.
 
     Args:
-        folder: what `siamloc.evaluation.results.write_results` wrote: `queries.csv` and `map.csv` give
+        folder: what `siamloc.results.write_results` wrote: `queries.csv` and `map.csv` give
             `floor_plan.png` and `error_curve.png`, the measures "room_retrieval" give `confusion.png` and, under
             several lightings, `confusion_by_lighting.png`, the measures "room_pairs" give `pairs.png`.
         out: where the PNG files go; into the folder itself if None.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from siamloc.errors import DataError
-from siamloc.evaluation.results import read_results
 from siamloc.report.plots import save, style
+from siamloc.results import read_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

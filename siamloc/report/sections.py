@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.evaluation.columns import Columns
 from siamloc.report import tables
 from siamloc.report.curves import error_curves, training_curves
 from siamloc.report.gathered import ALL, FURTHER, Evaluation, RunFiles
 from siamloc.report.markup import Content, Markup, count, join, number, percent, plural, tag
 from siamloc.report.parts import lighting_switch, section
 from siamloc.report.plan_data import Plan, error_classes
+from siamloc.results import Columns
 
 _KNOWN_MEASURES = (
     *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration"),

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import DataError, FormatError
-from siamloc.evaluation.results import read_results, read_rows
 from siamloc.report.node_colours import NO_NODE, ink, neighbouring, node_colours
 from siamloc.report.plots import save, style
+from siamloc.results import read_results, read_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

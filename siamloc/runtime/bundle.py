@@ -14,8 +14,8 @@ from siamloc.errors import ConfigError, FormatError
 from siamloc.files import file_hash, read_json, storage_errors, write_json
 
 if TYPE_CHECKING:
-    from siamloc.evaluation.error_model import ErrorModel
     from siamloc.maps import HeadingPart, VisualMap
+    from siamloc.maps.error_model import ErrorModel
     from siamloc.models import SiameseModule
 
 FORMAT = "siamloc-bundle"

@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from analytic import Description, Descriptor
-from analytic.descriptors.image import ImageDescriptor
+from analytic.descriptors.base import ImageDescriptor
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.files import atomic_path
 from siamloc.models.describing import evaluating

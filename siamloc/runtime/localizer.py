@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.error_model import ErrorModel
 from siamloc.maps import Retrieval, VisualMap, estimated_headings
+from siamloc.maps.error_model import ErrorModel
 from siamloc.runtime.bundle import Bundle
 
 

@@ -1,11 +1,26 @@
-"""The simulated building: an office drawn, lit and photographed by ray casting, written in COLD's own layout.
+"""Simulated buildings: an office is drawn, lit and photographed by ray casting, and written in COLD's own layout.
 
-from siamloc.simulate import simulate
-simulate({"out": "data", "building": "mini", "runs": ["cloudy1", "night1"], "camera": "panorama"})
+    from siamloc.simulate import simulate
+
+    summary = simulate(out="data", building="mini", runs=["cloudy1", "night1"], camera="panorama")
+    print(summary)
+
+or, step by step, without files:
+
+    from siamloc.simulate import Run, build_scene, load_building, render
+
+    scene = build_scene(load_building("mini"), Run("night", 1))
+    panoramas = render(scene, scene.state.track.poses[:3])  # (3, 128, 512, 3) uint8
+
+From a building's YAML file to a panorama, in the order of the work: `layout` (what a building consists of), `parse` and
+`load` (its file), `plan` (free space), `trajectory` and `run` (one drive), `mesh`, `shell`, `furniture`, `fittings`,
+`textures` and `prints` (what is seen), `sky` and `light` (what shines), `scene` (all of it), `camera` and `render`
+(pictures), `config` and `produce` (the data set). Rendering needs the package embreex, the extra "simulate".
 """
 
-from siamloc.simulate.buildings import building_names, load_building
 from siamloc.simulate.config import STANDARD_RUNS, SimulateConfig
+from siamloc.simulate.load import building_names, load_building
+from siamloc.simulate.preview import panoramas
 from siamloc.simulate.produce import Summary, simulate
 from siamloc.simulate.render import render
 from siamloc.simulate.run import Run
@@ -20,6 +35,7 @@ __all__ = [
     "build_scene",
     "building_names",
     "load_building",
+    "panoramas",
     "render",
     "simulate",
 ]

@@ -10,15 +10,36 @@ from typing import Any
 from siamloc.data.names import lighting_in
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.camera import CAMERAS
+from siamloc.simulate.rules import FLAG, TEXT, Rule, must_be, number, one_of, optional, whole
 from siamloc.simulate.run import Run
 
 #: The standard benchmark: path 2 under three lightings.
 STANDARD_RUNS = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
 
+_LOCATION = must_be("the name of a file or folder", lambda value: isinstance(value, (str, Path)) and str(value) != "")
+_RULES: dict[str, Rule] = {
+    "out": _LOCATION,
+    "building": must_be("the name of a building or its file", lambda value: not TEXT(value) or isinstance(value, Path)),
+    "seed": whole(),
+    "path": must_be("the name of one of the building's paths, such as path2", lambda value: not TEXT(value)),
+    "runs": must_be(
+        "a list of runs, such as [cloudy1, night1]",
+        lambda value: isinstance(value, (list, tuple)) and all(isinstance(run, str) for run in value),
+    ),
+    "spacing": must_be("a positive number of metres", lambda value: not number(above=0)(value)),
+    "camera": one_of(CAMERAS),
+    "trajectory": optional(_LOCATION),
+    "frames": optional(whole(1)),
+    "workers": optional(whole(1)),
+    "quality": whole(1, 100),
+    "preview": FLAG,
+    "overwrite": FLAG,
+}
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, kw_only=True)
 class SimulateConfig:
-    """A simulated data set.
+    """The settings of `simulate`; a setting without a meaning raises a ConfigError.
 
     Attributes:
         out: folder that receives `<building>/part_a/seq2_cloudy1/...`.
@@ -28,13 +49,17 @@ class SimulateConfig:
         runs: lightings with numbers, such as ("cloudy1", "night2").
         spacing: metres between frames.
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
-        trajectory: a `places.lst`; one image per listed pose is rendered under the listed name, in one run whose
-            lighting the list's own name tells, unless runs are given. Poses are checked, ways between them are not.
+        trajectory: a `places.lst`; one image is rendered for each pose under its listed name, in one run with the
+            lighting that the list's own name contains, unless runs are given. Poses are checked for collisions, the
+            ways between them are not.
         frames: at most so many frames of each run; all if None.
         workers: processes; as many as there are processors (at most 8) if None.
         quality: of the JPEG files, 1 to 100.
         preview: write a contact sheet and a floor plan instead of the data set.
         overwrite: replace what another configuration rendered into the folder; whole images of this one stay.
+
+    >>> SimulateConfig(building="mini", runs=("cloudy1", "night1")).drives()[1].name
+    'seq2_night1'
     """
 
     out: Path = Path("data")
@@ -52,24 +77,25 @@ class SimulateConfig:
     overwrite: bool = False
 
     def __post_init__(self) -> None:
-        if self.camera not in CAMERAS:
-            raise ConfigError(f"camera {self.camera!r} is unknown; {hint(self.camera, CAMERAS)}")
+        if isinstance(self.runs, str):
+            object.__setattr__(self, "runs", (self.runs,))
+        for name, rule in _RULES.items():
+            if broken := rule(getattr(self, name)):
+                raise ConfigError(f"{name} {broken}")
+        object.__setattr__(self, "runs", tuple(self.runs))
+        for name in ("building", "path"):
+            object.__setattr__(self, name, str(getattr(self, name)))
+        for name in ("out", "trajectory"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, Path(getattr(self, name)).expanduser())
         if not self.runs:
             raise ConfigError("simulate needs at least one run, such as runs=[cloudy1]")
-        if not 1 <= self.quality <= 100:
-            raise ConfigError(f"JPEG quality lies between 1 and 100, got {self.quality}")
-        for name in ("frames", "workers"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ConfigError(f"{name} must be at least 1, got {value}")
-        if not self.spacing > 0:
-            raise ConfigError(f"the spacing of frames must be a positive number of metres, got {self.spacing}")
         names = [run.name for run in self.drives()]
         if len(set(names)) < len(names):
             raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
 
     def drives(self) -> list[Run]:
-        """Return the runs to render; for a list of poses the one that its name tells, unless other runs are given."""
+        """Return the runs to render; for a list of poses the one in its name, unless other runs are given."""
         if self.trajectory is not None and self.runs == STANDARD_RUNS:
             lighting = lighting_in(Path(self.trajectory).name) or "cloudy"
             return [Run.parse(f"{lighting}1", self.path, self.spacing, self.trajectory)]
@@ -77,20 +103,16 @@ class SimulateConfig:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> SimulateConfig:
-        """Return a configuration from plain values.
+        """Make a configuration from settings by name, as the command line gives them.
 
         Raises:
-            ConfigError: an unknown key or a value without a meaning.
+            ConfigError: an unknown key, or a value without a meaning.
+
+        >>> SimulateConfig.of({"out": "data", "runs": ["night1"], "camera": "panorama"}).runs
+        ('night1',)
         """
-        known = {field.name for field in fields(cls)}
+        known = [field.name for field in fields(cls)]
         for key in values:
             if key not in known:
-                raise ConfigError(f"simulate has no parameter {key!r}; {hint(str(key), sorted(known))}")
-        plain = dict(values)
-        if "runs" in plain:
-            runs = plain["runs"]
-            plain["runs"] = (runs,) if isinstance(runs, str) else tuple(str(run) for run in runs)
-        for key in ("out", "trajectory"):
-            if plain.get(key) is not None:
-                plain[key] = Path(str(plain[key])).expanduser()
-        return cls(**plain)
+                raise ConfigError(f"simulate has no setting {key!r}; {hint(str(key), sorted(known))}")
+        return cls(**values)

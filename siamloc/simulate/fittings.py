@@ -1,68 +1,20 @@
-"""What is not office furniture: kitchen, toilet, stairs, machines, plants, people."""
+"""What is not office furniture: machines, kitchen, toilet, stairs, people, and what hangs on walls."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from siamloc.simulate.furniture import BLACKISH, CLOTHES, Rng, colour_of
+from siamloc.simulate.furniture import BLACKISH, CLOTHES, STEEL, Builder, Kind, Rng, colour_of
 from siamloc.simulate.layout import Item
-from siamloc.simulate.mesh import MeshBuilder
+from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
+from siamloc.simulate.prints import BOARDS, NOTICES, POSTERS
 
 _PORCELAIN = (0.9, 0.9, 0.9)
 _SKIN = ((0.60, 0.40, 0.29), (0.42, 0.25, 0.16), (0.20, 0.11, 0.07), (0.68, 0.48, 0.36))
 
 
-def coat_rack(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A coat stand with a coat."""
-    h = item.size[2]
-    b.prism(0, 0, (0, 0.04), 0.2, "metal", BLACKISH)
-    b.prism(0, 0, (0.04, h), 0.02, "metal", BLACKISH, sides=6)
-    b.prism(0.1, 0, (0.7, h - 0.1), (0.16, 0.07), "fabric", CLOTHES[int(rng.integers(len(CLOTHES)))], sides=6)
-
-
-def waste_bin(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A waste bin."""
-    radius, h = item.size[0] / 2, item.size[2]
-    colour = colour_of(item, rng, ((0.05, 0.08, 0.20), BLACKISH, (0.35, 0.36, 0.38)))
-    b.prism(0, 0, (0, h), (radius * 0.75, radius), "plastic", colour)
-
-
-def carton(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A cardboard box."""
-    w, d, h = item.size
-    shade = rng.uniform(0.8, 1.1)
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plain", (0.42 * shade, 0.29 * shade, 0.16 * shade),
-          skip=("bottom",))  # fmt: skip
-    b.quad((-0.04, -d / 2, h + 0.003), (0.04, -d / 2, h + 0.003), (0.04, d / 2, h + 0.003), (-0.04, d / 2, h + 0.003),
-           "plain", (0.6, 0.5, 0.35))  # fmt: skip
-
-
-def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A pot plant."""
-    w, _, h = item.size
-    b.prism(0, 0, (0, 0.32), (w * 0.25, w * 0.33), "plastic", (0.45, 0.16, 0.08))
-    b.prism(0, 0, (0.3, h * 0.55), 0.025, "wood", (0.4, 0.4, 0.4), sides=5)
-    for _ in range(9):
-        with b.at(0, 0, float(rng.uniform(0.35, 0.7) * h), float(rng.uniform(0, 360))):
-            reach, rise = rng.uniform(0.28, 0.48) * w * 1.4, rng.uniform(0.1, 0.35) * h
-            half = rng.uniform(0.06, 0.13)
-            b.quad((-half, 0.03, 0), (half, 0.03, 0), (half * 0.7, reach, rise), (-half * 0.7, reach, rise), "leaf")
-            b.quad((-half * 0.7, reach, rise), (half * 0.7, reach, rise), (half * 0.2, reach * 1.5, rise * 0.7),
-                   (-half * 0.2, reach * 1.5, rise * 0.7), "leaf")  # fmt: skip
-
-
-def floor_lamp(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A standing lamp (not lit)."""
-    del rng
-    h = item.size[2]
-    b.prism(0, 0, (0, 0.03), 0.16, "metal", BLACKISH)
-    b.prism(0, 0, (0.03, h - 0.3), 0.015, "metal", BLACKISH, sides=5)
-    b.prism(0, 0, (h - 0.3, h), (0.2, 0.13), "fabric", (0.85, 0.8, 0.65))
-
-
-def copier(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def copier(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A large copier with paper trays and a lid."""
-    del rng
     w, d, h = item.size
     b.box((-w / 2, -d / 2, 0.05), (w / 2, d / 2, h - 0.12), "plastic", (0.72, 0.73, 0.72), skip=("bottom",),
           faces={"front": "copier"})  # fmt: skip
@@ -87,16 +39,8 @@ def printer_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
            "plastic", BLACKISH)  # fmt: skip
 
 
-def pigeonholes(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A rack of mail boxes."""
-    del rng
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "beech", skip=("bottom",), faces={"front": "pigeonholes"})
-
-
-def vending_machine(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def vending_machine(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A vending machine with a lit front."""
-    del rng
     w, d, h = item.size
     b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "metal", (0.45, 0.08, 0.08), skip=("bottom", "front"))
     b.quad((w / 2, d / 2, 0), (-w / 2, d / 2, 0), (-w / 2, d / 2, h), (w / 2, d / 2, h), "machine",
@@ -150,9 +94,8 @@ def stall(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.box((-0.2, -d / 2, 0.42), (0.2, -d / 2 + 0.18, 0.85), "plastic", _PORCELAIN, skip=("back",))
 
 
-def basins(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def basins(b: MeshBuilder, item: Item, _: Rng) -> None:
     """Wash basins below a mirror."""
-    del rng
     w, d, h = item.size
     count = int(item.options.get("count", 2))
     for i in range(count):
@@ -166,10 +109,9 @@ def basins(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.box((w / 2 - 0.1, -d / 2, h + 0.25), (w / 2 + 0.1, -d / 2 + 0.12, h + 0.55), "plastic", skip=("back",))
 
 
-def urinals(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def urinals(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A row of urinals with partitions."""
-    del rng
-    w, d, _ = item.size
+    w, d = item.size[:2]
     count = max(1, round(w / 0.7))
     for i in range(count):
         x = w * ((i + 0.5) / count - 0.5)
@@ -178,16 +120,8 @@ def urinals(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box((edge - 0.02, -d / 2, 0.5), (edge, d / 2, 1.35), "plain", (0.55, 0.6, 0.65), skip=("back",))
 
 
-def dryer(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A hand dryer."""
-    del rng
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plastic", skip=("back",))
-
-
-def stairs_up(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def stairs_up(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A flight that rises from its front to its back."""
-    del rng
     w, d, h = item.size
     steps = max(2, round(h / 0.17))
     for i in range(steps):
@@ -204,7 +138,7 @@ def stairs_up(b: MeshBuilder, item: Item, rng: Rng) -> None:
                "wood", (0.6, 0.5, 0.4))  # fmt: skip
 
 
-def stairs_down(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def stairs_down(b: MeshBuilder, item: Item, _: Rng) -> None:
     """The head of a flight that leads down: dark steps behind a railing, seen as lowered floor."""
     w, d, h = item.size
     steps = 8
@@ -217,7 +151,6 @@ def stairs_down(b: MeshBuilder, item: Item, rng: Rng) -> None:
                "plain", (0.02, 0.02, 0.02))  # fmt: skip
     _rail(b, (-w / 2, -d / 2), (-w / 2, d / 2), h)
     _rail(b, (w / 2, -d / 2), (w / 2, d / 2), h)
-    del rng
 
 
 def _rail(b: MeshBuilder, start: tuple[float, float], end: tuple[float, float], h: float) -> None:
@@ -232,18 +165,10 @@ def _rail(b: MeshBuilder, start: tuple[float, float], end: tuple[float, float], 
             b.box((x, -0.01, 0), (x + 0.02, 0.01, h - 0.05), "metal", (0.15, 0.15, 0.16), skip=("top", "bottom"))
 
 
-def railing(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def railing(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A railing across its width."""
-    del rng
-    w, _, h = item.size
+    w, h = item.size[0], item.size[2]
     _rail(b, (-w / 2, 0), (w / 2, 0), h)
-
-
-def column(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A concrete column."""
-    del rng
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "concrete", skip=("bottom", "top"))
 
 
 def person(b: MeshBuilder, item: Item, rng: Rng) -> None:
@@ -265,3 +190,131 @@ def person(b: MeshBuilder, item: Item, rng: Rng) -> None:
     hair = tuple(np.array([(0.02, 0.015, 0.01), (0.10, 0.05, 0.02), (0.35, 0.22, 0.08), (0.3, 0.3, 0.3)])[
         int(rng.integers(4))])  # fmt: skip
     b.prism(0, -0.01, (0.93 * h, h), (0.098, 0.06), "fabric", hair)
+
+
+def _board(b: MeshBuilder, item: Item, texture: str, rim: tuple[float, float, float] = (0.2, 0.2, 0.2)) -> None:
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plain", rim, skip=("back",), faces={"front": texture})
+
+
+def poster(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A poster or a framed picture on the wall."""
+    number = item.options.get("picture", int(rng.integers(POSTERS)))
+    _board(b, item, f"poster{int(number) % POSTERS}")
+
+
+def whiteboard(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A whiteboard with writing and a tray."""
+    _board(b, item, f"board{rng.integers(BOARDS)}", STEEL)
+    w = item.size[0]
+    b.box((-w / 3, 0, -0.03), (w / 3, 0.1, -0.01), "metal")
+
+
+def notice_board(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A cork board full of paper."""
+    _board(b, item, f"notices{rng.integers(NOTICES)}")
+
+
+def exit_sign(b: MeshBuilder, item: Item, _: Rng) -> None:
+    """A lit emergency sign."""
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plain", skip=("back", "front"))
+    b.quad((w / 2, d / 2, 0), (-w / 2, d / 2, 0), (-w / 2, d / 2, h), (w / 2, d / 2, h), "exit",
+           emission=(0.8, 0.8, 0.8))  # fmt: skip
+
+
+def room_sign(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A door plate."""
+    _board(b, item, f"sign{rng.integers(8)}")
+
+
+def extinguisher(b: MeshBuilder, item: Item, _: Rng) -> None:
+    """A fire extinguisher with its sign."""
+    h = item.size[2]
+    b.prism(0, 0, (0, h * 0.75), 0.08, "plastic", (0.60, 0.02, 0.02), sides=8)
+    b.prism(0, 0, (h * 0.75, h), (0.05, 0.02), "plastic", BLACKISH, sides=6)
+    y = -item.size[1] / 2 + 0.005
+    b.quad((0.1, y, 0.8), (-0.1, y, 0.8), (-0.1, y, 1.0), (0.1, y, 1.0), "plain", (0.6, 0.03, 0.03))
+
+
+def blind_door(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A shut door to a room that is not part of the building."""
+    w, d, h = item.size
+    wood = str(item.options.get("wood", "beech"))
+    frame = colour_of(item, rng, ((0.10, 0.13, 0.20),))
+    y = -d / 2
+    b.box((-w / 2 - 0.07, y, 0), (-w / 2, y + 0.04, h + 0.07), "plain", frame, skip=("back", "bottom"))
+    b.box((w / 2, y, 0), (w / 2 + 0.07, y + 0.04, h + 0.07), "plain", frame, skip=("back", "bottom"))
+    b.box((-w / 2, y, h), (w / 2, y + 0.04, h + 0.07), "plain", frame, skip=("back",))
+    b.box((-w / 2, y, 0.01), (w / 2, y + 0.02, h), wood, skip=("back", "bottom"))
+    b.box((w / 2 - 0.18, y + 0.02, 1.02), (w / 2 - 0.06, y + 0.07, 1.05), "metal", (0.35, 0.35, 0.36))
+
+
+def elevator(b: MeshBuilder, item: Item, _: Rng) -> None:
+    """A lift's steel doors."""
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0), (-0.005, d / 4, h), "metal", skip=("back", "bottom"))
+    b.box((0.005, -d / 2, 0), (w / 2, d / 4, h), "metal", skip=("back", "bottom"))
+    b.box((w / 2 + 0.12, -d / 2, 1.0), (w / 2 + 0.24, -d / 2 + 0.02, 1.25), "metal", BLACKISH, skip=("back",))
+    b.box((-w / 2 - 0.08, -d / 2, h), (w / 2 + 0.08, d / 2, h + 0.08), "metal", (0.4, 0.4, 0.4), skip=("back",))
+
+
+def coats(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """Coats on hooks."""
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, h - 0.06), (w / 2, -d / 2 + 0.03, h), "wood", skip=("back",))
+    for i in range(3):
+        x = (i - 1) * w / 3
+        if rng.random() < 0.75:
+            colour = CLOTHES[int(rng.integers(len(CLOTHES)))]
+            b.prism(x, 0, (0.05, h - 0.05), (0.16, 0.07), "fabric", colour, sides=6, stretch=0.55)
+
+
+def block(texture: str, tint: Point = WHITE, skip: tuple[str, ...] = (), front: str | None = None) -> Builder:
+    """Return the builder of a plain box, with a picture on its front if one is named."""
+
+    def build(b: MeshBuilder, item: Item, _: Rng) -> None:
+        w, d, h = item.size
+        b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), texture, tint, skip, {"front": front} if front else None)
+
+    return build
+
+
+def hung(
+    build: Builder, width: float, height: float, z: float, depth: float = 0.03, options: tuple[str, ...] = ()
+) -> Kind:
+    """Return a kind of thing that hangs on a wall, out of a robot's way."""
+    return Kind(build, (width, depth, height), z, blocks=False, options=options)
+
+
+#: The other kinds, with their usual sizes; those that hang do not stop a robot.
+FITTINGS: dict[str, Kind] = {
+    "copier": Kind(copier, (0.7, 0.7, 1.15)),
+    "printer_table": Kind(printer_table, (0.8, 0.6, 0.7)),
+    "pigeonholes": Kind(block("beech", skip=("bottom",), front="pigeonholes"), (1.2, 0.35, 1.5)),
+    "vending_machine": Kind(vending_machine, (0.85, 0.8, 1.85)),
+    "kitchen_counter": Kind(kitchen_counter, (2.4, 0.62, 0.9), options=("wall_units",)),
+    "fridge": Kind(fridge, (0.62, 0.62, 1.75)),
+    "stall": Kind(stall, (1.0, 1.4, 2.0), options=("colour",)),
+    "basins": Kind(basins, (1.4, 0.5, 0.85), options=("count",)),
+    "urinals": Kind(urinals, (1.4, 0.35, 1.0)),
+    "dryer": hung(block("plastic", skip=("back",)), 0.28, 0.3, 1.15, 0.18),
+    "stairs_up": Kind(stairs_up, (1.3, 2.8, 2.4)),
+    "stairs_down": Kind(stairs_down, (1.3, 2.8, 1.0)),
+    "railing": Kind(railing, (2.0, 0.08, 1.0)),
+    "column": Kind(block("concrete", skip=("bottom", "top")), (0.4, 0.4, 2.8)),
+    "person": Kind(person, (0.5, 0.4, 1.75), options=("colour",)),
+    "poster": hung(poster, 0.6, 0.85, 1.1, options=("picture",)),
+    "picture": hung(poster, 0.9, 0.6, 1.35, options=("picture",)),
+    "whiteboard": hung(whiteboard, 1.8, 1.1, 0.95, 0.05),
+    "notice_board": hung(notice_board, 1.2, 0.9, 1.1, 0.04),
+    "clock": hung(block("plain", (0.2, 0.2, 0.2), skip=("back",), front="clock"), 0.35, 0.35, 2.05),
+    "exit_sign": hung(exit_sign, 0.4, 0.2, 2.3, 0.06),
+    "room_sign": hung(room_sign, 0.2, 0.2, 1.45, 0.02),
+    "extinguisher": hung(extinguisher, 0.2, 0.55, 0.5, 0.18),
+    "blind_door": hung(blind_door, 0.96, 2.06, 0.0, 0.06, options=("colour", "wood")),
+    "elevator": hung(elevator, 1.1, 2.1, 0.0, 0.08),
+    "radiator": hung(block("plain", (0.85, 0.85, 0.84), front="radiator"), 1.2, 0.55, 0.15, 0.1),
+    "mirror": hung(block("metal", (0.75, 0.8, 0.84), skip=("back",)), 1.2, 0.8, 1.1),
+    "coats": hung(coats, 1.0, 0.9, 0.9, 0.2),
+}

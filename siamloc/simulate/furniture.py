@@ -1,10 +1,13 @@
-"""Office furniture: each builder adds one item in its own frame.
+"""Office furniture: one builder for each kind, and at the end of the file the table of kinds.
 
-In an item's frame x runs across, its back stands at y = -depth/2 and its front at y = +depth/2, z = 0 is its foot.
+In an item's frame x runs across, its back is at y = -depth/2 and its front at y = +depth/2, z = 0 is its foot. A new
+kind is a builder and a line in the table.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,7 @@ from siamloc.simulate.mesh import MeshBuilder
 from siamloc.simulate.prints import BOOK_ROWS, SCREENS
 
 Rng = np.random.Generator
+Builder = Callable[[MeshBuilder, Item, Rng], None]
 Colour = tuple[float, float, float]
 
 BLACKISH = (0.035, 0.035, 0.04)
@@ -27,6 +31,29 @@ CLOTHES: tuple[Colour, ...] = (
     (0.10, 0.14, 0.32), (0.45, 0.06, 0.06), (0.05, 0.05, 0.06), (0.60, 0.58, 0.52), (0.08, 0.25, 0.15),
     (0.55, 0.40, 0.10), (0.30, 0.35, 0.42),
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What all things of one kind have in common.
+
+    Attributes:
+        build: adds one item to a mesh; the generator draws its details.
+        size: usual width, depth and height in metres.
+        z: usual height of the foot above the floor in metres.
+        blocks: a robot has to drive around it.
+        moves: how far it moves from run to run, in metres.
+        turns: how far it turns from run to run, in degrees.
+        options: further keys of the building file.
+    """
+
+    build: Builder
+    size: tuple[float, float, float]
+    z: float = 0.0
+    blocks: bool = True
+    moves: float = 0.0
+    turns: float = 0.0
+    options: tuple[str, ...] = ()
 
 
 def colour_of(item: Item, rng: Rng, palette: tuple[Colour, ...]) -> Colour:
@@ -43,7 +70,7 @@ def _legs(b: MeshBuilder, w: float, d: float, top: float, colour: Colour, thick:
 
 
 def desk(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A desk: one sits at its front; screens stand at its back."""
+    """A desk: people sit at its front, the screens are at its back."""
     w, d, h = item.size
     wood = str(item.options.get("wood", "beech"))
     b.box((-w / 2, -d / 2, h - 0.035), (w / 2, d / 2, h), wood)
@@ -104,7 +131,7 @@ def clutter(b: MeshBuilder, x: float, y: float, z: float, rng: Rng) -> None:
 
 
 def chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A swivel chair; one sits on it looking along its front."""
+    """A swivel chair; whoever sits on it looks to its front."""
     colour = colour_of(item, rng, SEATS)
     b.box((-0.24, -0.22, 0.43), (0.24, 0.24, 0.51), "fabric", colour)
     b.box((-0.22, -0.28, 0.60), (0.22, -0.22, 1.0), "fabric", colour)
@@ -162,9 +189,8 @@ def sofa(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box((x0, -d / 2 + 0.2, 0.30), (x1, d / 2, 0.44), "fabric", lighter, skip=("bottom",))
 
 
-def bench(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def bench(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A bench without a back."""
-    del rng
     w, d, h = item.size
     b.box((-w / 2, -d / 2, h - 0.05), (w / 2, d / 2, h), str(item.options.get("wood", "wood")))
     _legs(b, w, d, h - 0.05, BLACKISH)
@@ -246,3 +272,72 @@ def lockers(b: MeshBuilder, item: Item, rng: Rng) -> None:
     colour = colour_of(item, rng, FRONTS)
     b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "metal", colour, skip=("bottom", "front"))
     b.quad((w / 2, d / 2, 0), (-w / 2, d / 2, 0), (-w / 2, d / 2, h), (w / 2, d / 2, h), "lockers", colour)
+
+
+def coat_rack(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A coat stand with a coat."""
+    h = item.size[2]
+    b.prism(0, 0, (0, 0.04), 0.2, "metal", BLACKISH)
+    b.prism(0, 0, (0.04, h), 0.02, "metal", BLACKISH, sides=6)
+    b.prism(0.1, 0, (0.7, h - 0.1), (0.16, 0.07), "fabric", CLOTHES[int(rng.integers(len(CLOTHES)))], sides=6)
+
+
+def waste_bin(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A waste bin."""
+    radius, h = item.size[0] / 2, item.size[2]
+    colour = colour_of(item, rng, ((0.05, 0.08, 0.20), BLACKISH, (0.35, 0.36, 0.38)))
+    b.prism(0, 0, (0, h), (radius * 0.75, radius), "plastic", colour)
+
+
+def carton(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A cardboard box."""
+    w, d, h = item.size
+    shade = rng.uniform(0.8, 1.1)
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plain", (0.42 * shade, 0.29 * shade, 0.16 * shade),
+          skip=("bottom",))  # fmt: skip
+    b.quad((-0.04, -d / 2, h + 0.003), (0.04, -d / 2, h + 0.003), (0.04, d / 2, h + 0.003), (-0.04, d / 2, h + 0.003),
+           "plain", (0.6, 0.5, 0.35))  # fmt: skip
+
+
+def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A pot plant."""
+    w, _, h = item.size
+    b.prism(0, 0, (0, 0.32), (w * 0.25, w * 0.33), "plastic", (0.45, 0.16, 0.08))
+    b.prism(0, 0, (0.3, h * 0.55), 0.025, "wood", (0.4, 0.4, 0.4), sides=5)
+    for _ in range(9):
+        with b.at(0, 0, float(rng.uniform(0.35, 0.7) * h), float(rng.uniform(0, 360))):
+            reach, rise = rng.uniform(0.28, 0.48) * w * 1.4, rng.uniform(0.1, 0.35) * h
+            half = rng.uniform(0.06, 0.13)
+            b.quad((-half, 0.03, 0), (half, 0.03, 0), (half * 0.7, reach, rise), (-half * 0.7, reach, rise), "leaf")
+            b.quad((-half * 0.7, reach, rise), (half * 0.7, reach, rise), (half * 0.2, reach * 1.5, rise * 0.7),
+                   (-half * 0.2, reach * 1.5, rise * 0.7), "leaf")  # fmt: skip
+
+
+def floor_lamp(b: MeshBuilder, item: Item, _: Rng) -> None:
+    """A standing lamp (not lit)."""
+    h = item.size[2]
+    b.prism(0, 0, (0, 0.03), 0.16, "metal", BLACKISH)
+    b.prism(0, 0, (0.03, h - 0.3), 0.015, "metal", BLACKISH, sides=5)
+    b.prism(0, 0, (h - 0.3, h), (0.2, 0.13), "fabric", (0.85, 0.8, 0.65))
+
+
+#: The kinds that belong in offices, with their usual sizes.
+FURNITURE: dict[str, Kind] = {
+    "desk": Kind(desk, (1.6, 0.8, 0.74), options=("screens", "wood", "drawers")),
+    "chair": Kind(chair, (0.56, 0.56, 1.0), moves=0.25, turns=60, options=("colour",)),
+    "visitor_chair": Kind(visitor_chair, (0.5, 0.5, 0.85), moves=0.15, turns=20, options=("colour",)),
+    "table": Kind(table, (1.4, 0.8, 0.74), options=("wood",)),
+    "round_table": Kind(round_table, (1.1, 1.1, 0.74), options=("wood",)),
+    "sofa": Kind(sofa, (1.7, 0.8, 0.8), options=("colour",)),
+    "bench": Kind(bench, (1.2, 0.4, 0.45), options=("wood",)),
+    "shelf": Kind(shelf, (1.0, 0.35, 2.0), options=("wood", "content")),
+    "cabinet": Kind(cabinet, (1.0, 0.45, 1.9), options=("colour",)),
+    "sideboard": Kind(sideboard, (1.2, 0.45, 0.8), options=("colour", "wood")),
+    "lockers": Kind(lockers, (1.2, 0.5, 1.8), options=("colour",)),
+    "coat_rack": Kind(coat_rack, (0.5, 0.5, 1.75), moves=0.1),
+    "bin": Kind(waste_bin, (0.32, 0.32, 0.4), moves=0.2, turns=180, options=("colour",)),
+    "carton": Kind(carton, (0.5, 0.4, 0.4), moves=0.3, turns=40),
+    "plant": Kind(plant, (0.5, 0.5, 1.5), turns=180),
+    "floor_lamp": Kind(floor_lamp, (0.4, 0.4, 1.7)),
+    "shelf_board": Kind(shelf_board, (1.0, 0.28, 0.35), 1.5, blocks=False, options=("wood", "content")),
+}

@@ -1,4 +1,4 @@
-"""Building up a scene from textured, planar quadrilaterals."""
+"""Textured, planar quadrilaterals: building up a scene from them, and casting rays against it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from siamloc.errors import SiamlocError
 
 Array = NDArray[Any]
 Point = Sequence[float]
@@ -175,3 +177,41 @@ class MeshBuilder:
             np.array(emission, dtype=np.float32),
             np.array(room, dtype=np.int32),
         )
+
+
+def embree() -> tuple[Any, Any]:
+    """Return what casts rays: embreex's class of scenes and its class of meshes.
+
+    Raises:
+        SiamlocError: embreex is not installed; it is the extra "simulate".
+    """
+    try:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+    except ImportError as error:
+        raise SiamlocError('rendering needs the package embreex: pip install "siamloc[simulate]"') from error
+    return EmbreeScene, TriangleMesh
+
+
+class Caster:
+    """Ray casting against a quad mesh (Embree)."""
+
+    def __init__(self, mesh: QuadMesh) -> None:
+        scene, triangles = embree()
+        self._scene: Any = scene()
+        triangles(self._scene, np.ascontiguousarray(mesh.triangles, dtype=np.float32))
+
+    def first_hit(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the quad hit (n,), -1 for none, the position on it s, t (n,) and the distance (n,)."""
+        hit = self._scene.run(origins, directions, output=True)
+        triangle = hit["primID"]
+        second = (triangle & 1).astype(bool)
+        s = np.where(second, 1 - hit["u"], hit["u"])
+        t = np.where(second, 1 - hit["v"], hit["v"])
+        return np.where(triangle < 0, -1, triangle >> 1), s, t, hit["tfar"]
+
+    def blocked(self, origins: Array, directions: Array, distances: Array | None = None) -> Array:
+        """Return True where anything is in the way within the distance (n,)."""
+        if distances is None:
+            return self._scene.run(origins, directions, query="OCCLUDED") == 0
+        return self._scene.run(origins, directions, dists=distances, query="OCCLUDED") == 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -10,39 +10,98 @@ import numpy as np
 import yaml
 
 from siamloc.errors import DataError, hint
-from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import HALF_WALL, SIDES, Building, Item, Opening, Path, Room
-from siamloc.simulate.lines import load_with_lines
+from siamloc.simulate.rules import FLAG, LIST, MAPPING, TEXT, WORD, Rule, must_be, number, numbers, one_of, row, whole
 from siamloc.simulate.textures import SURFACES
 
-_ROOM_KEYS = ["code", "x", "y", "height", "floor", "walls", "ceiling", "paint", "wainscot", "lamps", "windows", "items"]
-_DOOR_KEYS = ["between", "at", "width", "height", "bottom", "kind", "hinge", "into"]
-_WINDOW_KEYS = ["wall", "at", "width", "sill", "head"]
-_TOP_KEYS = ["name", "part", "north", "height", "rooms", "doors", "paths"]
-_LAMPS = ("panel", "tube", "round")
-_DOOR_KINDS = ("leaf", "glass", "open", "pane")
+_SURFACE = one_of(SURFACES)
+#: What the entries of a building file may hold. A key without a value counts as absent.
+_BUILDING = {
+    "name": WORD,
+    "part": one_of(("a", "b")),
+    "north": number(),
+    "height": number(above=0),
+    "rooms": MAPPING,
+    "doors": LIST,
+    "paths": MAPPING,
+}
+_ROOM = {
+    "code": WORD,
+    "x": numbers(2),
+    "y": numbers(2),
+    "height": number(above=0),
+    "floor": _SURFACE,
+    "walls": _SURFACE,
+    "ceiling": _SURFACE,
+    "paint": numbers(3, at_least=0),
+    "wainscot": row(material=_SURFACE, height=number(at_least=0)),
+    "lamps": row(kind=one_of(("panel", "tube", "round")), count_along_x=whole(0), count_along_y=whole(0)),
+    "windows": LIST,
+    "items": LIST,
+}
+_DOOR = {
+    "between": must_be("a list of two rooms", lambda value: isinstance(value, list) and len(value) == 2),
+    "at": number(),
+    "width": number(above=0),
+    "height": number(above=0),
+    "bottom": number(at_least=0),
+    "kind": one_of(("leaf", "glass", "open", "pane")),
+    "hinge": one_of(("low", "high")),
+    "into": TEXT,
+}
+_WINDOW = {
+    "wall": one_of(SIDES),
+    "at": number(),
+    "width": number(above=0),
+    "sill": number(),
+    "head": number(),
+}
+_ITEM = {
+    "kind": one_of(KINDS),
+    "against": one_of(SIDES),
+    "off": number(),
+    "facing": number(),
+    "size": numbers(3, above=0),
+    "z": number(),
+}
+#: What the options of a kind may hold.
+OPTIONS = {
+    "colour": numbers(3, at_least=0),
+    "content": one_of(("mixed", "books", "binders", "empty")),
+    "count": whole(1),
+    "drawers": FLAG,
+    "picture": whole(),
+    "screens": whole(0),
+    "wall_units": FLAG,
+    "wood": one_of((*SURFACES, "plain", "plastic", "metal", "fabric", "cork")),
+}
+_OUTWARDS = {"north": 1, "south": -1, "east": 1, "west": -1}
 
 
 def read_building_file(path: FilePath, seed: int) -> Building:
     """Read and check a building file.
 
     Raises:
-        DataError: not YAML, or a building that cannot stand; the message names the room and the line.
+        DataError: not YAML, or an impossible building; the message names the room and the line.
     """
     try:
-        content = load_with_lines(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"the building file {path} cannot be read: {error}") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise DataError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     return parse_building(content, seed, str(path))
 
 
 def parse_building(content: Any, seed: int, source: str) -> Building:
-    """Return the building that a parsed file describes; `plan.check` still has to look at its paths.
+    """Return the building that a parsed file describes; `plan.check_paths` still has to look at its paths.
 
     Raises:
         DataError: an entry that is missing, unknown, or geometrically impossible.
+
+    >>> parse_building({"rooms": {"cell": {"x": [0, 4], "y": [0, 3]}}}, 0, "jail").bounds
+    ((0.0, 4.0), (0.0, 3.0))
     """
     return _Parser(source).building(content, seed)
 
@@ -55,99 +114,80 @@ class _Parser:
         line = where if isinstance(where, int) else getattr(where, "line", 0)
         return DataError(f"{self.source}, line {line}: {message}" if line else f"{self.source}: {message}")
 
-    def known(self, entry: Any, keys: Iterable[str], what: str) -> None:
-        if not isinstance(entry, dict):
-            raise self.error(entry, f"{what} must be a mapping, got {entry!r}")
+    def entry(self, entry: Any, rules: Mapping[str, Rule], what: str, needs: tuple[str, ...] = ()) -> dict[str, Any]:
+        """Return what an entry gives, checked against its rules."""
+        if broken := MAPPING(entry):
+            raise self.error(entry, f"{what} {broken}")
+        given = {key: value for key, value in entry.items() if value is not None}
         for key in entry:
-            if key not in keys:
-                raise self.error(entry, f"{what} has an unknown key {key!r}; {hint(str(key), keys)}")
-
-    def number(self, entry: dict[str, Any], key: str, what: str, default: float | None = None) -> float:
-        value = entry.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise self.error(entry, f"{what} needs a number as {key!r}, got {value!r}")
-        return float(value)
-
-    def numbers(self, where: Any, value: Any, count: int, what: str) -> tuple[float, ...]:
-        whole = isinstance(value, (list, tuple)) and len(value) == count
-        if not whole or not all(
-            isinstance(v, (int, float)) and not isinstance(v, bool) and np.isfinite(v) for v in value
-        ):
-            raise self.error(where, f"{what} needs {count} numbers, got {value!r}")
-        return tuple(float(v) for v in value)
+            if key not in rules:
+                raise self.error(entry, f"{what} has an unknown key {key!r}; {hint(str(key), rules)}")
+            if key in given and (broken := rules[key](given[key])):
+                raise self.error(entry, f"{what}: {key} {broken}")
+        for key in needs:
+            if key not in given:
+                raise self.error(entry, f"{what} needs {key!r}")
+        return given
 
     def choice(self, where: Any, value: Any, valid: Iterable[str], what: str) -> str:
-        if not isinstance(value, str) or value not in valid:
-            raise self.error(where, f"{what} {value!r} is unknown; {hint(str(value), valid)}")
+        if broken := one_of(list(valid))(value):
+            raise self.error(where, f"{what} {broken}")
         return str(value)
 
     def building(self, content: Any, seed: int) -> Building:
-        self.known(content, _TOP_KEYS, "a building")
-        if not content.get("rooms"):
+        given = self.entry(content, _BUILDING, "a building")
+        if not given.get("rooms"):
             raise self.error(content, "a building needs 'rooms'")
-        height = self.number(content, "height", "the building", 2.8)
-        rooms = {str(name): self.room(str(name), entry, height) for name, entry in content["rooms"].items()}
+        height = float(given.get("height", 2.8))
+        found = {str(name): self.room(str(name), entry, height) for name, entry in given["rooms"].items()}
+        rooms = {name: room for name, (room, _) in found.items()}
         self.check_overlaps(rooms)
-        openings = [self.door(entry, rooms) for entry in content.get("doors") or ()]
-        for name, entry in content["rooms"].items():
-            openings += [self.window(window, rooms[str(name)], rooms) for window in entry.get("windows") or ()]
+        openings = [self.door(entry, rooms) for entry in given.get("doors", ())]
+        for room, entry in found.values():
+            openings += [self.window(window, room, rooms) for window in entry.get("windows", ())]
         self.check_openings(openings)
-        items = [
-            self.item(entry, rooms[str(name)])
-            for name, room in content["rooms"].items()
-            for entry in room.get("items") or ()
-        ]
-        paths = {str(name): self.path(str(name), points) for name, points in (content.get("paths") or {}).items()}
+        items = [self.item(item, room) for room, entry in found.values() for item in entry.get("items", ())]
+        paths = {str(name): self.path(str(name), points) for name, points in given.get("paths", {}).items()}
+        name = str(given.get("name", FilePath(self.source).stem))
+        if broken := WORD(name):
+            raise self.error(content, f"the building's name {broken}: give it one as 'name'")
         return Building(
-            name=str(content.get("name") or FilePath(self.source).stem),
+            name=name,
             seed=int(seed),
             source=self.source,
-            north=self.number(content, "north", "the building", 90.0),
+            north=float(given.get("north", 90.0)),
             rooms=rooms,
             openings=tuple(openings),
             items=tuple(items),
             paths=paths,
-            part=self.choice(content, content.get("part", "a"), ("a", "b"), "part"),
+            part=given.get("part", "a"),
         )
 
-    def room(self, name: str, entry: Any, height: float) -> Room:
+    def room(self, name: str, entry: Any, height: float) -> tuple[Room, dict[str, Any]]:
         what = f"room {name!r}"
-        self.known(entry, _ROOM_KEYS, what)
-        extents = []
+        given = self.entry(entry, _ROOM, what, needs=("x", "y"))
+        if "code" not in given and (broken := WORD(name)):
+            raise self.error(entry, f"{what}: without a 'code' of its own, its name {broken}")
         for axis in ("x", "y"):
-            low, high = self.numbers(entry, entry.get(axis), 2, f"{what}: {axis!r}")
+            low, high = given[axis]
             if high - low < 0.8:
                 raise self.error(entry, f"{what} must be at least 0.8 m wide, but {axis} runs from {low} to {high}")
-            extents.append((low, high))
-        lamps = entry.get("lamps", ["panel", 1, 1])
-        if not (isinstance(lamps, list) and len(lamps) == 3):
-            raise self.error(entry, f"{what}: lamps are given as [kind, count along x, count along y], got {lamps!r}")
-        self.choice(entry, lamps[0], _LAMPS, f"{what}: lamp")
-        counts = self.numbers(entry, lamps[1:], 2, f"{what}: 'lamps'")
-        wainscot = entry.get("wainscot")
-        if wainscot is not None:
-            if not (isinstance(wainscot, list) and len(wainscot) == 2):
-                raise self.error(entry, f"{what}: a wainscot is given as [material, height], got {wainscot!r}")
-            wainscot = (self.material(entry, wainscot[0], what), float(wainscot[1]))
-        return Room(
+        wainscot = given.get("wainscot")
+        room = Room(
             name=name,
-            code=str(entry.get("code", name)),
-            x=extents[0],
-            y=extents[1],
-            height=self.number(entry, "height", what, height),
-            floor=self.material(entry, entry.get("floor", "linoleum"), what),
-            walls=self.material(entry, entry.get("walls", "paint"), what),
-            ceiling=self.material(entry, entry.get("ceiling", "ceiling_panels"), what),
-            paint=self.numbers(entry, entry.get("paint", [1, 1, 1]), 3, f"{what}: 'paint'"),  # type: ignore[arg-type]
-            wainscot=wainscot,
-            lamps=(lamps[0], int(counts[0]), int(counts[1])),
+            code=str(given.get("code", name)),
+            x=(float(given["x"][0]), float(given["x"][1])),
+            y=(float(given["y"][0]), float(given["y"][1])),
+            height=float(given.get("height", height)),
+            floor=given.get("floor", "linoleum"),
+            walls=given.get("walls", "paint"),
+            ceiling=given.get("ceiling", "ceiling_panels"),
+            paint=tuple(float(value) for value in given.get("paint", (1, 1, 1))),  # type: ignore[arg-type]
+            wainscot=None if wainscot is None else (wainscot[0], float(wainscot[1])),
+            lamps=tuple(given.get("lamps", ("panel", 1, 1))),  # type: ignore[arg-type]
             line=getattr(entry, "line", 0),
         )
-
-    def material(self, where: Any, name: Any, what: str) -> str:
-        if name not in SURFACES:
-            raise self.error(where, f"{what}: unknown material {name!r}; {hint(str(name), SURFACES)}")
-        return str(name)
+        return room, given
 
     def check_overlaps(self, rooms: dict[str, Room]) -> None:
         listed = list(rooms.values())
@@ -162,25 +202,22 @@ class _Parser:
                     )
 
     def door(self, entry: Any, rooms: dict[str, Room]) -> Opening:
-        self.known(entry, _DOOR_KEYS, "a door")
-        between = entry.get("between")
-        if not (isinstance(between, list) and len(between) == 2):
-            raise self.error(entry, f"a door stands between two rooms, got {between!r}")
-        a, b = (rooms[self.choice(entry, name, rooms, "room")] for name in between)
+        given = self.entry(entry, _DOOR, "a door", needs=("between", "at"))
+        a, b = (rooms[self.choice(entry, name, rooms, "room")] for name in given["between"])
         what = f"the door between {a.name!r} and {b.name!r}"
         along, level, span = self.shared_wall(entry, a, b)
-        kind = self.choice(entry, entry.get("kind", "leaf"), _DOOR_KINDS, f"{what}: kind")
+        kind = given.get("kind", "leaf")
         opening = Opening(
             kind=kind,
             along=along,
             level=level,
-            centre=self.number(entry, "at", what),
-            width=self.number(entry, "width", what, 1.0),
-            bottom=self.number(entry, "bottom", what, 0.9 if kind == "pane" else 0.0),
-            top=self.number(entry, "height", what, 2.1),
+            centre=float(given["at"]),
+            width=float(given.get("width", 1.0)),
+            bottom=float(given.get("bottom", 0.9 if kind == "pane" else 0.0)),
+            top=float(given.get("height", 2.1)),
             rooms=(a.name, b.name),
-            hinge=self.choice(entry, entry.get("hinge", "low"), ("low", "high"), f"{what}: hinge"),
-            into=self.choice(entry, entry.get("into", b.name), (a.name, b.name), f"{what}: into"),
+            hinge=given.get("hinge", "low"),
+            into=self.choice(entry, given.get("into", b.name), (a.name, b.name), f"{what}: into"),
             line=getattr(entry, "line", 0),
         )
         low, high = opening.interval
@@ -190,8 +227,10 @@ class _Parser:
                 f"{what} reaches from {along} = {low:.2f} to {high:.2f}, outside the wall they share "
                 f"({span[0]:.2f} to {span[1]:.2f})",
             )
-        if opening.top > min(a.height, b.height) or opening.top <= opening.bottom:
+        if opening.top > min(a.height, b.height):
             raise self.error(entry, f"{what} is {opening.top} m high, the ceiling {min(a.height, b.height)} m")
+        if opening.top <= opening.bottom:
+            raise self.error(entry, f"{what} ends at {opening.top} m, not above its bottom at {opening.bottom} m")
         return opening
 
     def shared_wall(self, entry: Any, a: Room, b: Room) -> tuple[str, float, tuple[float, float]]:
@@ -203,22 +242,22 @@ class _Parser:
                     high = min(getattr(a, along)[1], getattr(b, along)[1])
                     if high > low:
                         return along, level, (low, high)
-        raise self.error(entry, f"rooms {a.name!r} and {b.name!r} share no wall, so no door can stand between them")
+        raise self.error(entry, f"rooms {a.name!r} and {b.name!r} share no wall for a door")
 
     def window(self, entry: Any, room: Room, rooms: dict[str, Room]) -> Opening:
         what = f"a window of room {room.name!r}"
-        self.known(entry, _WINDOW_KEYS, what)
-        side = self.choice(entry, entry.get("wall"), SIDES, f"{what}: wall")
+        given = self.entry(entry, _WINDOW, what, needs=("wall", "at"))
+        side = given["wall"]
         along, across = ("x", "y") if side in ("north", "south") else ("y", "x")
         level = getattr(room, across)[1 if side in ("north", "east") else 0]
         opening = Opening(
             kind="window",
             along=along,
             level=level,
-            centre=self.number(entry, "at", what),
-            width=self.number(entry, "width", what, 1.6),
-            bottom=self.number(entry, "sill", what, 0.9),
-            top=self.number(entry, "head", what, 2.3),
+            centre=float(given["at"]),
+            width=float(given.get("width", 1.6)),
+            bottom=float(given.get("sill", 0.9)),
+            top=float(given.get("head", 2.3)),
             rooms=(room.name, ""),
             line=getattr(entry, "line", 0),
         )
@@ -232,7 +271,7 @@ class _Parser:
                 f"{opening.bottom:.2f} to {opening.top:.2f}, the wall {span[0]:.2f} to {span[1]:.2f} and 0 to "
                 f"{room.height:.2f}",
             )
-        beyond = OUTSIDE[side]
+        beyond = _OUTWARDS[side]
         for other in rooms.values():
             reach = getattr(other, across)
             near = reach[0] - 1e-6 <= level + beyond * 0.05 <= reach[1] + 1e-6
@@ -253,39 +292,40 @@ class _Parser:
                     )
 
     def item(self, entry: Any, room: Room) -> Item:
-        what = f"room {room.name!r}"
-        if not isinstance(entry, dict):
-            raise self.error(entry, f"{what}: an item must be a mapping, got {entry!r}")
-        kind = self.choice(entry, entry.get("kind"), KINDS, f"{what}: item")
+        what = f"room {room.name!r}: an item"
+        if broken := MAPPING(entry):
+            raise self.error(entry, f"{what} {broken}")
+        kind = self.choice(entry, entry.get("kind"), KINDS, f"room {room.name!r}: item")
         spec = KINDS[kind]
-        what = f"{what}: {kind}"
-        self.known(entry, ("kind", "at", "against", "off", "facing", "size", "z", *spec.options), what)
-        size = self.numbers(entry, entry.get("size", spec.size), 3, f"{what}: 'size'")
-        off = self.number(entry, "off", what, 0.0)
-        if "against" in entry:
-            side = self.choice(entry, entry["against"], SIDES, f"{what}: wall")
+        what = f"room {room.name!r}: {kind}"
+        side = entry.get("against")
+        place = {"at": numbers(2) if side is None else number()}
+        options = {key: OPTIONS[key] for key in spec.options}
+        given = self.entry(entry, {**_ITEM, **place, **options}, what, needs=("at",))
+        size = tuple(float(value) for value in given.get("size", spec.size))
+        if side is None:
+            x, y = (float(value) for value in given["at"])
+            facing = float(given.get("facing", 90.0))
+        else:
             facing = SIDES[side]
             inner_x, inner_y = room.inner()
-            at = self.number(entry, "at", what)
-            reach = size[1] / 2 + off
+            at = float(given["at"])
+            reach = size[1] / 2 + float(given.get("off", 0.0))
             x, y = {
                 "north": (at, inner_y[1] - reach),
                 "south": (at, inner_y[0] + reach),
                 "east": (inner_x[1] - reach, at),
                 "west": (inner_x[0] + reach, at),
             }[side]
-        else:
-            x, y = self.numbers(entry, entry.get("at"), 2, f"{what}: 'at'")
-            facing = self.number(entry, "facing", what, 90.0)
         item = Item(
             kind=kind,
             x=x,
             y=y,
             facing=facing,
             size=(size[0], size[1], size[2]),
-            z=self.number(entry, "z", what, spec.z),
+            z=float(given.get("z", spec.z)),
             room=room.name,
-            options={key: entry[key] for key in spec.options if key in entry},
+            options={key: given[key] for key in spec.options if key in given},
             line=getattr(entry, "line", 0),
         )
         corners = item.footprint()
@@ -301,8 +341,45 @@ class _Parser:
     def path(self, name: str, points: Any) -> Path:
         if not isinstance(points, list) or len(points) < 2:
             raise self.error(points, f"path {name!r} needs at least two points [x, y]")
-        values = [self.numbers(point, point, 2, f"path {name!r}: a point") for point in points]
-        return Path(name, np.array(values), tuple(getattr(point, "line", 0) for point in points))
+        for point in points:
+            if broken := numbers(2)(point):
+                raise self.error(point if hasattr(point, "line") else points, f"path {name!r}: a point {broken}")
+        values = np.array(points, dtype=np.float64)
+        return Path(name, values, tuple(getattr(point, "line", 0) for point in points))
 
 
-OUTSIDE = {"north": 1, "south": -1, "east": 1, "west": -1}
+class _LineDict(dict[str, Any]):
+    """A mapping that knows the line it began on, counted from 1."""
+
+    line = 0
+
+
+class _LineList(list[Any]):
+    """A sequence that knows the line it began on."""
+
+    line = 0
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads YAML into mappings and sequences that know their lines."""
+
+
+def _mapping(loader: Any, node: yaml.MappingNode) -> _LineDict:
+    seen = set()
+    for key, _ in node.value:
+        if str(key.value) in seen:
+            raise yaml.constructor.ConstructorError(None, None, f"the key {key.value!r} appears twice", key.start_mark)
+        seen.add(str(key.value))
+    value = _LineDict(loader.construct_mapping(node, deep=True))
+    value.line = node.start_mark.line + 1
+    return value
+
+
+def _sequence(loader: Any, node: yaml.SequenceNode) -> _LineList:
+    value = _LineList(loader.construct_sequence(node, deep=True))
+    value.line = node.start_mark.line + 1
+    return value
+
+
+_Loader.add_constructor("tag:yaml.org,2002:map", _mapping)
+_Loader.add_constructor("tag:yaml.org,2002:seq", _sequence)

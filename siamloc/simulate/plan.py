@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from siamloc.errors import DataError
-from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import HALF_WALL, Array, Building, Item, Room
 
 

@@ -6,11 +6,13 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from siamloc.files import atomic_path
 from siamloc.simulate.config import SimulateConfig
-from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building
+from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import clearance, obstacles
 from siamloc.simulate.render import render
 from siamloc.simulate.run import LIGHTINGS, Run, draw_run
@@ -18,6 +20,8 @@ from siamloc.simulate.scene import build_scene
 from siamloc.simulate.shell import leaf_segment
 from siamloc.simulate.trajectory import Track
 
+#: The files that a preview consists of.
+PICTURES = ("contact_sheet.png", "floor_plan.png")
 _COLOURS = {"cloudy": "#5b8fd6", "night": "#3b3b6d", "sunny": "#e8a013"}
 
 
@@ -25,16 +29,13 @@ def write_preview(building: Building, config: SimulateConfig, folder: Path) -> t
     """Write `contact_sheet.png` and `floor_plan.png` and return their paths."""
     runs = {run.lighting: run for run in reversed(config.drives())}
     drives = [runs[lighting] for lighting in LIGHTINGS if lighting in runs]
-    written = []
-    for name, picture in (
-        ("contact_sheet.png", contact_sheet(building, drives)),
-        ("floor_plan.png", floor_plan(building, config.drives())),
+    paths = tuple(folder / name for name in PICTURES)
+    for path, picture in zip(
+        paths, (contact_sheet(building, drives), floor_plan(building, config.drives())), strict=True
     ):
-        path = folder / name
         with atomic_path(path) as temporary:
             temporary.write_bytes(picture)
-        written.append(path)
-    return tuple(written)
+    return paths
 
 
 def viewpoints(building: Building, track: Track) -> Array:
@@ -49,6 +50,14 @@ def viewpoints(building: Building, track: Track) -> Array:
             score = np.minimum(clearance(points, segments), 0.8) - 0.15 * np.linalg.norm(points - centre, axis=1)
             rows.append(inside[int(np.argmax(score))])
     return np.array(rows)
+
+
+def panoramas(count: int = 6, building: str = "freiburg_like") -> NDArray[np.uint8]:
+    """Render a few panoramas of a building's rooms, to show something on: (B, 3, 128, 512), uint8, RGB."""
+    loaded, run = load_building(building, 0), Run()
+    track = draw_run(loaded, run).track
+    poses = track.poses[viewpoints(loaded, track)[:count]]
+    return np.ascontiguousarray(render(build_scene(loaded, run), poses).transpose(0, 3, 1, 2))
 
 
 def contact_sheet(building: Building, runs: list[Run]) -> bytes:

@@ -1,4 +1,4 @@
-"""Writing a simulated data set in COLD's layout, with several processes, and going on where it was interrupted."""
+"""Writing a simulated data set in COLD's layout with several processes, and resuming an interrupted one."""
 
 from __future__ import annotations
 
@@ -6,36 +6,42 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from inspect import Signature, signature
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
 import cv2
 
+from siamloc.data.names import parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import atomic_path, content_key, read_json, storage_errors, write_json, write_text
+from siamloc.files import atomic_path, content_key, read_json, storage_errors, temporary_of, write_json, write_text
 from siamloc.progress import track
-from siamloc.simulate.buildings import load_building
-from siamloc.simulate.camera import HEIGHT, OmnidirectionalCamera, PanoramaCamera, make_camera
+from siamloc.simulate.camera import HEIGHT, Exposure, OmnidirectionalCamera, PanoramaCamera, make_camera
 from siamloc.simulate.config import SimulateConfig
 from siamloc.simulate.layout import Array, Building
+from siamloc.simulate.load import load_building
+from siamloc.simulate.mesh import embree
+from siamloc.simulate.preview import PICTURES, write_preview
 from siamloc.simulate.render import frames, meter
 from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import Scene, build_scene
-from siamloc.simulate.sensor import Exposure
 from siamloc.simulate.trajectory import Track
 
 _SCHEMA = 1
 _BATCH = 16
+#: Seconds after which nobody is still writing a temporary file.
+_OLD = 3600.0
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What was written.
+    """What was written; it prints as a short report.
 
     Attributes:
         folder: of the building.
@@ -44,6 +50,11 @@ class Summary:
         rendered: frames rendered now, the others were there already.
         seconds: time taken.
         files: further files, such as the contact sheet.
+
+    >>> Summary(Path("data/mini"), {"seq2_cloudy1": 6}, {"CR-A": 4, "1PO-A": 2}, rendered=6, seconds=3.0)
+    data/mini: 6 frames rendered in 3 s, 2.0 frames/s
+      seq2_cloudy1: 6 frames
+      rooms: CR-A 4, 1PO-A 2
     """
 
     folder: Path
@@ -53,24 +64,44 @@ class Summary:
     seconds: float
     files: tuple[Path, ...] = ()
 
+    def __repr__(self) -> str:
+        if self.files:
+            return "\n".join([f"{self.folder}: a preview", *(f"  {path}" for path in self.files)])
+        rate = f", {self.rendered / self.seconds:.1f} frames/s" if self.rendered and self.seconds > 0 else ""
+        lines = [f"{self.folder}: {self.rendered} frames rendered in {self.seconds:.0f} s{rate}"]
+        lines += [f"  {name}: {count} frames" for name, count in self.sequences.items()]
+        lines.append("  rooms: " + ", ".join(f"{code} {count}" for code, count in self.rooms.items()))
+        return "\n".join(lines)
 
-def simulate(config: SimulateConfig | Mapping[str, Any]) -> Summary:
-    """Render a data set, or go on with one that was interrupted.
+
+def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summary:
+    """Render a data set, or resume an interrupted one.
 
     With several workers, processes are spawned: a script calls this under `if __name__ == "__main__":`.
 
+    Args:
+        config: all settings at once; by default those of the standard benchmark.
+        settings: the fields of `SimulateConfig` by name; they replace those of `config`.
+
     Raises:
-        ConfigError: a parameter without a meaning.
-        DataError: a building that cannot stand, a pose inside a wall, or a folder that holds another simulation.
+        ConfigError: a setting that does not exist, or a value without a meaning.
+        DataError: an impossible building, a pose inside a wall, or a folder that holds other images.
+        SiamlocError: embreex is not installed.
         StorageError: the disk refuses.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as out:
+    ...     summary = simulate(out=out, building="mini", runs=["cloudy1"], camera="panorama", frames=2)
+    >>> summary.rooms
+    {'CR-A': 2}
     """
-    config = config if isinstance(config, SimulateConfig) else SimulateConfig.of(config)
+    config = SimulateConfig.of({**(vars(config) if config else {}), **settings})
+    embree()
     begin = time.monotonic()
     building = load_building(config.building, config.seed)
     folder = config.out / building.name
+    _remove_leftovers(folder, [_sequence(folder, building, run) for run in config.drives()])
     if config.preview:
-        from siamloc.simulate.preview import write_preview
-
         pictures = write_preview(building, config, folder / "preview")
         return Summary(folder, {}, {}, 0, time.monotonic() - begin, pictures)
     drives = config.drives()
@@ -90,12 +121,19 @@ def simulate(config: SimulateConfig | Mapping[str, Any]) -> Summary:
     return Summary(folder, counts, rooms, total, time.monotonic() - begin)
 
 
+# So that help and tab completion show every setting with its type and default.
+simulate.__signature__ = Signature(  # type: ignore[attr-defined]
+    [signature(simulate).parameters["config"], *signature(SimulateConfig).parameters.values()],
+    return_annotation=Summary,
+)
+
+
 def _sequence(folder: Path, building: Building, run: Run) -> Path:
     return folder / f"part_{building.part}" / run.name
 
 
 def _description(config: SimulateConfig, building: Building, run: Run) -> dict[str, Any]:
-    """Say what the images of a sequence are; equal descriptions mean equal bytes."""
+    """Describe the images of a sequence; equal descriptions mean equal bytes."""
     camera = make_camera(config.camera)
     lens = camera.view if isinstance(camera, PanoramaCamera) else camera.mirror
     layout = _without_lines({key: value for key, value in asdict(building).items() if key != "source"})
@@ -120,7 +158,7 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
 
 
 def _without_lines(value: Any) -> Any:
-    """Leave out where in a file things stand: a comment more makes no other building."""
+    """Leave out line numbers: a file with one more comment describes the same building."""
     if isinstance(value, dict):
         return {key: _without_lines(item) for key, item in value.items() if key != "line"}
     if isinstance(value, (list, tuple)):
@@ -128,8 +166,20 @@ def _without_lines(value: Any) -> Any:
     return value
 
 
+def _remove_leftovers(folder: Path, sequences: list[Path]) -> None:
+    """Remove what killed commands left behind; outside `sequences`, where others may be working, only old files."""
+    written = {"camera.json", "places.lst", *PICTURES}
+    for path in folder.rglob(".*.tmp.*"):
+        name = temporary_of(path)
+        if name in written or parse_name(name):
+            mine = any(sequence in path.parents for sequence in sequences)
+            with suppress(FileNotFoundError):
+                if mine or time.time() - path.stat().st_mtime > _OLD:
+                    path.unlink()
+
+
 def _is_whole(path: Path) -> bool:
-    """Say whether a JPEG file has its beginning and its end."""
+    """Tell a JPEG file with beginning and end from one that was cut short."""
     with path.open("rb") as file:
         head = file.read(2)
         file.seek(0, os.SEEK_END)
@@ -148,7 +198,11 @@ def _missing(
     wanted = _description(config, building, run)
     note = sequence / "camera.json"
     present: set[str] = set()
-    if images.is_dir() and any(images.iterdir()):
+    # Whatever else lies in the folder is somebody's own.
+    pictures = [file for file in images.glob("*.jp*g") if parse_name(file.name)] if images.is_dir() else []
+    if pictures:
+        if not note.is_file():
+            raise DataError(f"{images} holds images that simulate did not render: choose another out")
         try:
             found = read_json(note)
         except FormatError:
@@ -161,15 +215,14 @@ def _missing(
                 f"{sequence} holds images of another simulation (different: {', '.join(changed)}): choose another "
                 "out, or replace them with overwrite=true"
             )
-        pictures = [file for file in images.iterdir() if file.is_file()]
         if found == wanted:
-            present = {file.name for file in pictures if not file.name.startswith(".") and _is_whole(file)}
+            present = {file.name for file in pictures if _is_whole(file)}
         with storage_errors(images):
             if any(name not in present for name in drive.names):
                 # First, so that no list ever names an image that is gone.
                 (sequence / "localization" / "places.lst").unlink(missing_ok=True)
             for file in pictures:
-                # Left over by a process that was killed, cut short, or of another simulation.
+                # Cut short, or of another simulation.
                 if file.name not in present:
                     file.unlink(missing_ok=True)
     write_json(note, wanted)
@@ -205,9 +258,8 @@ def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iter
                     yield 1
         except BrokenProcessPool as error:
             raise DataError(
-                "a rendering process died, perhaps for want of memory: run again with fewer workers, what is done "
-                "stays; "
-                "in a script of your own call simulate under `if __name__ == '__main__':`"
+                "a rendering process died, perhaps for lack of memory: run again with fewer workers, finished images "
+                "are kept; in a script of your own, call simulate under `if __name__ == '__main__':`"
             ) from error
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

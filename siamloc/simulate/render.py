@@ -8,11 +8,9 @@ import cv2
 import numpy as np
 
 from siamloc.data.panorama import PanoramaView
-from siamloc.simulate.camera import HEIGHT, OFFSETS, Camera, PanoramaCamera, make_camera
-from siamloc.simulate.furnish import seeded
-from siamloc.simulate.layout import Array
+from siamloc.simulate.camera import HEIGHT, OFFSETS, Camera, Exposure, PanoramaCamera, develop, expose, make_camera
+from siamloc.simulate.layout import Array, seeded
 from siamloc.simulate.scene import LOOKS, Scene
-from siamloc.simulate.sensor import Exposure, develop, expose
 from siamloc.simulate.trajectory import Track
 
 _PROBE = PanoramaView(height=8, width=40)
@@ -33,6 +31,11 @@ def render(scene: Scene, poses: Array | Track, camera: Camera | str = "panorama"
 
     Returns:
         (n, rows, columns, 3) uint8, RGB.
+
+    >>> from siamloc.simulate import Run, build_scene, load_building
+    >>> scene = build_scene(load_building("mini"), Run("night", 1))
+    >>> render(scene, scene.state.track.poses[:2], "panorama").shape
+    (2, 128, 512, 3)
     """
     track = poses if isinstance(poses, Track) else standing(poses)
     chosen = make_camera(camera) if isinstance(camera, str) else camera
@@ -170,7 +173,7 @@ def _add_person(
 
 
 def _motion(image: Array, camera: Camera, distance: Array, speed: float, turn_rate: float, seconds: float) -> Array:
-    """Blur a picture by the robot's motion while the shutter stands open."""
+    """Blur a picture by the robot's motion while the shutter is open."""
     if abs(turn_rate) * seconds < 0.002 and abs(speed) * seconds < 0.002:
         return image
     pixels = camera.pixels()

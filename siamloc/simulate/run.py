@@ -8,9 +8,8 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from siamloc.errors import ConfigError, hint
-from siamloc.simulate.furnish import seeded
-from siamloc.simulate.kinds import KINDS
-from siamloc.simulate.layout import Array, Building, Item, Room
+from siamloc.simulate.items import KINDS
+from siamloc.simulate.layout import Array, Building, Item, Room, seeded
 from siamloc.simulate.plan import clearance, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
 from siamloc.simulate.trajectory import Track, drive, listed
@@ -54,7 +53,10 @@ class Run:
 
     @classmethod
     def parse(cls, name: str, path: str = "path2", spacing: float = 0.15, trajectory: FilePath | None = None) -> Run:
-        """Return the run called such as "cloudy1".
+        """Return the run of a name such as "cloudy1".
+
+        >>> Run.parse("night2").name
+        'seq2_night2'
 
         Raises:
             ConfigError: not a lighting followed by a number.
@@ -92,7 +94,7 @@ class RunState:
 
     Attributes:
         track: the drive.
-        items: where everything stands, people included.
+        items: everything in its place, people included.
         fixtures: doors, blinds, lamps.
         walkers: people who walk.
         hour: solar time.

@@ -8,17 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.simulate.atlas import TextureAtlas, sample
-from siamloc.simulate.bake import BakedLight, bake
-from siamloc.simulate.furnish import add_items, seeded
-from siamloc.simulate.layout import Array, Building, Item
-from siamloc.simulate.lightgrid import Caster
-from siamloc.simulate.mesh import MeshBuilder, QuadMesh
+from siamloc.simulate.items import add_items
+from siamloc.simulate.layout import Array, Building, Item, seeded
+from siamloc.simulate.light import BakedLight, bake
+from siamloc.simulate.mesh import Caster, MeshBuilder, QuadMesh
 from siamloc.simulate.prints import print_textures
 from siamloc.simulate.run import Run, RunState, draw_run
 from siamloc.simulate.shell import add_shell, draw_style
 from siamloc.simulate.sky import Sky, make_sky
-from siamloc.simulate.textures import base_textures
+from siamloc.simulate.textures import TextureAtlas, base_textures, sample
 
 LOOKS = 6
 
@@ -90,6 +88,9 @@ class Scene:
     sky: Sky
     people: tuple[tuple[Surfaces, Caster], ...]
 
+    def __repr__(self) -> str:
+        return f"Scene({self.building.name!r}, {self.run.name}: {len(self.state.track)} frames)"
+
     def trace(self, origins: Array, directions: Array, spread: Array) -> tuple[Array, Array, Array]:
         """Return the radiosity (n, 3) that rays meet, their lengths in metres (n,), and what they hit (n,).
 
@@ -148,7 +149,17 @@ class Scene:
 
 
 def build_scene(building: Building, run: Run) -> Scene:
-    """Put a building into the state of one run and bake its light."""
+    """Put a building into the state of one run and bake its light.
+
+    >>> from siamloc.simulate import load_building
+    >>> build_scene(load_building("mini"), Run("night", 1, spacing=1.0))
+    Scene('mini', seq2_night1: 75 frames)
+
+    Raises:
+        ConfigError: the building has no such path.
+        DataError: the run's path or list of poses leads into a wall or furniture.
+        SiamlocError: embreex is not installed.
+    """
     state = draw_run(building, run)
     atlas, index = _textures(building.name, building.seed)
     builder = MeshBuilder(dict(index))

@@ -16,10 +16,10 @@ _GAP = 0.005
 
 @dataclass(frozen=True)
 class Fixtures:
-    """How the shell of a building stands in one run.
+    """The state of a building's doors, blinds and lamps in one run.
 
     Attributes:
-        door_angles: degrees that each leaf stands open, by position in `Building.openings`.
+        door_angles: degrees that each leaf is open, by position in `Building.openings`.
         blinds: share of each window that its blind covers, by position in `Building.openings`.
         lamps_on: radiosity (3,) of the lit lamps by room name; absent where they are off.
     """
@@ -65,7 +65,7 @@ def draw_style(rng: np.random.Generator) -> Style:
 
 
 def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, style: Style) -> list[Lamp]:
-    """Add everything of a building that does not stand in a room, and return its lit lamps."""
+    """Add a building's walls, floors, ceilings, doors, windows and lamps, and return the lit lamps."""
     lamps: list[Lamp] = []
     for index, room in enumerate(building.rooms.values()):
         builder.room = index

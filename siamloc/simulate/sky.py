@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from siamloc.simulate.atlas import sample
 from siamloc.simulate.layout import Array, single
+from siamloc.simulate.textures import sample
 
 _ROWS, _COLUMNS = 512, 2048
 _LATITUDE = 48.0

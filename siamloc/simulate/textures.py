@@ -1,7 +1,8 @@
-"""Procedural textures: small images that stand for a surface's colour."""
+"""Procedural textures: small images of surfaces, and the atlas that holds them all for lookups without flicker."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -73,22 +74,9 @@ def base_textures(rng: np.random.Generator) -> dict[str, Texture]:
 
 #: Floors, walls and ceilings that a room of a building file may name.
 SURFACES = (
-    "paint",
-    "concrete",
-    "carpet",
-    "carpet_red",
-    "carpet_gray",
-    "linoleum",
-    "linoleum_green",
-    "parquet",
-    "tiles_floor",
-    "tiles_wall",
-    "tiles_blue",
-    "ceiling_panels",
-    "wood",
-    "beech",
-    "walnut",
-)
+    "paint", "concrete", "carpet", "carpet_red", "carpet_gray", "linoleum", "linoleum_green", "parquet",
+    "tiles_floor", "tiles_wall", "tiles_blue", "ceiling_panels", "wood", "beech", "walnut",
+)  # fmt: skip
 
 
 def _tinted(colour: Colour, change: Array) -> Array:
@@ -158,3 +146,80 @@ def _leaves(rng: np.random.Generator) -> Array:
         colour = (0.22 * shade, 0.46 * shade, 0.16 * shade)
         cv2.ellipse(image, centre, axes, float(rng.uniform(0, 360)), 0, 360, colour, -1, cv2.LINE_AA)
     return image
+
+
+LEVELS = 6
+_PAD = 2
+_COLUMNS = 8
+_DECODE = (np.arange(256, dtype=np.float32) / 255) ** np.float32(2.2)
+
+
+def sample(image: Array, x: Array, y: Array) -> Array:
+    """Sample an image (rows, columns[, channels]) bilinearly at n positions; edges are repeated."""
+    n = len(x)
+    if n == 0:
+        return np.zeros((0, *image.shape[2:]), dtype=image.dtype)
+    width = 512
+    rows = -(-n // width)
+    padded = np.zeros((2, rows * width), dtype=np.float32)
+    padded[0, :n], padded[1, :n] = x, y
+    across, down = padded.reshape(2, rows, width)
+    found = cv2.remap(image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return found.reshape(rows * width, *image.shape[2:])[:n]
+
+
+class TextureAtlas:
+    """Textures side by side, each at LEVELS sizes.
+
+    Attributes:
+        texel: metres that one texel of the largest copy covers, by texture (T,); NaN for stretched textures.
+        mean: mean linear colour by texture (T, 3).
+    """
+
+    def __init__(self, textures: Iterable[Texture]) -> None:
+        textures = list(textures)
+        count = len(textures)
+        rows = -(-count // _COLUMNS)
+        sizes = [SIZE >> level for level in range(LEVELS)]
+        starts = np.concatenate([[0], np.cumsum([_COLUMNS * (size + 2 * _PAD) for size in sizes])])
+        self.image = np.zeros((rows * (SIZE + 2 * _PAD), starts[-1], 3), dtype=np.uint8)
+        self._corner = np.zeros((LEVELS, count, 2), dtype=np.float32)
+        self.mean = np.zeros((count, 3), dtype=np.float32)
+        self.texel = np.full(count, np.nan)
+        for index, texture in enumerate(textures):
+            mode = "edge" if texture.tile is None else "wrap"
+            if texture.tile is not None:
+                self.texel[index] = texture.tile[0] / SIZE
+            self.mean[index] = _DECODE[texture.image].mean(axis=(0, 1))
+            for level, size in enumerate(sizes):
+                small = cv2.resize(texture.image, (size, size), interpolation=cv2.INTER_AREA)
+                padded = np.pad(small, ((_PAD, _PAD), (_PAD, _PAD), (0, 0)), mode=mode)  # type: ignore[call-overload]
+                cell = size + 2 * _PAD
+                x = int(starts[level]) + (index % _COLUMNS) * cell
+                y = (index // _COLUMNS) * cell
+                self.image[y : y + cell, x : x + cell] = padded
+                self._corner[level, index] = (x + _PAD - 0.5, y + _PAD - 0.5)
+
+    def lookup(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
+        """Return linear colours (n, 3).
+
+        Args:
+            texture: indices (n,).
+            u: to the right (n,); whole parts are dropped.
+            v: upwards (n,).
+            level: wanted size as the binary logarithm of the reduction (n,), between two copies too.
+        """
+        u = u - np.floor(u)
+        v = 1 - (v - np.floor(v))
+        level = np.clip(level, 0, LEVELS - 1.001).astype(np.float32)
+        whole = level.astype(np.int32)
+        share = (level - whole)[:, None]
+        near = self._level(texture, u, v, whole).astype(np.float32)
+        far = self._level(texture, u, v, whole + 1).astype(np.float32)
+        mixed = near + share * (far - near)
+        return np.power(mixed * np.float32(1 / 255), np.float32(2.2))
+
+    def _level(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
+        corner = self._corner[level, texture]
+        size = np.ldexp(np.float32(SIZE), -level)
+        return sample(self.image, corner[:, 0] + u * size, corner[:, 1] + v * size)

@@ -1,4 +1,4 @@
-"""Where the robot is in every frame: built-in paths driven anew in each run, or a list of poses."""
+"""Where the robot is in every frame: built-in paths, driven a little differently in each run, or a list of poses."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def listed(building: Building, file: FilePath) -> Track:
         if not name.lower().endswith((".jpeg", ".jpg")):
             raise DataError(f"{file}, line {number}: images are written as JPEG, but the list names {name}")
         if name in lines_of:
-            raise DataError(f"{file}, line {number}: image {name} stands in line {lines_of[name]} already")
+            raise DataError(f"{file}, line {number}: image {name} appears in line {lines_of[name]} already")
         lines_of[name] = number
         rows.append(pose)
         names.append(name)

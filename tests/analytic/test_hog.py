@@ -95,7 +95,7 @@ def test_many_queries_are_aligned_as_one(monkeypatch):
     hog = descriptor("hog", **SMALL)
     queries, references = hog.describe(np.roll(IMAGES, 8, axis=-1)), hog.describe(IMAGES)
     whole = hog.align(queries, references)
-    monkeypatch.setattr("analytic.descriptors.hog._CHUNK", 1)
+    monkeypatch.setattr("analytic.alignment._VALUES", 1)
     parts = hog.align(queries, references)
     assert np.array_equal(whole.heading, parts.heading)
     np.testing.assert_allclose(whole.distance, parts.distance, rtol=1e-4, atol=0.05)

@@ -3,7 +3,7 @@ import threading
 import pytest
 import torch
 
-from analytic.descriptors.threads import each
+from analytic.threads import each
 
 
 @pytest.fixture

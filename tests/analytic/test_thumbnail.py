@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from analytic import AnalyticError, Thumbnail
-from analytic.descriptors.base import as_batch, as_grey
+from analytic.images import as_grey
 
 BATCH = np.random.default_rng(0).integers(0, 256, (3, 3, 16, 64), dtype=np.uint8)
 
@@ -49,10 +49,10 @@ def test_identity_tells_what_may_be_compared():
     [
         (lambda: Thumbnail(0, 8), "at least 1 x 1 pixels, got 0 x 8"),
         (lambda: Thumbnail(32, 32).describe(BATCH), "16 x 64 pixels, fewer than the thumbnail's 32 x 32"),
-        (lambda: as_batch(np.zeros((2, 5, 4, 4))), r"got \(2, 5, 4, 4\)"),
-        (lambda: as_batch(np.zeros((4, 4), dtype=np.int64)), "got int64"),
-        (lambda: as_batch(np.full((4, 4), np.nan)), "not finite"),
-        (lambda: as_batch(np.zeros((0, 3, 4, 4))), "got \\(0, 3, 4, 4\\)"),
+        (lambda: as_grey(np.zeros((2, 5, 4, 4))), r"got \(2, 5, 4, 4\)"),
+        (lambda: as_grey(np.zeros((4, 4), dtype=np.int64)), "got int64"),
+        (lambda: as_grey(np.full((4, 4), np.nan)), "not finite"),
+        (lambda: as_grey(np.zeros((0, 3, 4, 4))), "got \\(0, 3, 4, 4\\)"),
     ],
 )
 def test_mistakes_are_one_sentence(call, says):

@@ -1,4 +1,4 @@
-"""What every effect and every policy has to hold."""
+"""What is true of every effect and every policy."""
 
 import json
 
@@ -152,7 +152,7 @@ def test_any_memory_layout(name):
         (torch.zeros(1, 3, 8, 8, dtype=torch.float64), "a batch is uint8, or float32 in .0, 1., got torch.float64"),
         (torch.full((1, 3, 8, 8), 7.0), "this one runs from 7 to 7: divide 8-bit values by 255"),
         (torch.full((1, 3, 8, 8), -0.5), "this one runs from -0.5 to -0.5"),
-        (torch.full((1, 3, 8, 8), float("nan")), "the batch holds NaN"),
+        (torch.full((1, 3, 8, 8), float("nan")), "the batch contains NaN"),
         ([[1]], "a batch is a torch tensor of shape .B, 3, H, W., got list"),
     ],
 )
@@ -167,7 +167,7 @@ def test_wrong_parameters_of_apply():
         effect.apply(batch, {})
     with pytest.raises(augment.AugmentError, match=r"'amount' of brighten has shape \(3,\), expected \(2,\)"):
         effect.apply(batch, {"amount": [1, 2, 3]})
-    with pytest.raises(augment.AugmentError, match="the parameters of brighten hold 'amuont', which it has not"):
+    with pytest.raises(augment.AugmentError, match="brighten has no parameter 'amuont': did you mean 'amount'"):
         effect.apply(batch, {"amuont": [1, 2]})
 
 
@@ -213,7 +213,7 @@ def test_values_that_no_parameter_takes(name, value):
     ("name", "key", "value", "message"),
     [
         ("noise", "first", -5, r"'first' of noise must lie in \[0, 2097151\]"),
-        ("brighten", "amount", 2.5, "'amount' of brighten must be made of whole numbers, got"),
+        ("brighten", "amount", 2.5, "'amount' of brighten must be whole numbers, got"),
         ("jpeg", "quality", 500, r"'quality' of jpeg must lie in \[1, 100\], got \[500"),
         ("policy thesis", "0.bulb.radius", 0, r"'0.bulb.radius' of thesis must lie in \[0.5, "),
     ],

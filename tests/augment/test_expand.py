@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import augment
-from augment.expand import expand, headings, parameters, replay
+from augment.expand import expand, headings, replay
 from augment.expansion_files import COLUMNS, read_table
 from tests.augment.pictures import panoramas
 
@@ -54,10 +54,9 @@ def test_parameters_follow_from_seed_frame_and_variant_alone(images, tmp_path):
     expand(images, outputs(second, 3, 16), second, seed=1, threads=3)
     assert contents(first) == contents(second)
     variant = augment.variants(16)[2]
-    one, two = (parameters(variant, 1, frame, (16, 32)) for frame in (0, 1))
-    assert one != two
-    other = parameters(variant, 2, 0, (16, 32))
-    assert not torch.equal(one["0.bulb.radius"], other["0.bulb.radius"])
+    both, other = (variant.parameters(seed, [0, 1], (16, 32))["0.bulb.radius"] for seed in (1, 2))
+    assert len({*both.tolist(), *other.tolist()}) == 4
+    assert torch.equal(variant.parameters(1, [1], (16, 32))["0.bulb.radius"], both[1:])
 
 
 def test_headings_are_known_before_any_picture_is_made(images, tmp_path):
@@ -68,6 +67,22 @@ def test_headings_are_known_before_any_picture_is_made(images, tmp_path):
     for row in read_table(done.table):
         assert float(row["heading"]) == known[int(row["frame"]), int(row["variant"])]
         assert (float(row["heading"]) != 0) == ("rotate" in row["label"])
+
+
+def test_headings_of_many_variants_show_their_progress():
+    seen = []
+
+    def bar(items, total, what):
+        for item in items:
+            seen.append((item.label, total, what))
+            yield item
+
+    turns = headings(2, 30, 0, (16, 32), progress=bar)
+    assert [label for label, *_ in seen] == [v.label for v in augment.variants(30) if "rotate" in v.label]
+    assert {(total, what) for _, total, what in seen} == {(len(seen), "drawing headings")}
+    assert not headings(2, 30, 0, (16, 32), circular=False).any()
+    assert headings(0, 30, 0, (16, 32)).shape == (0, 30)
+    assert turns.any()
 
 
 def test_resuming_makes_only_what_is_missing(images, tmp_path):
@@ -96,6 +111,61 @@ def test_resuming_after_an_interruption_in_the_middle_of_a_line(images, tmp_path
     assert contents(out) == whole
 
 
+@pytest.mark.parametrize("length", [0, 5, 59, 60, 400, -1])
+def test_resuming_from_a_table_that_a_killed_run_cut_anywhere(images, tmp_path, length):
+    images = [path.rename(path.with_name(f"büro {path.name}")) for path in images]
+    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 4)
+    expand(images, targets, out)
+    whole, table = contents(out), out / "augmentation.csv"
+    table.write_bytes(table.read_bytes()[:length])
+    done = expand(images, targets, out, resume=True)
+    assert done.written + done.kept == 12
+    assert contents(out) == whole
+
+
+def test_resuming_from_a_table_cut_within_a_letter(images, tmp_path):
+    images = [path.rename(path.with_name(f"büro {path.name}")) for path in images]
+    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 4)
+    expand(images, targets, out)
+    whole, table = contents(out), out / "augmentation.csv"
+    table.write_bytes(table.read_bytes()[: table.read_bytes().rindex("ü".encode()) + 1])
+    assert expand(images, targets, out, resume=True).kept == 11
+    assert contents(out) == whole
+
+
+def leave(folder, name, letters="a1b2_c3d"):
+    (folder / f".{name}.{letters}.tmp").write_bytes(b"half a file")
+
+
+def test_resuming_removes_what_killed_runs_left_and_nothing_else(images, tmp_path):
+    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 2)
+    expand(images, targets, out)
+    whole = contents(out)
+    for folder, name in ((out, "augmentation.csv"), (out, "augmentation.json"), (out / "v001", "2.png")):
+        leave(folder, name)
+    expand(images, targets, out, resume=True)
+    assert contents(out) == whole
+    leave(out, "mine.png")
+    leave(out / "v001", "7.png")
+    leave(out / "v001", "2.png", "backup")
+    (out / "v001" / "notes.tmp").write_text("mine")
+    others = contents(out)
+    with pytest.raises(augment.AugmentError, match="was expanded with seed=0, now asked for 5"):
+        expand(images, targets, out, resume=True, seed=5)
+    expand(images, targets, out, resume=True)
+    assert contents(out) == others
+    assert len(others) == len(whole) + 4
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_run_killed_before_its_settings_were_written_leaves_an_empty_folder(images, tmp_path, resume):
+    out = tmp_path / "out"
+    out.mkdir()
+    leave(out, "augmentation.json")
+    assert expand(images, outputs(out, 3, 1), out, resume=resume).written == 3
+    assert not list(out.rglob("*.tmp"))
+
+
 def test_a_stopped_expansion_keeps_what_it_made(images, tmp_path):
     out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 4)
 
@@ -119,7 +189,7 @@ def test_a_folder_that_is_not_empty_is_refused(images, tmp_path):
     (out / "mine.txt").write_text("mine")
     with pytest.raises(augment.AugmentError, match=r"is not empty: choose another folder, or go on with resume=true"):
         expand(images, outputs(out, 3, 1), out)
-    with pytest.raises(augment.AugmentError, match=r"holds no augmentation.json, so it is no expansion to resume"):
+    with pytest.raises(augment.AugmentError, match=r"has no augmentation.json, so there is nothing to resume"):
         expand(images, outputs(out, 3, 1), out, resume=True)
     assert contents(out) == {"mine.txt": b"mine"}
 
@@ -160,7 +230,7 @@ def test_settings_or_table_that_are_none(images, tmp_path):
     with pytest.raises(augment.AugmentError, match="is not whole JSON"):
         expand(images, targets, out, resume=True)
     (out / "augmentation.json").write_text("[]")
-    with pytest.raises(augment.AugmentError, match="holds no settings"):
+    with pytest.raises(augment.AugmentError, match="contains no settings"):
         expand(images, targets, out, resume=True)
 
 
@@ -195,7 +265,7 @@ def test_jpeg_outputs_have_quality_95(images, tmp_path):
         (lambda i, o: (i, [[p] for p in i], o.parent), "outputs must differ from each other and from the images"),
         (lambda i, o: (i, outputs(o / "..", 3, 1), o / "deeper"), "lies outside the folder"),
         (lambda i, o: (i, outputs(o / "in" / ".." / "..", 3, 1), o), "lies outside the folder"),
-        (lambda i, o: (i, outputs(o, 3, 1, ".txt"), o), "has no suffix of a picture: use .jpeg or .png"),
+        (lambda i, o: (i, outputs(o, 3, 1, ".txt"), o), "does not end like a picture: use .jpeg or .png"),
     ],
 )
 def test_paths_that_make_no_sense(images, tmp_path, arguments, message):

@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import pytest
@@ -5,10 +6,35 @@ import torch
 import yaml
 
 import augment
-from augment.thesis import combinations, variants
+from augment.combinations import combinations, variants
 from tests.augment.pictures import generator, panoramas
 
 CONFIGS = sorted((Path(__file__).parents[2] / "conf" / "augment").glob("*.yaml"))
+PACKAGED = sorted(Path(augment.__file__).parent.glob("policies/*.yaml"))
+
+# (policy, rotate, circular): number of parameters, and the sum over them of position times mean
+GOLDEN = {
+    ("none", None, True): (1, 0.0),
+    ("none", None, False): (1, 0.0),
+    ("none", 0.0, True): (1, 0.0),
+    ("none", 0.3, True): (4, 119.14614074677229),
+    ("none", 1.0, True): (4, 133.82268894650042),
+    ("thesis", None, True): (147, 298850.59229654726),
+    ("thesis", None, False): (147, 290135.812463182),
+    ("thesis", 0.0, True): (147, 298788.69006175455),
+    ("thesis", 0.3, True): (147, 298819.8765778551),
+    ("thesis", 1.0, True): (147, 300553.3913752581),
+    ("lighting", None, True): (118, 114400.62840767554),
+    ("lighting", None, False): (118, 114400.62840767554),
+    ("lighting", 0.0, True): (118, 114400.62840767554),
+    ("lighting", 0.3, True): (121, 121945.30536770448),
+    ("lighting", 1.0, True): (121, 123128.27685318142),
+    ("strong", None, True): (147, 294060999.8093273),
+    ("strong", None, False): (147, 294044653.2184032),
+    ("strong", 0.0, True): (147, 295271944.04326344),
+    ("strong", 0.3, True): (147, 295271982.73435354),
+    ("strong", 1.0, True): (147, 294060999.8093273),
+}
 
 
 def unordered(label):
@@ -21,6 +47,15 @@ def test_the_policy_of_the_thesis_draws_exactly_its_combinations():
     policy = augment.policy("thesis")
     drawn = {unordered(label) for label in policy.describe(policy.draw(generator(), panoramas(20000, 2, 8)))}
     assert drawn == {unordered(label) for label in combinations()}
+
+
+@pytest.mark.parametrize(("name", "rotate", "circular"), GOLDEN)
+def test_draws_stay_what_they_were(name, rotate, circular):
+    """Data sets that were expanded, and runs that were trained, can be repeated."""
+    batch = torch.empty(64, 3, 32, 128, dtype=torch.uint8)
+    params = augment.policy(name, rotate=rotate, circular=circular).draw(generator(7), batch)
+    total = sum((i + 1) * float(value.double().mean()) for i, value in enumerate(params.values()))
+    assert (len(params), total) == (GOLDEN[name, rotate, circular][0], pytest.approx(GOLDEN[name, rotate, circular][1]))
 
 
 def test_combinations_of_the_thesis():
@@ -98,8 +133,88 @@ def test_every_configuration_draws_and_applies(path):
     assert policy(batch, generator()).shape == batch.shape
 
 
-def test_every_policy_has_a_configuration():
+def test_every_policy_has_a_file_and_a_configuration():
+    assert set(augment.POLICIES) == {path.stem for path in PACKAGED}
     assert set(augment.POLICIES) <= {path.stem for path in CONFIGS}
+
+
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def labels(policy):
+    return set(policy.describe(policy.draw(generator(), panoramas(50, 4, 64))))
+
+
+def test_a_policy_of_ones_own_is_a_file(tmp_path):
+    steps = "all_of:\n  - {effect: darken, amount: 50}\n  - {effect: blur}\n"
+    path = write(tmp_path / "dusk.yaml", steps + "circular: false\n")
+    policy = augment.policy(path)
+    assert policy.name == "dusk"
+    assert [effect.circular for effect in policy.effects] == [False, False]
+    assert labels(policy) == {"darken + blur"}
+    turned = augment.policy(str(path), rotate=1, circular=True)
+    assert labels(turned) == {"darken + blur + rotate"}
+    assert turned.circular
+    named = augment.policy(write(tmp_path / "one.yml", "effect: blur\nname: mine\nrotate: 1"))
+    assert (named.name, labels(named)) == ("mine", {"blur + rotate"})
+    assert augment.policy(CONFIGS[0].with_name("thesis.yaml"), rotate=0.2).name == "thesis"
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_a_policy_can_be_stored_as_plain_values(path):
+    policy, batch = augment.policy(path, rotate=0.3, circular=False), panoramas(8)
+    stored = json.loads(json.dumps(policy.config))
+    again = augment.policy_from_config(stored)
+    assert (again.name, again.circular, again.config) == (policy.name, False, stored)
+    assert torch.equal(policy(batch, generator()), again(batch, generator()))
+
+
+def test_rotate_sets_the_probability_of_the_rotation_that_is_there():
+    tree = {"all_of": [{"effect": "rotate", "degrees": 90, "probability": 0.5}, {"effect": "blur"}]}
+    assert labels(augment.policy_from_config({**tree, "rotate": 0})) == {"blur"}
+    assert labels(augment.policy_from_config({**tree, "rotate": 1})) == {"rotate + blur"}
+
+
+def test_a_policy_may_be_a_step_of_another():
+    step = {"policy": "lighting", "probability": 0.5}
+    policy = augment.policy_from_config({"all_of": [step, {"effect": "blur"}]})
+    assert [effect.name for effect in policy.effects[:-1]] == [e.name for e in augment.policy("lighting").effects]
+    described = policy.describe(policy.draw(generator(), panoramas(400, 4, 64)))
+    assert 0.4 < described.count("blur") / 400 < 0.65
+    assert augment.policy_from_config({"policy": "lighting", "name": "mine"}).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("all_of: [\n", r"my.yaml is not valid YAML: while parsing .* line 2, column 1"),
+        ("- effect: blur\n", r"my.yaml must contain a mapping with one of all_of, .*, got \[\{'effect': 'blur'\}\]"),
+        ("", "my.yaml must contain a mapping with one of all_of, .*, got None"),
+        ("name: my.yaml\n", "my.yaml describes no policy: it needs one of all_of, one_of, effect, policy"),
+        ("all_of: blur\n", "my.yaml: all_of in policy my must be a list of steps, got 'blur'"),
+        ("all_of: blur\nrotate: 1\n", "my.yaml: all_of in policy my must be a list of steps, got 'blur'"),
+        ("effect: bulb\nradius: [40, 15]\n", "my.yaml: radius of bulb is out of order: 40 must not exceed 15"),
+        ("effect: bulb\nradios: 3\n", "my.yaml: bulb has no parameter 'radios': did you mean 'radius'"),
+        ("effect: noise\nvariance: 1e-3\n", "my.yaml: variance of noise must be a number or a pair .*, got '1e-3'"),
+        ("one_of: []\n", "my.yaml: one_of in policy my needs at least one step"),
+        ("policy: night\n", "my.yaml: unknown policy 'night' in a step: "),
+    ],
+)
+def test_files_that_make_no_sense(tmp_path, text, message):
+    with pytest.raises(augment.AugmentError, match=message):
+        augment.policy(write(tmp_path / "my.yaml", text))
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(augment.AugmentError, match=r"gone.yaml cannot be read: No such file"):
+        augment.policy(tmp_path / "gone.yaml")
+    (tmp_path / "my.yaml").write_bytes(b"\xff\xfe\xfa")
+    with pytest.raises(augment.AugmentError, match=r"my.yaml is not valid YAML"):
+        augment.policy(tmp_path / "my.yaml")
+    with pytest.raises(augment.AugmentError, match=r"unknown policy 'my.txt': valid: none, .*, or a .yaml file"):
+        augment.policy("my.txt")
 
 
 def test_a_policy_by_name_is_the_policy_from_its_configuration():
@@ -118,7 +233,10 @@ def test_a_policy_by_name_is_the_policy_from_its_configuration():
         ({"name": "thesis", "circular": "no"}, "circular of a policy must be true or false, got 'no'"),
         ({}, "a policy needs a name, or its own tree"),
         ([1], "a policy is a mapping with a name"),
-        ({"name": "mine", "all_of": [], "rotate": 1}, "all_of in policy mine has no key 'rotate'"),
+        ({"name": "mine", "all_of": [], "rotat": 1}, "all_of in policy mine has no key 'rotat'"),
+        ({"all_of": [{"policy": "thesys"}]}, "unknown policy 'thesys' in a step: did you mean 'thesis'"),
+        ({"one_of": [{"policy": "thesis", "rotate": 1}]}, "policy thesis in a step has no key 'rotate'"),
+        ({"effect": "blur", 3: 4}, r"the parameters of blur in policy own must have names, got \[3\]"),
     ],
 )
 def test_configurations_that_make_no_sense(config, message):

@@ -29,12 +29,15 @@ def localization_error(estimated_xy: ArrayLike, true_xy: ArrayLike) -> NDArray[n
     return np.hypot(difference[:, 0], difference[:, 1])
 
 
-def error_floor(map_xy: ArrayLike, query_xy: ArrayLike) -> NDArray[np.float64]:
+def error_floor(
+    map_xy: ArrayLike, query_xy: ArrayLike, excluded: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
     """Return the distance of each query to the nearest map frame (n,): no retrieval can do better.
 
     Args:
         map_xy: (m, 2), m at least 1.
         query_xy: (n, 2).
+        excluded: (n, m) map frames that do not count for a query; at least one must count. None excludes nothing.
 
     Raises:
         DataError: an empty map, other shapes, or a position that is not finite.
@@ -42,6 +45,9 @@ def error_floor(map_xy: ArrayLike, query_xy: ArrayLike) -> NDArray[np.float64]:
     known, queries = map_positions(map_xy), positions_of(query_xy, "query")
     if not len(queries):
         return np.empty(0)
+    if excluded is not None:
+        apart = np.hypot(*(queries[:, None] - known[None]).transpose(2, 0, 1))
+        return np.where(excluded, np.inf, apart).min(axis=1)
     from scipy.spatial import cKDTree
 
     # The tree compares squares; the length itself comes from the function that measures errors.

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from analytic.descriptors import circular
+from analytic.description import spectrum
 from analytic.descriptors.base import Description
 from analytic.mapper.gallery import BLOCK, Gallery, spread, thin
 from tests.analytic.mapper.world import World, corridor_drive, rows
@@ -60,7 +60,7 @@ def test_blocks_have_no_more_room_than_they_may_need(limit):
         gallery = gallery.add(frame, description)
         assert all(gallery.row(row).position[0, 0] == FRAMES[row].position[0, 0] for row in (0, frame // 2, frame))
         if frame % 16 == 7:
-            assert np.array_equal(gallery.blocks[-1].spectrum, circular.spectrum(gallery.blocks[-1].orientation))
+            assert np.array_equal(gallery.blocks[-1].spectrum, spectrum(gallery.blocks[-1].orientation))
     size = 20 if limit == 20 else BLOCK
     assert [len(block) for block in gallery.blocks[:-1]] == [size] * ((len(FRAMES) - 1) // size)
     rooms = [len(block.position.base) for block in gallery.blocks]
@@ -71,7 +71,7 @@ def test_kept_rows_keep_their_spectra(monkeypatch):
     gallery = Gallery.of(range(40), FRAMES[:40])
     expected = gallery.blocks[0].spectrum.copy()
     rows_kept = [7, 3, *range(12, 40)]
-    monkeypatch.setattr(circular, "spectrum", None)
+    monkeypatch.setattr("analytic.mapper.gallery.spectrum", None)
     kept = gallery.keep(rows_kept)
     assert kept.frames.tolist() == rows_kept
     assert np.array_equal(kept.blocks[0].spectrum, expected[:, rows_kept])

@@ -11,10 +11,10 @@ import pytest
 
 import analytic
 from siamloc.cli import main
-from siamloc.evaluation.buildings import measures_of
-from siamloc.evaluation.results import read_results, read_rows
+from siamloc.evaluation.building_choice import measures_of
 from siamloc.files import plain
 from siamloc.maps import CoarseLayer
+from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest, write_rows
 
 BUILDINGS = {"north": ("kitchen", "office"), "south": ("corridor",)}

@@ -4,13 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from siamloc.evaluation.error_model import ErrorModel
 
 from siamloc.cli import main
-from siamloc.evaluation import absolute, beside, calibration, hierarchical
-from siamloc.evaluation.error_model import ErrorModel
-from siamloc.evaluation.results import read_results, read_rows
+from siamloc.evaluation import absolute, calibration, hierarchical
 from siamloc.files import plain
 from siamloc.maps import CoarseLayer
+from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest
 
 SEQUENCES = {"first": "cloudy", "second": "cloudy", "dark": "night", "third": "cloudy"}
@@ -182,8 +182,8 @@ def test_estimates_beside_the_single_frame_one(manifest, tmp_path, capsys):
     radii, frames = measures["absolute"]["radii"], measures["absolute"]["map_frames"]
     again = {
         "absolute": absolute.measures_of(columns, radii, measures["absolute"]["ks"], frames, "m"),
-        "absolute_filtered": beside.measures_of(columns, "filtered", radii, frames, "m"),
-        "absolute_interpolated": beside.measures_of(columns, "interpolated", radii, frames, "m"),
+        "absolute_filtered": estimates.measures_of(columns, "filtered", radii, frames, "m"),
+        "absolute_interpolated": estimates.measures_of(columns, "interpolated", radii, frames, "m"),
         "calibration": calibration.measures_of(columns, 0.5),
     }
     assert json.dumps(plain(again)) == json.dumps(measures)

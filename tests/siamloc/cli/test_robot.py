@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from siamloc.cli import main
-from siamloc.evaluation.error_model import ErrorModel
 from siamloc.files import read_json
 from siamloc.maps import VisualMap
+from siamloc.maps.error_model import ErrorModel
 from siamloc.runtime.bundle import learned_on
 from tests.drawn import write_manifest
 

@@ -8,8 +8,8 @@ import json
 import pytest
 
 from siamloc.cli import main
-from siamloc.evaluation.results import read_rows
-from siamloc.evaluation.robustness import curves
+from siamloc.evaluation.disturbed import curves
+from siamloc.results import read_rows
 from tests.drawn import write_manifest
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from siamloc.evaluation.error_model import ErrorModel
 
 from siamloc.cli import main
-from siamloc.evaluation.error_model import ErrorModel
-from siamloc.evaluation.results import read_results, read_rows
+from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest
 from tests.siamloc.report.pages import notes, read_page, rows_of
 

@@ -10,10 +10,10 @@ import pytest
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics
-from siamloc.evaluation.absolute import evaluate_absolute, measures_of
-from siamloc.evaluation.results import read_results, read_rows, write_results
+from siamloc.evaluation.absolute import evaluate_absolute, measures_of, with_baseline
 from siamloc.files import plain
 from siamloc.maps import VisualMap
+from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes
 
 RADII = (0.5, 1 / 3)
@@ -48,7 +48,7 @@ def test_rows_hold_the_match_and_its_error() -> None:
 
 def test_measures_equal_the_metrics() -> None:
     result, known, queries = evaluated()
-    measures = result.measures()
+    measures = result.parts["absolute"]
     found = known.search(scenes.describe(queries, seed=2), 10).indices
     night = queries.lighting == "night"
     for group, rows in ((measures["overall"], slice(None)), (measures["lighting"]["night"], night)):
@@ -70,7 +70,7 @@ def test_measures_equal_the_metrics() -> None:
     assert list(measures["lighting"]) == ["cloudy", "night", "sunny"]
     assert list(measures["room"]) == ["CR-A", "KT-A", "ST-A"]
     assert sum(group["queries"] for group in measures["room"].values()) == 80
-    assert result.denominators() == {
+    assert result.denominators == {
         "queries": 80,
         "map_frames": 150,
         "lighting": {label: group["queries"] for label, group in measures["lighting"].items()},
@@ -81,12 +81,12 @@ def test_measures_equal_the_metrics() -> None:
 def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
     result, known, queries = evaluated()
     noisy = evaluate_absolute(known, scenes.describe(queries, seed=3, noise=2), queries, RADII, KS)
-    result = result.with_baseline("thumbnail", noisy)
+    result = with_baseline(result, "thumbnail", noisy)
     write_results(
         tmp_path,
-        {"config": {}, "measures": {"absolute": result.measures()}, "denominators": result.denominators()},
+        {"config": {}, "measures": {"absolute": result.parts["absolute"]}, "denominators": result.denominators},
         result.columns,
-        {"map": result.map_columns},
+        {"map": result.tables["map"]},
     )
     written = read_results(tmp_path)["measures"]["absolute"]
     again = measures_of(
@@ -94,14 +94,14 @@ def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
     )
     assert json.dumps(plain(again)) == json.dumps(written)
     baseline = written["overall"]["baselines"]["thumbnail"]["error"]
-    assert baseline == noisy.measures()["overall"]["error"]
+    assert baseline == noisy.parts["absolute"]["overall"]["error"]
 
 
 def test_a_perfect_and_a_reversed_retriever() -> None:
     queries = scenes.frames(2, 60)
     known = scenes.frames(1, 400)
     perfect = evaluate_absolute(VisualMap(known.xy, known), queries.xy, queries, (0.5,), (1,))
-    overall = perfect.measures()["overall"]
+    overall = perfect.parts["absolute"]["overall"]
     assert overall["excess"]["max"] < 1e-6
     assert overall["recall"][0]["recall_answerable"] == 1
     # Descriptors of the map mirrored at the building's middle: the farthest frame looks the nearest.
@@ -114,7 +114,8 @@ def test_a_perfect_and_a_reversed_retriever() -> None:
 def test_a_map_of_one_frame_and_one_under_a_hundred() -> None:
     queries = scenes.frames(2, 10)
     for n in (1, 7, 99):
-        measures = evaluate_absolute(scenes.visual_map(n), scenes.describe(queries), queries, RADII, KS).measures()
+        result = evaluate_absolute(scenes.visual_map(n), scenes.describe(queries), queries, RADII, KS)
+        measures = result.parts["absolute"]
         assert measures["map_frames"] == n
         assert measures["overall"]["recall_at_one_percent"][0]["k"] == 1
         assert [entry["k"] for entry in measures["overall"]["recall"]] == [*KS, *KS]
@@ -134,14 +135,14 @@ def test_the_answer_does_not_depend_on_the_other_queries() -> None:
 def test_missing_labels() -> None:
     blank = np.array([""] * 8)
     queries = scenes.frames(2, 8, lighting=blank, room=np.array(["KT-A"] * 3 + [""] * 5))
-    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).measures()
+    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).parts["absolute"]
     assert measures["lighting"] == {}
     assert {label: group["queries"] for label, group in measures["room"].items()} == {"(unlabelled)": 5, "KT-A": 3}
 
 
 def test_rooms_of_two_buildings_stay_apart() -> None:
     queries = scenes.frames(2, 8, room=np.array(["KT"] * 8), building=np.array(["saar"] * 4 + ["frei"] * 4))
-    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).measures()
+    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).parts["absolute"]
     assert list(measures["room"]) == ["frei/KT", "saar/KT"]
 
 
@@ -149,7 +150,7 @@ def test_a_given_retrieval_is_used() -> None:
     result, known, queries = evaluated()
     found = known.search(scenes.describe(queries, seed=2), 20)
     again = evaluate_absolute(known, scenes.describe(queries, seed=2), queries, RADII, KS, retrieval=found)
-    assert again.measures() == result.measures()
+    assert again.parts["absolute"] == result.parts["absolute"]
     short = known.search(scenes.describe(queries), 1)
     with pytest.raises(DataError, match=r"must hold 10 neighbours of 80 queries, got \(80, 1\)"):
         evaluate_absolute(known, scenes.describe(queries), queries, RADII, KS, retrieval=short)
@@ -179,4 +180,4 @@ def test_errors() -> None:
     result = evaluate_absolute(known, descriptors, queries)
     other = evaluate_absolute(known, descriptors[::-1], queries.take(slice(None, None, -1)))
     with pytest.raises(DataError, match="baseline 'hog' answered other queries"):
-        result.with_baseline("hog", other)
+        with_baseline(result, "hog", other)

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
-from siamloc.evaluation.buildings import evaluate_buildings
-from siamloc.evaluation.results import write_results
+from siamloc.evaluation.building_choice import evaluate_buildings
 from siamloc.report import buildings as pictures
+from siamloc.results import write_results
 
 NAMES = (["p", "q"], ["r", "s", "t"])
 
@@ -39,7 +39,7 @@ def test_the_nearest_building_is_chosen_and_the_first_of_equals():
 def test_shares_are_pooled_over_queries(cases):
     building = ["b" if true else "a" for true, _, _ in cases]
     apart = [[1, 0] if chosen else [0, 1] for _, chosen, _ in cases]
-    measures = result(building, apart, [lighting for _, _, lighting in cases]).measures()
+    measures = result(building, apart, [lighting for _, _, lighting in cases]).parts["buildings"]
     groups = {"overall": cases} | {name: [c for c in cases if c[2] == name] for name in ("cloudy", "night")}
     for name, part in groups.items():
         if not part:
@@ -62,7 +62,7 @@ def test_shares_are_pooled_over_queries(cases):
 
 
 def test_without_lightings_there_are_no_groups_and_one_panel(tmp_path):
-    measures = result(["a", "b"], np.eye(2)).measures()
+    measures = result(["a", "b"], np.eye(2)).parts["buildings"]
     assert measures["lighting"] == {}
     assert measures["overall"]["accuracy"] == 0
     assert not math.isnan(measures["overall"]["accuracy"])
@@ -76,7 +76,7 @@ def test_without_lightings_there_are_no_groups_and_one_panel(tmp_path):
 
 
 def test_a_panel_for_each_lighting_and_one_for_all():
-    measures = result(["a", "b", "b"], [[0, 1], [1, 0], [0, 1]], ["cloudy", "night", "night"]).measures()
+    measures = result(["a", "b", "b"], [[0, 1], [1, 0], [0, 1]], ["cloudy", "night", "night"]).parts["buildings"]
     figure = pictures.confusion(measures)
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert titles == ["cloudy (n = 1)", "night (n = 2)", "all (n = 3)"]

@@ -10,13 +10,19 @@ import pytest
 from siamloc.errors import DataError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.hierarchical import HierarchicalResult, evaluate_hierarchical, measures_of
-from siamloc.evaluation.results import read_results, read_rows, write_results
+from siamloc.evaluation.hierarchy import evaluate_hierarchical, measures_of
+from siamloc.evaluation.result import Result
 from siamloc.files import plain
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
-from siamloc.maps.node_ranking import NodeRanking, rank_by_position, rank_by_representatives
+from siamloc.maps.hierarchy import (
+    HierarchicalRetrieval,
+    HierarchicalSearch,
+    NodeRanking,
+    rank_by_position,
+    rank_by_representatives,
+)
+from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes
 
 RADII, KS = (0.5, 1 / 3), (1, 5, 10)
@@ -32,7 +38,7 @@ def layer_of(known: VisualMap, side: float = 1.5, unassigned: int = 0) -> Coarse
 
 def evaluated(
     known: VisualMap, layer: CoarseLayer, queries, vectors, candidates: int = 3, ranking: NodeRanking | None = None
-) -> HierarchicalResult:
+) -> Result:
     search = HierarchicalSearch(known, layer)
     ranking = ranking or rank_by_representatives(vectors, layer.representatives, candidates)
     found = search.search(vectors, ranking, neighbours(KS, len(known)))
@@ -45,7 +51,7 @@ def test_columns_and_measures() -> None:
     vectors = scenes.describe(queries, seed=2, noise=0.8)
     layer = layer_of(known, unassigned=10)
     result = evaluated(known, layer, queries, vectors, candidates=2)
-    measures = result.measures()
+    measures = result.parts["hierarchical"]
     ranking = rank_by_representatives(vectors, layer.representatives, 2)
     size = np.bincount(layer.labels[layer.labels >= 0])
     right = []
@@ -73,12 +79,10 @@ def test_columns_and_measures() -> None:
     assert 0 < measures["overall"]["coarse"]["accuracy"] < 1
     assert measures["overall"]["given_wrong"]["error"]["mean"] > measures["overall"]["given_right"]["error"]["mean"]
     assert sum(group["coarse"]["queries"] for group in measures["room"].values()) == 80
-    assert result.node_columns["frames"].sum() == 140
+    assert result.tables["nodes"]["frames"].sum() == 140
     absolute = evaluate_absolute(known, vectors, queries, RADII, KS)
     np.testing.assert_array_equal(result.columns["error_absolute"], absolute.columns["error"])
-    assert result.with_baseline("absolute", absolute).measures()["overall"]["baselines"]["absolute"]["error"][
-        "mean"
-    ] == pytest.approx(measures["overall"]["absolute"]["error"]["mean"])
+    assert absolute.measures["error"]["mean"] == measures["overall"]["absolute"]["error"]["mean"]
 
 
 def test_all_nodes_as_candidates_give_the_figures_of_absolute_localization() -> None:
@@ -89,7 +93,7 @@ def test_all_nodes_as_candidates_give_the_figures_of_absolute_localization() -> 
     absolute = evaluate_absolute(known, vectors, queries, RADII, KS)
     for name, column in absolute.columns.items():
         np.testing.assert_array_equal(result.columns[name], column, err_msg=name)
-    overall = result.measures()["overall"]
+    overall = result.parts["hierarchical"]["overall"]
     assert (overall["loss"], overall["coarse"]["accuracy"]) == (0, 1)
     assert overall["given_wrong"]["queries"] == 0
     assert overall["comparisons"]["share"] == (150 + len(layer)) / 150
@@ -101,7 +105,7 @@ def test_a_perfect_and_a_reversed_coarse_layer() -> None:
     known = VisualMap(known.frames.xy, known.frames)
     layer = layer_of(known)
     perfect = rank_by_position(queries.xy, known.frames.xy, layer.labels)
-    overall = evaluated(known, layer, queries, queries.xy, ranking=perfect).measures()["overall"]
+    overall = evaluated(known, layer, queries, queries.xy, ranking=perfect).parts["hierarchical"]["overall"]
     assert overall["excess"]["max"] < 1e-6
     assert overall["error"] == overall["perfect_coarse"]["error"]
     mirrored = rank_by_representatives([9, 3] - queries.xy, layer.positions, 1)
@@ -115,8 +119,8 @@ def test_a_perfect_and_a_reversed_coarse_layer() -> None:
 def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
     known, queries = scenes.visual_map(), scenes.frames(2, 80)
     result = evaluated(known, layer_of(known, unassigned=5), queries, scenes.describe(queries, seed=2, noise=1), 1)
-    results = {"config": {}, "measures": {"it": result.measures()}, "denominators": result.denominators()}
-    write_results(tmp_path, results, result.columns, {"map": result.map_columns, "nodes": result.node_columns})
+    results = {"config": {}, "measures": {"it": result.parts["hierarchical"]}, "denominators": result.denominators}
+    write_results(tmp_path, results, result.columns, {"map": result.tables["map"], "nodes": result.tables["nodes"]})
     written = read_results(tmp_path)["measures"]["it"]
     map_frames = len(read_rows(tmp_path, "map")["path"])
     again = measures_of(read_rows(tmp_path), written["radii"], written["ks"], map_frames, written["unit"])
@@ -127,7 +131,7 @@ def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
 def test_small_maps_and_nodes_of_one_frame(n: int) -> None:
     known, queries = scenes.visual_map(n), scenes.frames(2, 10)
     layer = CoarseLayer.of_labels(known, np.arange(n))
-    measures = evaluated(known, layer, queries, scenes.describe(queries), candidates=2).measures()
+    measures = evaluated(known, layer, queries, scenes.describe(queries), candidates=2).parts["hierarchical"]
     overall = measures["overall"]
     assert overall["comparisons"]["mean"] == n + min(n, 2)
     # In a node of one frame the perfect coarse layer leaves nothing to the fine one.
@@ -140,7 +144,7 @@ def test_small_maps_and_nodes_of_one_frame(n: int) -> None:
 def test_no_map_frame_within_the_radius() -> None:
     known = scenes.visual_map()
     queries = scenes.frames(2, 10, x=np.full(10, 100.0))
-    overall = evaluated(known, layer_of(known), queries, scenes.describe(queries)).measures()["overall"]
+    overall = evaluated(known, layer_of(known), queries, scenes.describe(queries)).parts["hierarchical"]["overall"]
     assert [entry["answerable"] for entry in overall["recall"]] == [0] * 6
     assert overall["error"]["mean"] > 90
 

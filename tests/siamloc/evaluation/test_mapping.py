@@ -8,7 +8,7 @@ import pytest
 import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.mapping import closures, evaluate_mapping, mapping_measures
+from siamloc.evaluation.layers import closures, evaluate_mapping, mapping_measures
 from siamloc.maps import CoarseLayer, VisualMap
 
 THUMBNAIL = analytic.Thumbnail(1, 2)
@@ -31,7 +31,7 @@ def lap_twice(frames=40):
 
 def test_a_perfect_layer_has_perfect_purity_and_closures():
     known, quarter = lap_twice()
-    found = evaluate_mapping(known, CoarseLayer.of_labels(known, quarter), THUMBNAIL, seconds=[0.8]).measures()
+    found = evaluate_mapping(known, CoarseLayer.of_labels(known, quarter), THUMBNAIL, seconds=[0.8]).parts["mapping"]
     assert found["nodes"] == 4
     assert found["purity"]["overall"] == 1
     assert {room: part["frames"] for room, part in found["purity"]["room"].items()} == dict.fromkeys("enws", 20)
@@ -45,9 +45,9 @@ def test_a_perfect_layer_has_perfect_purity_and_closures():
 
 def test_shuffled_labels_are_worse_in_every_respect():
     known, quarter = lap_twice()
-    good = evaluate_mapping(known, CoarseLayer.of_labels(known, quarter), THUMBNAIL).measures()
+    good = evaluate_mapping(known, CoarseLayer.of_labels(known, quarter), THUMBNAIL).parts["mapping"]
     mixed = np.random.default_rng(1).permutation(quarter)
-    bad = evaluate_mapping(known, CoarseLayer.of_labels(known, mixed), THUMBNAIL).measures()
+    bad = evaluate_mapping(known, CoarseLayer.of_labels(known, mixed), THUMBNAIL).parts["mapping"]
     for mode in ("nearest", "pooled"):
         assert bad["silhouette"][mode] < good["silhouette"][mode] - 0.2
     assert bad["inertia"] > 2 * good["inertia"]
@@ -85,15 +85,15 @@ def test_every_number_follows_from_the_tables(tmp_path):
         name: np.array([row[name] for row in rows]).astype(column.dtype) for name, column in result.columns.items()
     }
     again = mapping_measures(columns, 1.5, 20)
-    measures = result.measures()
+    measures = result.parts["mapping"]
     assert json.dumps({key: measures[key] for key in again}) == json.dumps(again)
     assert again["reasons"] == {"ASSIGNED": 71, "NO_CANDIDATE_NODE": 9}
-    assert result.nodes["frames"].sum() == 71
+    assert result.tables["nodes"]["frames"].sum() == 71
 
 
 def test_a_layer_of_one_node_has_no_silhouette():
     known, _ = lap_twice()
-    found = evaluate_mapping(known, CoarseLayer.of_labels(known, np.zeros(80, dtype=int)), THUMBNAIL).measures()
+    found = evaluate_mapping(known, CoarseLayer.of_labels(known, np.zeros(80, dtype=int)), THUMBNAIL).parts["mapping"]
     assert math.isnan(found["silhouette"]["nearest"])
     assert math.isnan(found["descriptor_silhouette"])
 

@@ -7,7 +7,7 @@ from analytic import disturb
 from augment import AugmentError
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.robustness import Disturbance, answers, concatenated, curves, locate_disturbed, measures
+from siamloc.evaluation.disturbed import Disturbance, answers, concatenated, curves, locate_disturbed, measures
 from siamloc.maps import Retrieval
 
 ROWS = np.array([4, 9, 11])

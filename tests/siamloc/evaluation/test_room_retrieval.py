@@ -8,9 +8,9 @@ import pytest
 
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics
-from siamloc.evaluation.results import read_rows, write_results
 from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
 from siamloc.maps import VisualMap
+from siamloc.results import read_rows, write_results
 from tests.siamloc.evaluation import scenes
 
 
@@ -22,7 +22,7 @@ def test_pairs_by_lighting(tmp_path: Path) -> None:
     result = evaluate_pairs(first, second, same, 2.5, 0.6, lighting, {"first_path": names})
     distance = np.array([math.dist(a, b) for a, b in zip(first, second, strict=True)])
     np.testing.assert_allclose(result.columns["distance"], distance, rtol=1e-14)
-    measures = result.measures()
+    measures = result.parts["room_pairs"]
     assert (measures["margin"], measures["threshold"]) == (2.5, 0.6)
     night = lighting == "night"
     by_night = dict(measures["lighting"]["night"])
@@ -48,7 +48,7 @@ def test_pairs_by_lighting(tmp_path: Path) -> None:
 
 
 def test_pairs_without_lighting_and_without_same_rooms() -> None:
-    measures = evaluate_pairs([[0.0]], [[5.0]], np.array([False])).measures()
+    measures = evaluate_pairs([[0.0]], [[5.0]], np.array([False])).parts["room_pairs"]
     assert measures["lighting"] == {}
     assert math.isnan(measures["overall"]["same"])
     assert measures["overall"]["different"] == 1
@@ -60,16 +60,18 @@ def test_rooms_by_the_nearest_frame() -> None:
     result = evaluate_rooms(known, descriptors, queries)
     match = known.search(descriptors, 1).indices[:, 0]
     correct = [known.frames.room[match[i]] == queries.room[i] for i in range(90)]
-    measures = result.measures()
-    assert measures["overall"] == {"accuracy": sum(correct) / 90, "correct": sum(correct), "queries": 90}
+    measures = result.parts["room_retrieval"]
+    shares = {"accuracy": sum(correct) / 90, "correct": sum(correct), "queries": 90}
+    assert measures["overall"].items() >= shares.items()
     assert 0.5 < measures["overall"]["accuracy"] < 1
     sunny = [c for c, lighting in zip(correct, queries.lighting, strict=True) if lighting == "sunny"]
     assert measures["lighting"]["sunny"]["accuracy"] == sum(sunny) / len(sunny)
     counts = np.array(measures["confusion"]["counts"])
-    assert measures["confusion"]["labels"] == ["CR-A", "KT-A", "ST-A"]
+    labels = measures["confusion"]["labels"]
+    assert labels == ["CR-A", "KT-A", "ST-A"]
     assert counts.sum() == 90
     assert np.trace(counts) == sum(correct)
-    assert counts.sum(axis=1).tolist() == [measures["room"][label]["queries"] for label in result.labels]
+    assert counts.sum(axis=1).tolist() == [measures["room"][label]["queries"] for label in labels]
     by_lighting = {label: np.array(part) for label, part in measures["confusion"]["lighting"].items()}
     assert list(by_lighting) == ["cloudy", "night", "sunny"]
     assert (sum(by_lighting.values()) == counts).all()
@@ -78,18 +80,43 @@ def test_rooms_by_the_nearest_frame() -> None:
         for truth, found, lighting in zip(queries.room, result.columns["predicted_room"], queries.lighting, strict=True)
         if lighting == "sunny"
     ]
-    assert by_lighting["sunny"][0].tolist() == [taken.count(("CR-A", label)) for label in result.labels]
+    assert by_lighting["sunny"][0].tolist() == [taken.count(("CR-A", label)) for label in labels]
     assert measures["rooms_missing_in_map"] == []
-    given = evaluate_rooms(known, descriptors, queries, known.search(descriptors, 5))
-    assert given.measures() == measures
+    given = evaluate_rooms(known, descriptors, queries, known.search(descriptors, 100))
+    assert given.parts["room_retrieval"] == measures
+
+
+@pytest.mark.parametrize("with_excluded", [False, True])
+def test_ranks_precision_and_chance_equal_a_loop_over_the_ranking(with_excluded) -> None:
+    known, queries = scenes.visual_map(60), scenes.frames(2, 30)
+    descriptors = scenes.describe(queries, seed=2, noise=1.5)
+    excluded = np.random.default_rng(1).random((30, 60)) < 0.3 if with_excluded else None
+    found = known.search(descriptors, 20)
+    result = evaluate_rooms(known, descriptors, queries, found, excluded)
+    for i in range(30):
+        right = [known.frames.room[row] == queries.room[i] for row in found.indices[i]]
+        allowed = [j for j in range(60) if excluded is None or not excluded[i, j]]
+        findable = sum(known.frames.room[j] == queries.room[i] for j in allowed)
+        seen, total = 0, 0.0
+        for place, hit in enumerate(right, start=1):
+            seen += hit
+            total += seen / place if hit else 0
+        columns = {name: column[i] for name, column in result.columns.items()}
+        assert columns["first_rank"] == (right.index(True) + 1 if any(right) else 0)
+        assert columns["average_precision"] == pytest.approx(total / min(20, findable))
+        assert columns["chance"] == pytest.approx(findable / len(allowed))
+    overall = result.parts["room_retrieval"]["overall"]
+    rank = result.columns["first_rank"]
+    assert overall["top"] == {str(k): np.mean((rank > 0) & (rank <= k)) for k in (1, 5, 10)}
+    assert overall["mean_average_precision"] == pytest.approx(result.columns["average_precision"].mean())
 
 
 def test_a_room_the_map_lacks_is_named_and_wrong() -> None:
     known = scenes.visual_map(4, room=np.array(["CR-A", "CR-A", "KT-A", "XX-A"]))
     queries = scenes.frames(2, 3, room=np.array(["CR-A", "LO-A", "LO-A"]))
-    measures = evaluate_rooms(known, scenes.describe(queries), queries).measures()
+    measures = evaluate_rooms(known, scenes.describe(queries), queries).parts["room_retrieval"]
     assert measures["rooms_missing_in_map"] == ["LO-A"]
-    assert measures["room"]["LO-A"] == {"accuracy": 0, "correct": 0, "queries": 2}
+    assert measures["room"]["LO-A"].items() >= {"accuracy": 0, "correct": 0, "queries": 2, "chance": 0}.items()
     assert measures["confusion"]["labels"] == ["CR-A", "KT-A", "LO-A", "XX-A"]
 
 
@@ -98,7 +125,7 @@ def test_equal_room_codes_of_two_buildings_are_different_rooms() -> None:
     queries = scenes.frames(2, 2, room=np.array(["KT"] * 2), building=np.array(["saar", "frei"]))
     result = evaluate_rooms(known, scenes.describe(queries), queries)
     assert result.columns["correct"].tolist() == [True, False]
-    assert result.missing == ("frei/KT",)
+    assert result.parts["room_retrieval"]["rooms_missing_in_map"] == ["frei/KT"]
 
 
 def test_errors() -> None:

@@ -6,7 +6,7 @@ import pytest
 import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import CoarseLayer, VisualMap, build_layer
+from siamloc.maps import Built, CoarseLayer, VisualMap, group
 from siamloc.maps.coarse import UNASSIGNED, connections
 
 RNG = np.random.default_rng(2)
@@ -100,44 +100,75 @@ def test_labels_that_make_no_layer(labels, sentence):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        {"name": "sample", "nodes": 3},
-        {"name": "spectral", "nodes": 3, "sigma": None, "neighbours": None, "assign": "kmeans"},
-        {"name": "som", "grid": [2, 2]},
-        {"name": "rooms"},
-    ],
-    ids=lambda options: options["name"],
+    ("way", "parameters"),
+    [("sample", {"nodes": 3}), ("spectral", {"nodes": 3}), ("som", {"grid": [2, 2]}), ("rooms", {})],
 )
-def test_each_way_of_building_gives_a_layer_over_all_frames(options):
-    thumbnail = analytic.Thumbnail(1, 3)
-    built = build_layer(KNOWN, thumbnail, options)
+def test_each_way_of_grouping_gives_a_layer_over_all_frames(way, parameters):
+    built = group(KNOWN, way, **parameters)
     assert len(built.layer.labels) == 12
-    assert built.layer.made["name"] == options["name"]
+    assert built.layer.made["name"] == way
     assert built.mapper is None
     assert built.seconds.shape == (1,)
 
 
-def test_an_incremental_layer_is_the_mappers():
-    steps = np.repeat(np.arange(3), 30)[:, None] * 64 // 3
+@pytest.fixture(scope="module")
+def driven():
+    """A map of a drive through three places."""
+    steps = np.repeat(np.arange(3), 30) * 64 // 3
     base = RNG.integers(0, 256, (16, 64 * 3), dtype=np.uint8)
-    images = np.stack([np.roll(base, -step, axis=1)[:, :64] for step in steps[:, 0]])
+    images = np.stack([np.roll(base, -step, axis=1)[:, :64] for step in steps])
     images = np.clip(images.astype(int) + RNG.integers(-9, 9, images.shape), 0, 255).astype(np.uint8)
     found = HOG.describe(images)
     frames = FrameTable(path=[f"{i}.png" for i in range(90)], x=np.arange(90), y=np.zeros(90), theta=np.zeros(90))
-    known = VisualMap(found.position, frames, orientation=found.orientation)
-    built = build_layer(known, HOG, {"name": "incremental", "version": 2})
+    return VisualMap(found.position, frames, orientation=found.orientation, describes=HOG)
+
+
+def test_an_incremental_layer_is_the_mappers(driven):
+    built = group(driven, "incremental", progress=False)
     assert built.mapper is not None
-    assert len(built.decisions) == len(built.seconds) == 90
+    assert len(built.reasons) == len(built.seconds) == 90
     assert np.array_equal(built.layer.labels >= 0, built.mapper.labels() >= 0)
     assert len(built.layer) == len(built.mapper.nodes)
     assert built.mapper.poses[5] == [5.0, 0.0, 0.0]
+    assert built.summary().startswith(f"{len(built.layer)} nodes over 90 frames")
     with pytest.raises(DataError, match="made no node of 12 frames"):
-        build_layer(known.take(np.arange(12)), HOG, {"name": "incremental"})
+        group(driven.take(np.arange(12)), "incremental", progress=False)
+
+
+def test_a_layer_that_was_built_before_is_read_and_another_is_built(driven, tmp_path):
+    built = group(driven, "incremental", folder=tmp_path / "layer", progress=False)
+    names = ["events.jsonl", "graph.graphml", "graph.json", "layer.npz", "mapper.npz", "placing.json"]
+    assert sorted(path.name for path in (tmp_path / "layer").iterdir()) == names
+    again = group(driven, "incremental", folder=tmp_path / "layer", progress=False)
+    assert again.mapper is None  # it was read
+    assert again.reasons == built.reasons
+    assert np.array_equal(again.layer.labels, built.layer.labels)
+    assert np.array_equal(again.seconds, built.seconds)
+    other = group(driven, "incremental", folder=tmp_path / "layer", progress=False, omega=1.0)
+    assert other.layer.made["omega"] == 1.0
+    part = driven.take(np.arange(60))
+    assert len(group(part, "incremental", folder=tmp_path / "layer", progress=False, omega=1.0).seconds) == 60
+    for seed in (1, 2):
+        assert group(KNOWN, "sample", nodes=2, seed=seed, folder=tmp_path / "layer").layer.made["seed"] == seed
+
+
+def test_a_layer_whose_explanation_is_cut_short_is_built_again(tmp_path):
+    group(KNOWN, "sample", nodes=2, folder=tmp_path)
+    (tmp_path / "placing.json").write_text("{}")
+    with pytest.raises(FormatError, match=r"placing\.json is not whole: build the layer again"):
+        Built.load(tmp_path)
+    assert len(group(KNOWN, "sample", nodes=2, folder=tmp_path).layer) == 2
+    assert Built.load(tmp_path).layer.made["nodes"] == 2
 
 
 def test_ways_that_cannot_be_taken():
     with pytest.raises(ConfigError, match="unknown build 'spectra': did you mean 'spectral'"):
-        build_layer(KNOWN, analytic.Thumbnail(), {"name": "spectra"})
+        group(KNOWN, "spectra")
+    with pytest.raises(ConfigError, match=r"unknown key build\.node: did you mean 'nodes'"):
+        group(KNOWN, "sample", node=3)
+    with pytest.raises(ConfigError, match=r"build\.nodes must be a whole number from 1, got 0"):
+        group(KNOWN, "spectral", nodes=0)
+    aligned = analytic.descriptor("briefgist")
+    known = VisualMap(DESCRIPTORS, KNOWN.frames, describes=aligned)
     with pytest.raises(ConfigError, match="those of briefgist have to be aligned first"):
-        build_layer(KNOWN, analytic.descriptor("briefgist"), {"name": "som", "grid": [2, 2]})
+        group(known, "som", grid=[2, 2])

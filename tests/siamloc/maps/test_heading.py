@@ -14,7 +14,7 @@ import analytic
 from analytic import Description, Thumbnail
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import HeadingPart, Retrieval, VisualMap, WithHeading, estimated_headings
+from siamloc.maps import HeadingPart, Retrieval, VisualMap, WithHeading, headings
 from tests.drawn import draw_panorama
 
 SIZE = (32, 128)
@@ -44,7 +44,7 @@ def map_with_headings(thetas, heading) -> VisualMap:
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_half_precision_tells_the_headings_that_the_descriptor_tells(name: str) -> None:
+def test_half_precision_gives_the_headings_of_the_descriptor(name: str) -> None:
     heading = analytic.descriptor(name, **SMALL[name])
     seen = heading.describe(views(np.linspace(-3, 3, 8)))
     part = HeadingPart.of(heading, seen.orientation)
@@ -53,7 +53,7 @@ def test_half_precision_tells_the_headings_that_the_descriptor_tells(name: str) 
     kept = replace(seen, orientation=part.orientation)
     for row in range(8):
         expected = heading.relative_heading(seen, seen.take([row]))
-        np.testing.assert_array_equal(part.descriptor().relative_heading(seen, kept.take([row])), expected)
+        np.testing.assert_array_equal(part.descriptor.relative_heading(seen, kept.take([row])), expected)
 
 
 def test_frames_are_scaled_one_by_one_and_to_full_use() -> None:
@@ -74,9 +74,9 @@ def test_round_trip_through_the_file(tmp_path: Path, name: str) -> None:
     saved.save(tmp_path / "map.npz")
     loaded = VisualMap.load(tmp_path / "map.npz")
     assert loaded.orientation is None
-    assert loaded.heading.identity == heading.identity == loaded.heading.descriptor().identity
+    assert loaded.heading.identity == heading.identity == loaded.heading.descriptor.identity
     np.testing.assert_array_equal(loaded.heading.values, saved.heading.values)
-    np.testing.assert_array_equal(loaded.oriented().orientation, saved.heading.orientation)
+    np.testing.assert_array_equal(loaded.turning(np.arange(3)).orientation, saved.heading.orientation)
     part = loaded.take(np.array([2, 0]))
     np.testing.assert_array_equal(part.heading.values, saved.heading.values[[2, 0]])
 
@@ -84,9 +84,9 @@ def test_round_trip_through_the_file(tmp_path: Path, name: str) -> None:
 def test_the_map_frames_own_heading_is_added() -> None:
     hog = analytic.descriptor("hog")
     known = map_with_headings([0.5, -2.0], hog)
-    seen = WithHeading(Thumbnail(), hog).describe(views([3.1, -1.0]))
+    seen = known.describer.describe(views([3.1, -1.0]))
     found = Retrieval(np.array([[0], [1]]), np.zeros((2, 1)))
-    told = estimated_headings(known.oriented(), seen, hog, found)
+    told = headings(known, seen, found)[:, 0]
     step = hog.resolution(SIZE[1])
     assert ((told > -np.pi) & (told <= np.pi)).all()
     np.testing.assert_allclose(np.angle(np.exp(1j * (told - [3.1, -1.0]))), 0, atol=1.01 * step)
@@ -113,8 +113,17 @@ def test_older_maps_have_no_heading_part(tmp_path: Path) -> None:
         assert not [name for name in archive.namelist() if "heading" in name]
     loaded = VisualMap.load(tmp_path / "map.npz")
     assert loaded.heading is None
-    with pytest.raises(DataError, match="nothing to tell headings by: build it anew with `siamloc map heading=hog`"):
-        loaded.oriented()
+    with pytest.raises(ConfigError, match="holds nothing to find headings by: make it again with `siamloc map heading"):
+        loaded.check_heading(analytic.descriptor("hog"))
+
+
+def test_headings_by_another_descriptor_are_refused() -> None:
+    known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
+    known.check_heading(analytic.descriptor("hog"))
+    with pytest.raises(ConfigError, match="the map gives headings by hog, not by fs: make it again"):
+        known.check_heading(analytic.descriptor("fs", **SMALL["fs"]))
+    with pytest.raises(ConfigError, match=r"gives headings by hog with rows=.* instead of 2"):
+        known.check_heading(analytic.descriptor("hog", rows=2))
 
 
 def test_both_parts_come_from_one_pass() -> None:
@@ -165,7 +174,7 @@ def test_a_file_whose_heading_part_is_missing_is_refused(tmp_path: Path) -> None
 
 def test_descriptions_of_another_size_are_not_compared() -> None:
     hog = analytic.descriptor("hog")
-    known = map_with_headings([0.0], hog).oriented()
+    known = map_with_headings([0.0], hog)
     seen = Description(known.descriptors, np.zeros((1, 7, 16), dtype=np.float32))
     with pytest.raises(analytic.AnalyticError, match="different sizes"):
-        estimated_headings(known, seen, hog, Retrieval(np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1))))
+        headings(known, seen, Retrieval(np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1))))

@@ -11,8 +11,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import VisualMap, match
 from siamloc.maps.coarse import CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalSearch
-from siamloc.maps.node_ranking import NodeRanking, rank_by_representatives
+from siamloc.maps.hierarchy import HierarchicalSearch, NodeRanking, rank_by_representatives
 from tests.oracles import hierarchy as oracle
 
 DISTANCES = ("euclidean", "correlation", "cosine", "manhattan", "minkowski")
@@ -91,7 +90,7 @@ def test_the_answer_depends_neither_on_the_other_queries_nor_on_the_size_of_the_
     part = search.search(queries[rows], NodeRanking(ranking.nodes[rows], ranking.compared[rows]), 5)
     np.testing.assert_array_equal(part.found.indices, whole.found.indices[rows])
     np.testing.assert_array_equal(part.found.distances, whole.found.distances[rows])
-    for name, value in (("_PAIRS", 50), ("_ALIGNED_PAIRS", 50), ("_FOUND", 40), ("_FRAMES", 13)):
+    for name, value in (("_ALIGNED_PAIRS", 50), ("_FOUND", 40)):
         monkeypatch.setattr(f"siamloc.maps.hierarchy.{name}", value)
     small = HierarchicalSearch(known, layer).search(queries, ranking, 5)
     np.testing.assert_array_equal(small.found.indices, whole.found.indices)
@@ -108,13 +107,14 @@ def test_descriptors_that_are_compared_after_turning() -> None:
         FrameTable(path=[f"{i}.png" for i in range(14)]),
         distance=descriptor.default_distance,
         orientation=seen.orientation,
+        describes=descriptor,
     )
     layer = CoarseLayer.of_labels(known, [0, 0, 1, 1, 2, 2, 2, -1, 3, 3, 3, 0, 1, 2])
     noisy = np.clip(np.roll(images, 8, axis=2) + rng.normal(0, 40, images.shape), 0, 255).astype(np.uint8)
     queries = descriptor.describe(noisy[[1, 3, 7, 9, 6]])
-    search = HierarchicalSearch(known, layer, descriptor)
+    search = HierarchicalSearch(known, layer, by="vote")
     every = search.search(queries, ranked(rng, 5, 4, 4), 3)
-    expected = match(known, queries, descriptor, 3)
+    expected = match(known, queries, 3)
     np.testing.assert_array_equal(every.found.indices, expected.indices)
     np.testing.assert_allclose(every.found.distances, expected.distances, atol=1e-5)
     ranking = NodeRanking(np.array([[0], [1], [2], [3], [2]]), np.full(5, 4))
@@ -177,7 +177,7 @@ def test_errors() -> None:
         search.search(np.eye(4)[:1], NodeRanking(np.array([[2]]), np.array([2])))
     with pytest.raises(DataError, match="1 of 1 queries have no candidate node"):
         search.search(np.eye(4)[:1], NodeRanking(np.array([[-1]]), np.array([2])))
-    with pytest.raises(DataError, match="vectors of 4 values like the map's"):
+    with pytest.raises(DataError, match="queries have 3 values each, the map's descriptors 4"):
         search.search(np.eye(3)[:1], one)
     with pytest.raises(DataError, match="1 of 1 query descriptors hold values that are not finite"):
         search.search(np.full((1, 4), np.nan), one)

@@ -3,8 +3,8 @@ import pytest
 
 import analytic
 from siamloc.data.frames import FrameTable
-from siamloc.errors import FormatError
-from siamloc.maps import VisualMap, estimated_headings, match
+from siamloc.errors import DataError, FormatError
+from siamloc.maps import VisualMap, headings, match
 
 RNG = np.random.default_rng(5)
 IMAGES = RNG.integers(0, 256, (9, 16, 64), dtype=np.uint8)
@@ -19,7 +19,13 @@ def frames(n, theta=None):
 def map_of(descriptor, images, theta=None):
     found = descriptor.describe(images)
     distance = descriptor.default_distance
-    return VisualMap(found.position, frames(len(images), theta), distance=distance, orientation=found.orientation)
+    return VisualMap(
+        found.position,
+        frames(len(images), theta),
+        distance=distance,
+        orientation=found.orientation,
+        describes=descriptor,
+    )
 
 
 @pytest.mark.parametrize("descriptor", [HOG, BRIEF], ids=lambda d: d.name)
@@ -27,10 +33,10 @@ def test_the_nearest_frames_are_those_of_all_distances(descriptor):
     known = map_of(descriptor, IMAGES)
     queries = descriptor.describe(np.roll(IMAGES[:4], 8, axis=2))
     apart = descriptor.pairwise(queries, known.description)
-    found = match(known, queries, descriptor, 3)
+    found = match(known, queries, 3)
     assert np.array_equal(found.indices, np.argsort(apart, axis=1, kind="stable")[:, :3])
     np.testing.assert_allclose(found.distances, np.sort(apart, axis=1)[:, :3], atol=1e-5)
-    assert match(known, queries, descriptor, 100).indices.shape == (4, 9)
+    assert match(known, queries, 100).indices.shape == (4, 9)
 
 
 @pytest.mark.parametrize("descriptor", [HOG, BRIEF], ids=lambda d: d.name)
@@ -38,25 +44,36 @@ def test_a_turned_frame_has_the_heading_of_its_map_frame_and_the_turn(descriptor
     theta = RNG.uniform(-np.pi, np.pi, len(IMAGES))
     known = map_of(descriptor, IMAGES, theta)
     queries = descriptor.describe(np.roll(IMAGES, 12, axis=2))  # 12 of 64 columns: to the left
-    found = match(known, queries, descriptor, 1)
+    found = match(known, queries, 1)
     assert found.indices[:, 0].tolist() == list(range(9))
-    headings = estimated_headings(known, queries, descriptor, found)
-    np.testing.assert_allclose(np.exp(1j * headings), np.exp(1j * (theta + 2 * np.pi * 12 / 64)), atol=1e-6)
-    assert (np.abs(headings) <= np.pi).all()
+    told = headings(known, queries, found)[:, 0]
+    np.testing.assert_allclose(np.exp(1j * told), np.exp(1j * (theta + 2 * np.pi * 12 / 64)), atol=1e-6)
+    assert (np.abs(told) <= np.pi).all()
 
 
-def test_no_headings_where_there_is_nothing_to_tell_them_by():
-    queries = HOG.describe(IMAGES)
-    found = match(map_of(HOG, IMAGES), queries, HOG, 1)
-    assert estimated_headings(map_of(HOG, IMAGES), queries, HOG, found) is None  # the map frames have no heading
-    flat = analytic.Thumbnail(2, 4)
-    seen = flat.describe(IMAGES)
-    known = VisualMap(seen.position, frames(9, np.zeros(9)))
-    assert estimated_headings(known, seen, flat, match(known, seen, flat, 1)) is None
-    ordinary = analytic.descriptor("hog", rows=4, window=16, circular=False)
-    known = map_of(ordinary, IMAGES, np.zeros(9))
-    seen = ordinary.describe(IMAGES)
-    assert estimated_headings(known, seen, ordinary, match(known, seen, ordinary, 1)) is None
+def test_no_headings_where_there_is_nothing_to_find_them_by():
+    flat, ordinary = analytic.Thumbnail(2, 4), analytic.descriptor("hog", rows=4, window=16, circular=False)
+    unknown = map_of(HOG, IMAGES)  # the map frames have no heading
+    for known in (unknown, map_of(flat, IMAGES, np.zeros(9)), map_of(ordinary, IMAGES, np.zeros(9))):
+        queries = known.describer.describe(IMAGES)
+        told = headings(known, queries, match(known, queries, 3), 2)
+        assert told.shape == (9, 2)
+        assert np.isnan(told).all()
+
+
+@pytest.mark.parametrize("descriptor", [HOG, BRIEF, analytic.Thumbnail(2, 4)], ids=lambda d: d.name)
+def test_excluded_frames_are_not_found_and_the_others_exactly(descriptor):
+    known = map_of(descriptor, IMAGES)
+    queries = known.describer.describe(np.roll(IMAGES, 8, axis=2))
+    excluded = np.eye(9, dtype=bool) | (np.arange(9) == 4)
+    apart = np.where(excluded, np.inf, descriptor.pairwise(queries, known.description))
+    found = match(known, queries, 5, excluded=excluded)
+    assert np.array_equal(found.indices, np.argsort(apart, axis=1, kind="stable")[:, :5])
+    assert np.isfinite(found.distances).all()
+    with pytest.raises(DataError, match="8 of 9 queries have fewer than 8 map frames that they may find"):
+        match(known, queries, 8, excluded=excluded)
+    with pytest.raises(DataError, match=r"true or false of shape \(9, 9\), got bool \(9, 8\)"):
+        match(known, queries, 1, excluded=excluded[:, 1:])
 
 
 def test_orientation_parts_are_saved_with_the_map(tmp_path):

@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import Retrieval, nearest
-from siamloc.maps.node_ranking import NodeRanking, rank_by_position, rank_by_representatives, rank_by_vote
+from siamloc.maps import Retrieval, VectorIndex
+from siamloc.maps.hierarchy import NodeRanking, rank_by_position, rank_by_representatives, rank_by_vote
 from tests.oracles import hierarchy as oracle
 
+ONE = VectorIndex([[0.0]]).search([[0.0]])
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -65,10 +66,10 @@ def test_equal_x_and_different_y() -> None:
     [
         (lambda: rank_by_representatives([[0.0]], [[0.0]], 0), ConfigError, "candidate nodes >= 1, got 0"),
         (lambda: rank_by_representatives([[0.0, 1]], [[0.0]], 1), DataError, "2 values each"),
-        (lambda: rank_by_vote(nearest([[0.0]], [[0.0]]), [], 1), DataError, "labels must be whole numbers"),
-        (lambda: rank_by_vote(nearest([[0.0]], [[0.0]]), [0.0], 1), DataError, "labels must be whole numbers"),
+        (lambda: rank_by_vote(ONE, [], 1), DataError, "labels must be whole numbers"),
+        (lambda: rank_by_vote(ONE, [0.0], 1), DataError, "labels must be whole numbers"),
         (lambda: rank_by_vote(Retrieval(np.array([[3]]), np.zeros((1, 1))), [0, 0]), DataError, "rows 0 to 1"),
-        (lambda: rank_by_vote(nearest([[0.0]], [[0.0]]), [0], 1.5), ConfigError, "got 1.5"),
+        (lambda: rank_by_vote(ONE, [0], 1.5), ConfigError, "got 1.5"),
         (lambda: rank_by_position([[0.0, 0]], [[0.0, 0]], [0, 1]), DataError, "1 map frames need as many labels"),
         (lambda: rank_by_position([[0.0, np.nan]], [[0.0, 0]], [0]), DataError, "not finite"),
         (lambda: NodeRanking(np.array([[1, 1]]), np.array([2])), DataError, "names a node twice"),

@@ -10,8 +10,13 @@ from hypothesis.extra.numpy import arrays
 
 from analytic.distances import DISTANCES
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import nearest
+from siamloc.maps.search import VectorIndex
 from tests.oracles import search as oracle
+
+
+def nearest(queries, references, k=1, distance="euclidean", memory=256 << 20):
+    return VectorIndex(references, distance).search(queries, k, memory=memory)
+
 
 TINY = 1  # bytes: forces blocks of one query and one reference
 SMALL = 60_000
@@ -76,7 +81,7 @@ def test_slices_of_the_candidates_do_not_change_a_bit(k: int, monkeypatch: pytes
     queries, references = gaussian(40, 130, 24, seed=8)
     whole = nearest(queries, references, k)
     for pairs in (1, 5):
-        monkeypatch.setattr("siamloc.maps.scores._VALUES_PER_SLICE", 24 * pairs)
+        monkeypatch.setattr("siamloc.maps.search._VALUES_PER_SLICE", 24 * pairs)
         sliced = nearest(queries, references, k)
         np.testing.assert_array_equal(sliced.indices, whole.indices)
         np.testing.assert_array_equal(sliced.distances, whole.distances)
@@ -210,7 +215,7 @@ def test_memory_is_bounded() -> None:
         ({"memory": 0}, ConfigError, "positive number of bytes, got 0"),
         ({"references": np.empty((0, 3))}, DataError, "the map holds no descriptors"),
         ({"references": np.ones((2, 4))}, DataError, "queries have 3 values each, the map's descriptors 4"),
-        ({"queries": np.ones(3)}, DataError, "got shapes (3,) and (5, 3)"),
+        ({"queries": np.ones(3)}, DataError, "query descriptors of shape (n, D), got shape (3,)"),
         ({"queries": [[1, np.nan, 2], [1, 2, 3]]}, DataError, "1 of 2 query descriptors"),
         ({"references": [[1, np.inf, 2]]}, DataError, "1 of 1 map descriptors"),
     ],

@@ -12,9 +12,14 @@ from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import VisualMap
-from siamloc.maps.filter_learning import learn_temperature, temperature_of_map, tune_filter
-from siamloc.maps.motion import MotionModel
-from siamloc.maps.sequence_filter import SequenceFilter, frame_distances
+from siamloc.maps.sequence_filter import (
+    MotionModel,
+    SequenceFilter,
+    frame_distances,
+    learn_temperature,
+    temperature_of_map,
+    tune_filter,
+)
 from tests.oracles import bayes_filter as oracle
 
 
@@ -182,10 +187,14 @@ def test_distances_of_descriptors_that_are_compared_after_turning() -> None:
     descriptor = analytic.descriptor("briefgist", rows=4, columns=16)
     seen = descriptor.describe(rng.integers(0, 256, (5, 16, 64), dtype=np.uint8))
     known = VisualMap(
-        seen.position, frames(np.zeros((5, 2))), distance=descriptor.default_distance, orientation=seen.orientation
+        seen.position,
+        frames(np.zeros((5, 2))),
+        distance=descriptor.default_distance,
+        orientation=seen.orientation,
+        describes=descriptor,
     )
     np.testing.assert_allclose(
-        frame_distances(known, seen.take([3, 1]), descriptor), descriptor.pairwise(seen.take([3, 1]), seen), atol=1e-5
+        frame_distances(known, seen.take([3, 1])), descriptor.pairwise(seen.take([3, 1]), seen), atol=1e-5
     )
     plain = VisualMap(np.eye(3), frames(np.zeros((3, 2))), distance="manhattan")
     assert frame_distances(plain, Description(np.eye(3)[:1])).tolist() == [[0, 2, 2]]

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import VisualMap, nearest
+from siamloc.maps import VectorIndex, VisualMap
 
 IDENTITY = {"name": "siamese", "branch": {"name": "vgg16", "weights": None}, "width": 3}
 
@@ -53,9 +54,43 @@ def test_the_file_needs_no_pickle(tmp_path: Path) -> None:
 def test_search_is_nearest_with_the_maps_distance() -> None:
     visual_map = make_map()
     queries = np.random.default_rng(1).normal(size=(4, 3)).astype(np.float32)
-    found, expected = visual_map.search(queries, 2), nearest(queries, visual_map.descriptors, 2, "cosine")
+    found, expected = visual_map.search(queries, 2), VectorIndex(visual_map.descriptors, "cosine").search(queries, 2)
     np.testing.assert_array_equal(found.indices, expected.indices)
     np.testing.assert_array_equal(found.distances, expected.distances)
+
+
+def test_a_map_is_prepared_once_for_all_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared = []
+    prepare = VectorIndex._prepare
+    monkeypatch.setattr(VectorIndex, "_prepare", lambda index: (prepared.append(index), prepare(index)))
+    visual_map = make_map()
+    for query in np.eye(3):
+        visual_map.search(query[None], 2)
+    assert len(prepared) == 1
+
+
+def test_a_map_knows_its_descriptor(tmp_path: Path) -> None:
+    hog = analytic.descriptor("hog", rows=2)
+    frames = FrameTable(path=["a.png", "b.png"])
+    hog_map = VisualMap(np.eye(2), frames, {**hog.identity, "images": {"height": 16, "width": 64, "camera": None}})
+    hog_map.save(tmp_path / "map.npz")
+    assert VisualMap.load(tmp_path / "map.npz").descriptor == hog
+    assert VisualMap.load(tmp_path / "map.npz", hog).describer is hog
+    with pytest.raises(ConfigError, match=r"rows is 2 in the map, 4 here.*build the map again"):
+        VisualMap.load(tmp_path / "map.npz", analytic.descriptor("hog", rows=4))
+    hog_map.check_images({"height": 16, "width": 64, "camera": None})
+    with pytest.raises(ConfigError, match=r"images\.width is 64 in the map, 128 here"):
+        hog_map.check_images({"height": 16, "width": 128, "camera": None})
+    learned = make_map()
+    assert not learned.aligned
+    with pytest.raises(ConfigError, match="described by 'siamese', which it does not hold"):
+        learned.descriptor  # noqa: B018
+
+
+def test_a_map_without_positions_says_so() -> None:
+    assert len(make_map().placed()) == 5
+    with pytest.raises(DataError, match="no map frame has a position"):
+        VisualMap([[1.0]], FrameTable(path=["a.png"])).placed()
 
 
 def test_a_map_of_one_frame(tmp_path: Path) -> None:
@@ -163,7 +198,7 @@ def test_maps_and_tasks_do_not_load_torch() -> None:
     code = (
         "import sys, siamloc.maps.visual_map, siamloc.evaluation.absolute, siamloc.evaluation.room_retrieval\n"
         "import siamloc.report\n"
-        "import siamloc.evaluation.results\n"
+        "import siamloc.results\n"
         "print(sorted({'torch', 'lightning', 'pandas', 'matplotlib', 'scipy'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -11,14 +11,13 @@ import numpy as np
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation import beside, calibration, robustness
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.hierarchical import evaluate_hierarchical
-from siamloc.evaluation.results import write_results
-from siamloc.evaluation.robustness import Disturbance
+from siamloc.evaluation.disturbed import Disturbance
+from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalSearch
-from siamloc.maps.node_ranking import rank_by_position, rank_by_representatives
+from siamloc.maps.hierarchy import HierarchicalSearch, rank_by_position, rank_by_representatives
+from siamloc.results import write_results
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from siamloc.evaluation.results import read_results
 from siamloc.report.html import write_report
+from siamloc.results import read_results
 from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, rows_of
 

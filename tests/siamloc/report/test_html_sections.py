@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from siamloc.evaluation.results import read_results, read_rows
 from siamloc.files import read_json, write_json
 from siamloc.report.html import write_report
+from siamloc.results import read_results, read_rows
 from tests.siamloc.report import pages, rich
 from tests.siamloc.report.pages import Element, notes, report
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from siamloc.evaluation.results import read_results
 from siamloc.report.html import write_report
+from siamloc.results import read_results
 from tests.siamloc.report import rich
 from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser
 

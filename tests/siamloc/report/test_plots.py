@@ -11,11 +11,11 @@ import pytest
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
 from siamloc.evaluation.absolute import evaluate_absolute
-from siamloc.evaluation.results import write_results
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.report import plots
 from siamloc.report.floor_plan import is_line
+from siamloc.results import write_results
 from tests.siamloc.evaluation import scenes
 
 ALL = ["floor_plan.png", "error_curve.png", "confusion.png", "confusion_by_lighting.png"]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from siamloc.errors import DataError
-from siamloc.evaluation.results import read_results
 from siamloc.report import plots, room_plots
+from siamloc.results import read_results
 from tests.siamloc.report import rich
 
 

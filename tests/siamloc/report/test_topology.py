@@ -13,13 +13,13 @@ from PIL import Image
 from analytic.mapper.closure import Similarity, prominences, similarity_curve
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
-from siamloc.evaluation.mapping import evaluate_mapping
-from siamloc.evaluation.results import write_results
+from siamloc.evaluation.layers import evaluate_mapping
 from siamloc.maps import VisualMap
 from siamloc.maps.layers import build_layer
 from siamloc.report import decision_picture, decisions, growth, sweeps, topology
 from siamloc.report.node_colours import NO_NODE, POOL, contrast, ink, neighbouring, node_colours
 from siamloc.report.topology import NodePlan, nodes_on_plan, read_plan, spread_out
+from siamloc.results import write_results
 from tests.analytic.mapper.world import World, corridor_drive
 
 CLEAR = 20.0  # distance in CIELAB, where 2.3 is just noticeable

@@ -16,9 +16,9 @@ import pytest
 import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, FormatError
-from siamloc.evaluation.error_model import ErrorModel
 from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import HeadingPart, VisualMap, WithHeading, estimated_headings
+from siamloc.maps.error_model import ErrorModel
 from siamloc.models import SiameseModule
 from siamloc.runtime import Bundle, Localizer, write_bundle
 from siamloc.runtime.bundle import learned_on

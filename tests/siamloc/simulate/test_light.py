@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from siamloc.simulate.atlas import TextureAtlas, sample
-from siamloc.simulate.bake import bake
 from siamloc.simulate.layout import Building
-from siamloc.simulate.lightgrid import Caster, LightGrid
-from siamloc.simulate.mesh import MeshBuilder, QuadMesh
+from siamloc.simulate.light import LightGrid, bake
+from siamloc.simulate.mesh import Caster, MeshBuilder, QuadMesh
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.shell import Lamp
 from siamloc.simulate.sky import Sky
-from siamloc.simulate.textures import Texture
+from siamloc.simulate.textures import Texture, TextureAtlas, sample
 
 
 def closed_room() -> tuple[Building, QuadMesh]:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from siamloc.errors import DataError
-from siamloc.simulate.buildings import building_names, load_building
-from siamloc.simulate.kinds import KINDS
+from siamloc.simulate.items import KINDS
+from siamloc.simulate.load import building_names, load_building
 from siamloc.simulate.plan import clearance, obstacles, room_codes
 
 PLAN = """name: two
@@ -68,23 +68,53 @@ def test_a_file_is_read_with_its_lines(tmp_path: Path) -> None:
         ("at: 3.0, width: 1.5", "at: 3.0, head: 2.9", r"line 9: a window of room 'hall' lies outside its south wall"),
         ("wall: south", "wall: north", r"line 9: a window of room 'hall' in its north wall .* into 'office'"),
         ("y: [2, 6]", "y: [1.5, 6]", r"line 11: rooms 'hall' \(line 4\) and 'office' overlap by 4.00 x 0.50 m"),
-        ("linoleum", "linolium", r"line 4: room 'hall': unknown material 'linolium'; did you mean 'linoleum'"),
+        ("linoleum", "linolium", r"line 4: room 'hall': floor 'linolium' is unknown; did you mean 'linoleum'"),
         ("kind: desk", "kind: dask", r"line 14: room 'office': item 'dask' is unknown; did you mean 'desk'"),
         ("at: 4.5", "at: 5.8", r"line 14: room 'office': desk at .* sticks out of the room"),
         ("at: 4.5", "at: 4.5, size: [1, 1, 4]", r"line 14: room 'office': desk reaches 4.00 m, the ceiling 2.80 m"),
         ("at: 4.5", "at: 4.5, colur: 1", r"line 14: room 'office': desk has an unknown key 'colur'"),
         ("at: 2.5}", "at: 4.2}", r"line 16: the door between 'hall' and 'office' reaches .* outside the wall"),
         ("at: 2.5}", "at: 2.5, height: 3}", r"line 16: the door between 'hall' and 'office' is 3.0 m high"),
-        ("at: 2.5}", "at: .nan}", r"line 16: the door between .* needs a number as 'at', got nan"),
+        ("at: 2.5}", "at: .nan}", r"line 16: a door: at must be a number, got nan"),
         ("[hall, office]", "[hall, attic]", r"line 16: room 'attic' is unknown"),
         ("at: 2.5}", "at: 2.5}\n  - {between: [hall, office], at: 2.9}", r"line 17: two openings .* overlap"),
-        ("x: [0, 4]", "x: [0]", r"line 11: room 'office': 'x' needs 2 numbers"),
+        ("x: [0, 4]", "x: [0]", r"line 11: room 'office': x must be a list of 2 numbers, got \[0\]"),
         ("x: [0, 4]", "x: [4, 0]", r"line 11: room 'office' must be at least 0.8 m wide"),
         ("code: CR-A", "kode: CR-A", r"line 4: room 'hall' has an unknown key 'kode'; did you mean 'code'"),
         ("y: [2, 6]", "y: [2.5, 6]", r"line 16: rooms 'hall' and 'office' share no wall"),
-        ("floor: linoleum", "lamps: [candle, 1, 1]", r"line 4: room 'hall': lamp 'candle' is unknown"),
-        ("floor: linoleum", "wainscot: tiles_wall", r"line 4: room 'hall': a wainscot is given as"),
+        ("floor: linoleum", "lamps: [candle, 1, 1]", r"room 'hall': lamps has a wrong kind: 'candle' is unknown"),
+        ("floor: linoleum", "wainscot: tiles_wall", r"room 'hall': wainscot must be a list \[material, height\]"),
         ("rooms:", "rooms: [", r"is not YAML"),
+        ("name: two", "name: two floors", r"line 1: a building: name must be a word of letters, digits"),
+        ("name: two", "height: tall", r"line 1: a building: height must be a number above 0, got 'tall'"),
+        ("name: two", "name: 2023-99-01\nnorth: 2023-99-01", r"is not YAML"),
+        ("code: CR-A", "code: CR A", r"line 4: room 'hall': code must be a word .*, got 'CR A'"),
+        ("  office:", "  big office:", r"line 11: room 'big office': without a 'code' of its own, its name must be"),
+        ("      - {wall: south, at: 3.0, width: 1.5}", "      3", r"line 4: room 'hall': windows must be a list"),
+        ("      - {wall: south, at: 3.0, width: 1.5}", "      wall: south", r"windows must be a list, got {'wall'"),
+        ("floor: linoleum", "windows: []", r"is not YAML: the key 'windows' appears twice .*line 8"),
+        ("{wall: south, at: 3.0, width: 1.5}", "south", r"a window of room 'hall' must be a mapping, got 'south'"),
+        ("at: 3.0, width: 1.5", "at: 3.0, width: -1", r"line 9: a window .*: width must be a number above 0, got -1"),
+        ("wall: south, at: 3.0", "at: 3.0", r"line 9: a window of room 'hall' needs 'wall'"),
+        ("floor: linoleum", "lamps: 3", r"lamps must be a list \[kind, count along x, count along y\], got 3"),
+        ("floor: linoleum", "lamps: [tube, two, 1]", r"lamps has a wrong count along x: it must be a whole number"),
+        ("floor: linoleum", "wainscot: [tiles_wall, high]", r"wainscot has a wrong height: it must be a number"),
+        ("- {kind: desk, against: west, at: 4.5}", "kind: desk", r"line 11: room 'office': items must be a list"),
+        ("{kind: desk, against: west, at: 4.5}", "desk", r"room 'office': an item must be a mapping, got 'desk'"),
+        ("kind: desk", "kind: [desk]", r"line 14: room 'office': item \['desk'\] is unknown"),
+        ("at: 4.5", "at: 4.5, screens: many", r"line 14: room 'office': desk: screens must be a whole number .*'many'"),
+        ("at: 4.5", "at: 4.5, wood: oak", r"line 14: room 'office': desk: wood 'oak' is unknown; .*valid: paint"),
+        ("at: 4.5", "at: 4.5, drawers: 2", r"line 14: room 'office': desk: drawers must be true or false, got 2"),
+        ("kind: desk", "kind: chair, colour: red", r"chair: colour must be a list of 3 numbers of at least 0"),
+        ("kind: desk", "kind: shelf, content: pots", r"shelf: content 'pots' is unknown; .*valid: mixed, books"),
+        ("kind: desk", "kind: poster, picture: a cat", r"poster: picture must be a whole number, got 'a cat'"),
+        ("at: 4.5", "at: 4.5, size: [1, 0, 1]", r"desk: size must be a list of 3 numbers above 0"),
+        ("against: west, at: 4.5", "at: 4.5", r"line 14: room 'office': desk: at must be a list of 2 numbers, got 4.5"),
+        ("doors:\n  -", "doors:\n  one:", r"line 1: a building: doors must be a list"),
+        ("between: [hall, office], ", "", r"line 16: a door needs 'between'"),
+        ("at: 2.5}", "at: 2.5, height: 0.5, bottom: 0.9}", r"line 16: .* ends at 0.5 m, not above its bottom at 0.9 m"),
+        ("paths:\n  path1:", "paths:", r"line 1: a building: paths must be a mapping"),
+        ("    - [2.5, 4.0]", "    - [2.5, north]", r"line 21: path 'path1': a point must be a list of 2 numbers"),
     ],
 )  # fmt: skip
 def test_mistakes_name_room_and_line(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -101,7 +131,7 @@ def test_unknown_buildings_and_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["annex", "freiburg_like", "mini"])
-def test_built_in_buildings_stand(name: str) -> None:
+def test_built_in_buildings_are_possible(name: str) -> None:
     building = load_building(name)
     assert name in building_names()
     segments, _ = obstacles(building)
@@ -116,7 +146,7 @@ def test_freiburg_like_has_the_nine_rooms() -> None:
     assert codes == {"1PO-A", "2PO1-A", "2PO2-A", "CR-A", "KT-A", "LO-A", "PA-A", "ST-A", "TL-A"}
 
 
-def test_random_buildings_stand_and_differ() -> None:
+def test_random_buildings_are_possible_and_differ() -> None:
     drawn = [load_building("random", seed) for seed in range(25)]
     assert len({building.bounds for building in drawn}) == 25
     again = load_building("random", 3)

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
+import os
+import subprocess
+import sys
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,10 +17,14 @@ import pytest
 
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
-from siamloc.simulate import SimulateConfig, load_building, produce, simulate
-from siamloc.simulate.buildings import building_folder
+from siamloc.simulate import SimulateConfig, Summary, load_building, produce, simulate
+from siamloc.simulate.load import building_folder
 
 SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
+
+
+def small(**changes: Any) -> Summary:
+    return simulate(**{**SMALL, **changes})
 
 
 def hashes(folder: Path) -> dict[str, str]:
@@ -25,7 +35,7 @@ def hashes(folder: Path) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("sim")
-    simulate({**SMALL, "out": out})
+    small(out=out)
     return out
 
 
@@ -42,8 +52,8 @@ def test_the_cold_reader_reads_it(written: Path) -> None:
 
 
 def test_equal_bytes_with_other_worker_counts(written: Path, tmp_path: Path) -> None:
-    simulate({**SMALL, "out": tmp_path / "two", "frames": 20, "workers": 2})
-    simulate({**SMALL, "out": tmp_path / "one", "frames": 20, "workers": 1})
+    small(out=tmp_path / "two", frames=20, workers=2)
+    small(out=tmp_path / "one", frames=20, workers=1)
     two = hashes(tmp_path / "two")
     assert two == hashes(tmp_path / "one")
     for name, value in hashes(written).items():
@@ -53,7 +63,7 @@ def test_equal_bytes_with_other_worker_counts(written: Path, tmp_path: Path) -> 
 
 
 def test_another_seed_gives_another_building(written: Path, tmp_path: Path) -> None:
-    simulate({**SMALL, "out": tmp_path, "seed": 1, "frames": 1})
+    small(out=tmp_path, seed=1, frames=1)
     pictures = [next(iter(sorted((out / "mini").rglob("*.jpeg")))) for out in (written, tmp_path)]
     assert pictures[0].read_bytes() != pictures[1].read_bytes()
 
@@ -69,30 +79,110 @@ def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeyp
 
     monkeypatch.setattr(produce, "_write", stopping)
     with pytest.raises(KeyboardInterrupt):
-        simulate({**SMALL, "out": tmp_path})
+        small(out=tmp_path)
     sequence = tmp_path / "mini" / "part_a" / "seq2_cloudy1"
     assert len(list((sequence / "omni_cam").iterdir())) == 3
     assert not (sequence / "localization" / "places.lst").exists()
-    (sequence / "omni_cam" / ".cut_short.tmp.jpeg").write_bytes(b"half")
     monkeypatch.setattr(produce, "_write", real)
-    summary = simulate({**SMALL, "out": tmp_path})
+    summary = small(out=tmp_path)
     assert summary.rendered == 3
     assert hashes(tmp_path) == hashes(written)
-    assert simulate({**SMALL, "out": tmp_path}).rendered == 0
+    assert small(out=tmp_path).rendered == 0
+
+
+KILLED = """
+import os, sys
+from siamloc.files import atomic_path
+with atomic_path(sys.argv[1]):
+    os._exit(9)
+"""
+
+
+def leave_behind(path: Path) -> Path:
+    """Return the temporary file that a process leaves when it is killed while writing."""
+    before = set(path.parent.glob(".*")) if path.parent.is_dir() else set()
+    subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False)
+    (left,) = set(path.parent.glob(".*")) - before
+    return left
+
+
+def test_leftovers_of_killed_runs_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    sequence = tmp_path / "mini" / "part_a" / "seq2_cloudy1"
+    image = "t5.000000_x1.000000_y1.100000_a0.000000.jpeg"
+    names = ["camera.json", "localization/places.lst", f"omni_cam/{image}"]
+    leftovers = [leave_behind(sequence / name) for name in names]
+    elsewhere = leave_behind(sequence.with_name("seq2_night1") / "omni_cam" / image)
+    os.utime(elsewhere, (0, 0))
+    at_work = leave_behind(sequence.with_name("seq2_night2") / "omni_cam" / image)
+    own = [leave_behind(sequence / "notes.json"), sequence / ".cut.tmp.jpeg", sequence / "omni_cam" / "notes.txt",
+           sequence / "omni_cam" / "photo.jpeg"]  # fmt: skip
+    for path in own[1:]:
+        path.write_text("mine")
+    assert small(out=tmp_path, frames=1).rendered == 1
+    assert not any(path.exists() for path in (*leftovers, elsewhere))
+    assert all(path.exists() for path in (*own, at_work))
+    assert small(out=tmp_path, frames=1, quality=50, overwrite=True).rendered == 1
+    assert all(path.exists() for path in own)
+
+
+def test_images_of_somebody_else_are_never_replaced(tmp_path: Path) -> None:
+    image = tmp_path / "mini" / "part_a" / "seq2_cloudy1" / "omni_cam" / "t5.0_x1.0_y1.1_a0.0.jpeg"
+    image.parent.mkdir(parents=True)
+    image.write_bytes(b"mine")
+    with pytest.raises(DataError, match="holds images that simulate did not render"):
+        small(out=tmp_path, overwrite=True)
+    assert image.read_bytes() == b"mine"
+
+
+def test_the_summary_shows_what_was_written(written: Path) -> None:
+    again = small(out=written)
+    assert repr(again) == f"{written / 'mini'}: 0 frames rendered in {again.seconds:.0f} s\n" + (
+        "  seq2_cloudy1: 6 frames\n  rooms: CR-A 6"
+    )
+
+
+def test_python_shows_every_setting_and_takes_them_all_at_once(written: Path) -> None:
+    shown = inspect.signature(simulate).parameters
+    assert [*shown] == ["config", *(field.name for field in fields(SimulateConfig))]
+    assert shown["camera"].default == "omnidirectional"
+    config = SimulateConfig(out=written, **{**SMALL, "frames": 2})
+    assert simulate(config).rendered == 0
+    assert simulate(config, frames=1).sequences == {"seq2_cloudy1": 1}
+
+
+def test_rendering_without_the_ray_caster_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    code = """if True:
+        import sys
+        sys.modules["embreex"] = None
+        import siamloc.simulate
+        from siamloc.errors import SiamlocError
+        siamloc.simulate.load_building("mini")
+        for render in (
+            lambda: siamloc.simulate.simulate(out=sys.argv[1], building="mini"),
+            lambda: siamloc.simulate.build_scene(siamloc.simulate.load_building("mini"), siamloc.simulate.Run()),
+        ):
+            try:
+                render()
+            except SiamlocError as error:
+                print(error)
+        """
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ['rendering needs the package embreex: pip install "siamloc[simulate]"'] * 2
+    assert not any(tmp_path.iterdir())
 
 
 def test_another_simulation_is_not_mixed_in(written: Path, tmp_path: Path) -> None:
-    simulate({**SMALL, "out": tmp_path, "frames": 2})
+    small(out=tmp_path, frames=2)
     with pytest.raises(DataError, match=r"holds images of another simulation \(different: quality\)"):
-        simulate({**SMALL, "out": tmp_path, "quality": 50})
-    assert simulate({**SMALL, "out": tmp_path, "quality": 50, "frames": 2, "overwrite": True}).rendered == 2
+        small(out=tmp_path, quality=50)
+    assert small(out=tmp_path, quality=50, frames=2, overwrite=True).rendered == 2
 
 
 def test_omnidirectional_pictures_and_lists(tmp_path: Path) -> None:
     names = ["t5.000000_x1.000000_y1.100000_a0.000000.jpeg", "t5.200000_x1.100000_y1.100000_a0.000000.jpeg"]
     poses = tmp_path / "own.places.lst"
     poses.write_text("".join(f"{name} CR-A\n" for name in names))
-    summary = simulate({"building": "mini", "runs": ["night1"], "out": tmp_path, "workers": 1, "trajectory": poses})
+    summary = simulate(building="mini", runs=["night1"], out=tmp_path, workers=1, trajectory=poses)
     images = summary.folder / "part_a" / "seq2_night1" / "omni_cam"
     assert sorted(path.name for path in images.iterdir()) == names
     image = cv2.imread(str(images / names[0]))
@@ -102,7 +192,7 @@ def test_omnidirectional_pictures_and_lists(tmp_path: Path) -> None:
 
 
 def test_preview_writes_two_pictures(tmp_path: Path) -> None:
-    summary = simulate({"building": "mini", "runs": ["night1"], "out": tmp_path, "preview": True})
+    summary = simulate(building="mini", runs=["night1"], out=tmp_path, preview=True)
     assert [path.name for path in summary.files] == ["contact_sheet.png", "floor_plan.png"]
     for path in summary.files:
         picture = cv2.imread(str(path))
@@ -113,14 +203,27 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"runz": ["cloudy1"]}, "no parameter 'runz'; did you mean 'runs'"),
+        ({"runz": ["cloudy1"]}, "no setting 'runz'; did you mean 'runs'"),
         ({"runs": []}, "at least one run"),
         ({"runs": ["cloudy1", "cloudy1"]}, "listed twice"),
         ({"runs": ["rainy1"]}, "a lighting and a number such as cloudy1, got 'rainy1'"),
         ({"camera": "fisheye"}, "camera 'fisheye' is unknown"),
         ({"quality": 0}, "between 1 and 100"),
-        ({"workers": 0}, "workers must be at least 1"),
-        ({"spacing": 0}, "positive number of metres"),
+        ({"workers": 0}, "workers must be a whole number of at least 1, got 0"),
+        ({"workers": 1.5}, "workers must be a whole number"),
+        ({"frames": True}, "frames must be a whole number"),
+        ({"seed": "x"}, "seed must be a whole number, got 'x'"),
+        ({"spacing": 0}, "spacing must be a positive number of metres, got 0"),
+        ({"spacing": "abc"}, "spacing must be a positive number of metres, got 'abc'"),
+        ({"spacing": float("nan")}, "positive number of metres"),
+        ({"path": None}, "path must be the name of one of the building's paths, such as path2, got None"),
+        ({"out": None}, "out must be the name of a file or folder, got None"),
+        ({"out": ""}, "out must be the name of a file or folder, got ''"),
+        ({"building": ["mini"]}, "building must be the name of a building or its file"),
+        ({"runs": 3}, "runs must be a list of runs, such as"),
+        ({"runs": [1]}, "runs must be a list of runs, such as"),
+        ({"preview": "yes"}, "preview must be true or false, got 'yes'"),
+        ({"trajectory": 4}, "trajectory must be the name of a file or folder, got 4"),
     ],
 )
 def test_bad_configurations(change: dict[str, object], message: str) -> None:
@@ -128,14 +231,14 @@ def test_bad_configurations(change: dict[str, object], message: str) -> None:
         SimulateConfig.of(change)
 
 
-def test_an_edited_building_is_rendered_anew_in_the_same_process(tmp_path: Path) -> None:
+def test_an_edited_building_is_rendered_again_in_the_same_process(tmp_path: Path) -> None:
     plan = tmp_path / "plan.yaml"
     text = (building_folder() / "mini.yaml").read_text(encoding="utf-8")
     plan.write_text(text, encoding="utf-8")
-    simulate({**SMALL, "building": str(plan), "out": tmp_path / "a", "frames": 1, "workers": 1})
+    small(building=plan, out=tmp_path / "a", frames=1)
     plan.write_text(text.replace("tiles_floor", "carpet_red").replace("linoleum", "parquet"), encoding="utf-8")
     assert plan.read_text(encoding="utf-8") != text
-    simulate({**SMALL, "building": str(plan), "out": tmp_path / "b", "frames": 1, "workers": 1})
+    small(building=plan, out=tmp_path / "b", frames=1)
     first, second = (next(iter((tmp_path / out).rglob("*.jpeg"))).read_bytes() for out in "ab")
     assert first != second
 
@@ -144,21 +247,24 @@ def test_a_comment_more_is_the_same_building(tmp_path: Path) -> None:
     plan = tmp_path / "plan.yaml"
     text = (building_folder() / "mini.yaml").read_text(encoding="utf-8")
     plan.write_text(text, encoding="utf-8")
-    words = {**SMALL, "building": str(plan), "out": tmp_path / "a", "frames": 2, "workers": 1}
-    simulate(words)
+    small(building=plan, out=tmp_path / "a", frames=2)
     plan.write_text(f"# one line more\n{text}", encoding="utf-8")
-    assert simulate(words).rendered == 0
+    assert small(building=plan, out=tmp_path / "a", frames=2).rendered == 0
 
 
 @pytest.mark.parametrize("size", [0, 3, 500])
 def test_a_cut_image_is_rendered_again(tmp_path: Path, size: int) -> None:
-    words = {**SMALL, "out": tmp_path, "frames": 3, "workers": 1}
-    simulate(words)
+    small(out=tmp_path, frames=3)
     whole = hashes(tmp_path)
     picture = min(tmp_path.rglob("*.jpeg"))
     picture.write_bytes(picture.read_bytes()[:size])
-    assert simulate(words).rendered == 1
+    assert small(out=tmp_path, frames=3).rendered == 1
     assert hashes(tmp_path) == whole
+
+
+def test_a_path_that_is_a_number_is_looked_up_as_a_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="building 'mini' has no path '3'; valid: path1, path2"):
+        small(out=tmp_path, path=3)
 
 
 def test_runs_of_one_name_are_refused() -> None:

@@ -17,7 +17,7 @@ from siamloc.simulate.trajectory import listed
 LISTS = Path(__file__).parents[3] / "../shared/data/cold_places"
 pytestmark = [
     pytest.mark.data,
-    pytest.mark.skipif(not LISTS.is_dir(), reason="the lists of COLD do not lie beside the project"),
+    pytest.mark.skipif(not LISTS.is_dir(), reason="the lists of COLD are not next to the project"),
 ]
 
 

@@ -96,7 +96,7 @@ def test_bad_lists_and_paths(mini: Building, tmp_path: FilePath) -> None:
     with pytest.raises(DataError, match=r"line 1: images are written as JPEG"):
         listed(mini, file)
     file.write_text("t1_x2_y1_a0.jpeg CR-A\nt1_x2_y1_a0.jpeg CR-A\n")
-    with pytest.raises(DataError, match=r"line 2: image t1_x2_y1_a0\.jpeg stands in line 1 already"):
+    with pytest.raises(DataError, match=r"line 2: image t1_x2_y1_a0\.jpeg appears in line 1 already"):
         listed(mini, file)
     file.write_text("t1_x0.4_y5.4_a0.jpeg 1PO-A\n")
     with pytest.raises(

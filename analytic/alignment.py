@@ -1,0 +1,249 @@
+"""Turning two descriptions alike: the relative heading, and the distance at that turn.
+
+A robot that turns left by s steps sees its surroundings s steps further right: Q[k] = R[k - s], so that the circular
+correlation c[s] = sum_k Q[k] R[k - s] has its peak there. By the correlation theorem c is the inverse transform of
+Q conj(R), which costs one small product per frequency instead of one comparison per turn.
+
+Turning changes neither lengths nor means. The turn of the largest correlation is therefore the one of the smallest
+Euclidean distance, and the peak is all that the Euclidean, cosine and Pearson distances still need: nothing is turned
+to find them. Each is a difference of two numbers that nearly agree for two similar vectors, and the peak has the
+rounding of float32. Pairs for which that would cost digits are compared value by value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.description import Description, fft
+from analytic.distances import distance as distance_named
+from analytic.threads import each
+
+Spectra = NDArray[np.complex64]  # (frequencies, B, F)
+_CLOSE = 2e-2  # a squared distance below this share of the squared lengths is not taken from a float32 peak
+_VALUES = 1 << 23  # of correlations held at once: 32 MiB
+
+
+class Turns(NamedTuple):
+    """The best turn of each query against each reference.
+
+    Attributes:
+        step: (n, m) steps that the query's robot has turned left, in [0, steps).
+        peak: (n, m) scalar product of query and reference at that turn.
+    """
+
+    step: NDArray[np.int64]
+    peak: NDArray[np.float64]
+
+
+def heading(step: NDArray[Any], steps: int) -> NDArray[np.float64]:
+    """Return the angle of a number of steps to the left, rad in (-pi, pi].
+
+    Example:
+        >>> np.degrees(heading(np.array([0, 1, 2, 3]), 4))
+        array([  0.,  90., 180., -90.])
+    """
+    turned = np.asarray(step) % steps
+    return np.where(2 * turned > steps, turned - steps, turned) * (2 * np.pi / steps)
+
+
+def best_turns(
+    queries: Spectra,
+    references: Spectra,
+    steps: int,
+    *,
+    product: tuple[Spectra, Spectra] | None = None,
+    whole: bool = False,
+) -> Turns:
+    """Return the turn of the largest correlation of each pair, the smallest step of equal ones.
+
+    Only a bounded part of the correlations is held at once.
+
+    Args:
+        queries: spectra (U, n, F) of real values at `steps` steps; U may leave out the highest frequencies.
+        references: spectra (U, m, F).
+        steps: K, steps of a full turn.
+        product: the spectra whose scalar product at that turn is the peak, if it is not that of the spectra correlated.
+        whole: whether correlations are whole numbers; without the transform's rounding, equal turns are equal.
+
+    Example:
+        >>> from analytic.description import spectrum
+        >>> seen = np.random.default_rng(0).random((1, 12, 5))
+        >>> turned = np.roll(seen, 3, axis=1)
+        >>> best_turns(spectrum(turned), spectrum(seen), 12).step
+        array([[3]])
+    """
+    shape = (queries.shape[1], references.shape[1])
+    found = Turns(np.zeros(shape, dtype=np.int64), np.zeros(shape))
+    for rows, columns in _blocks(*shape, steps):
+        crossed = _crossed(queries[:, rows], references[:, columns])
+        correlation = fft().irfft(crossed, n=steps, axis=2)
+        if whole:
+            np.rint(correlation, out=correlation)
+        best = correlation.argmax(axis=2)
+        found.step[rows, columns] = best
+        if product is None:
+            peak = np.take_along_axis(correlation, best[..., None], axis=2)[..., 0]
+        else:
+            peak = _at(_crossed(product[0][:, rows], product[1][:, columns]), best, steps)
+        found.peak[rows, columns] = peak
+    return found
+
+
+def aligned_distances(name: str, queries: Description, references: Description, turns: Turns) -> NDArray[np.float64]:
+    """Return the named distance (n, m) between orientation parts of each pair at its turn.
+
+    Args:
+        name: in `analytic.DISTANCES`.
+        queries: n descriptions.
+        references: m descriptions.
+        turns: what `best_turns` found for them.
+
+    Example:
+        >>> import analytic
+        >>> hog = analytic.descriptor("hog")
+        >>> seen = hog.describe(np.random.default_rng(0).random((2, 128, 512)))
+        >>> turns = best_turns(seen.spectrum, seen.spectrum, seen.orientation.shape[1])
+        >>> np.diag(aligned_distances("euclidean", seen, seen, turns))
+        array([0., 0.])
+    """
+    values, known = queries.turnable, references.turnable
+    measure: Callable[[NDArray[Any], NDArray[Any]], float]
+    if name in ("euclidean", "minkowski"):
+        lengths = queries.squares[:, None] + references.squares[None, :]
+        return euclidean(turns.peak, lengths, turns.step, lambda row: rolled(values[row]), known)
+    if name == "manhattan":
+        apart, close = np.zeros(turns.step.shape), np.ones(turns.step.shape, dtype=bool)
+        measure = partial(_norm, cv2.NORM_L1)
+    else:
+        apart, close = _from_similarity(name, queries, references, turns.peak)
+        measure = partial(_named, distance_named(name))
+    return _directly(apart, close, turns.step, lambda row: rolled(values[row]), known, measure)
+
+
+def euclidean(
+    product: NDArray[np.float64],
+    lengths: NDArray[np.float64],
+    step: NDArray[np.int64],
+    turned: Callable[[int], Callable[[int], NDArray[Any]]],
+    references: NDArray[Any],
+    measure: Callable[[NDArray[Any], NDArray[Any]], float] | None = None,
+) -> NDArray[np.float64]:
+    """Return Euclidean distances (n, m) at some turns: from scalar products where these have the digits for it.
+
+    Args:
+        product: (n, m) of each pair at its turn.
+        lengths: (n, m) sum of both squared lengths.
+        step: (n, m) the turns.
+        turned: for a query, the function that turns it back by a number of steps.
+        references: (m, ...) values to compare with.
+        measure: distance of a turned query and a reference; the Euclidean one of all values if None.
+    """
+    squared = lengths - 2 * product
+    apart = np.sqrt(np.maximum(squared, 0))
+    return _directly(apart, squared < _CLOSE * lengths, step, turned, references, measure or norm)
+
+
+def norm(one: NDArray[Any], other: NDArray[Any]) -> float:
+    """Return the Euclidean distance of two arrays of one shape: one pass over both, summed in double precision."""
+    return _norm(cv2.NORM_L2, one, other)
+
+
+def rolled(query: NDArray[Any]) -> Callable[[int], NDArray[Any]]:
+    """Return the function that turns one orientation part (K, F) back by a number of steps, without copying it."""
+    twice = np.concatenate([query, query])  # each turn of the query is a stretch of it: Q[k + s] against R[k]
+    return lambda step: twice[step : step + len(query)]
+
+
+def _blocks(n: int, m: int, steps: int) -> Iterator[tuple[slice, slice]]:
+    """Yield the blocks of a table of pairs (n, m) whose correlations at every turn fit in a bounded memory."""
+    most = max(1, _VALUES // steps)
+    width = max(1, min(m, most))
+    height = max(1, most // width)
+    for top in range(0, n, height):
+        for left in range(0, m, width):
+            yield slice(top, top + height), slice(left, left + width)
+
+
+def _crossed(queries: Spectra, references: Spectra) -> Spectra:
+    """Return the sum over the features of Q conj(R), (n, m, U)."""
+    # It is conj(R conj(Q)), which needs no conjugate copy of a whole map.
+    return (queries.conj() @ references.transpose(0, 2, 1)).conj().transpose(1, 2, 0)
+
+
+def _at(crossed: Spectra, step: NDArray[np.int64], steps: int) -> NDArray[np.float32]:
+    """Return the correlation (n, m) at one turn of each pair."""
+    return np.einsum("nmu,nmu->nm", crossed, _waves(crossed.shape[2], steps)[step]).real
+
+
+@lru_cache(maxsize=8)
+def _waves(frequencies: int, steps: int) -> NDArray[np.complex64]:
+    """Return what takes a spectrum to its inverse transform at every step (steps, frequencies)."""
+    frequency = np.arange(frequencies)
+    weight = np.where((frequency == 0) | (2 * frequency == steps), 1, 2) / steps
+    waves: NDArray[np.complex128] = weight * np.exp(2j * np.pi * frequency * np.arange(steps)[:, None] / steps)
+    return waves.astype(np.complex64)
+
+
+def _from_similarity(
+    name: str, queries: Description, references: Description, peak: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return cosine or Pearson distances (n, m), and which pairs are so close that these lack digits."""
+    lengths = np.sqrt(np.outer(queries.squares, references.squares))
+    scale, product = lengths, peak
+    if name == "correlation":
+        (mean, spread), (known_mean, known_spread) = (d.kept("moments", _moments) for d in (queries, references))
+        scale = np.outer(spread, known_spread)
+        product = peak - queries.turnable[0].size * np.outer(mean, known_mean) if peak.size else peak
+    similarity = np.divide(product, scale, out=np.zeros_like(peak), where=scale > 0)
+    return np.clip(1 - similarity, 0, 2), scale - product < _CLOSE / 2 * lengths
+
+
+def _moments(description: Description) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the means of orientation parts and their lengths without these, (B,) each."""
+    flat = description.turnable.reshape(len(description), -1)
+    mean = flat.mean(axis=1, dtype=np.float64)
+    squares = [np.square(row - middle).sum() for row, middle in zip(flat, mean, strict=True)]
+    return mean, np.sqrt(np.array(squares, dtype=np.float64))
+
+
+def _directly(
+    apart: NDArray[np.float64],
+    close: NDArray[np.bool_],
+    step: NDArray[np.int64],
+    turned: Callable[[int], Callable[[int], NDArray[Any]]],
+    references: NDArray[Any],
+    measure: Callable[[NDArray[Any], NDArray[Any]], float],
+) -> NDArray[np.float64]:
+    """Return distances (n, m) after comparing close pairs value by value."""
+    for row in np.flatnonzero(close.any(axis=1)).tolist():
+        columns = np.flatnonzero(close[row])
+        compare = partial(_compare, turned(row), step[row], references, measure)
+        parts = np.array_split(columns, max(1, columns.size * references[0].size >> 24))
+        apart[row, columns] = np.concatenate(each(compare, parts))
+    return apart
+
+
+def _compare(
+    turned: Callable[[int], NDArray[Any]],
+    step: NDArray[np.int64],
+    references: NDArray[Any],
+    measure: Callable[[NDArray[Any], NDArray[Any]], float],
+    columns: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Return the distances of one query to some of the references, each at its turn."""
+    pairs = zip(step[columns].tolist(), columns.tolist(), strict=True)
+    return np.array([measure(turned(turn), references[column]) for turn, column in pairs], dtype=np.float64)
+
+
+def _norm(kind: int, one: NDArray[Any], other: NDArray[Any]) -> float:
+    return float(cv2.norm(one, other.astype(one.dtype, copy=False), kind))
+
+
+def _named(measure: Callable[..., NDArray[np.float64]], one: NDArray[Any], other: NDArray[Any]) -> float:
+    return float(measure(one.reshape(1, -1), other.reshape(1, -1))[0, 0])

@@ -1,0 +1,190 @@
+"""What a descriptor says of images, and what comparing two such descriptions returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import prod
+from types import ModuleType
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.distances import unit_vectors
+from analytic.errors import AnalyticError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a descriptor says of a batch of images.
+
+    Values that comparing needs again and again, such as the spectrum, are computed once and kept, since a map is
+    compared with query after query.
+
+    Attributes:
+        position: (B, D) float32, unchanged when the robot turns on the spot (as far as the descriptor can).
+        orientation: (B, K, F) what moves along its second axis when the robot turns, K steps being a full turn;
+            None for a descriptor that has no such part.
+        identity: of the descriptor that made it; None if unknown.
+
+    Example:
+        >>> import analytic
+        >>> hog = analytic.descriptor("hog", rows=4, bins=8, step=4)
+        >>> found = hog.describe(np.zeros((5, 128, 512), dtype=np.uint8))
+        >>> len(found), found.position.shape, found.orientation.shape
+        (5, (5, 32), (5, 128, 16))
+        >>> len(found.take([0, 3]))
+        2
+    """
+
+    position: NDArray[Any]
+    orientation: NDArray[Any] | None = None
+    identity: dict[str, Any] | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def take(self, rows: Any) -> Description:
+        """Return the rows of an index array, a mask or a slice."""
+        orientation = None if self.orientation is None else self.orientation[rows]
+        return Description(self.position[rows], orientation, self.identity)
+
+    @staticmethod
+    def concatenate(parts: Sequence[Description]) -> Description:
+        """Return the rows of several descriptions of one descriptor, in order.
+
+        Raises:
+            AnalyticError: no parts, or parts of different descriptors.
+        """
+        if not parts:
+            raise AnalyticError("there is no description to put together")
+        for part in parts:
+            check_alike(parts[0], part)
+        return Description(*joined([(part.position, part.orientation) for part in parts]), parts[0].identity)
+
+    def kept(self, name: str, compute: Callable[[Description], T]) -> T:
+        """Return what `compute` makes of this description, computed at the first call under that name."""
+        values: dict[str, Any] = vars(self)
+        if name not in values:
+            values[name] = compute(self)
+        return values[name]
+
+    def units(self, centred: bool) -> NDArray[np.float64]:
+        """Return the position parts as unit vectors, after taking off their means if `centred`."""
+        return self.kept(f"units, centred {centred}", lambda made: unit_vectors(made.position, centred))
+
+    @property
+    def turnable(self) -> NDArray[Any]:
+        """The orientation part.
+
+        Raises:
+            AnalyticError: there is none.
+        """
+        if self.orientation is None:
+            raise AnalyticError("this description has no orientation part")
+        return self.orientation
+
+    @cached_property
+    def squares(self) -> NDArray[np.float64]:
+        """Squared lengths of the orientation parts (B,)."""
+        flat = self.turnable.reshape(len(self), prod(self.turnable.shape[1:]))
+        return np.einsum("bf,bf->b", flat, flat, dtype=np.float64)
+
+    @cached_property
+    def spectrum(self) -> NDArray[np.complex64]:
+        """Fourier transform of the orientation parts along the turn (K // 2 + 1, B, F)."""
+        return spectrum(self.turnable)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The turn between each query and each reference, and their distance after it.
+
+    Attributes:
+        heading: (n, m) how far the robot of the query has turned left since the reference, rad in (-pi, pi].
+        distance: (n, m) between the orientation parts after turning them alike.
+    """
+
+    heading: NDArray[np.float64]
+    distance: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Match:
+    """The nearest frame of a map for each query.
+
+    Attributes:
+        index: (n,) row of the map.
+        distance: (n,) to it.
+        heading: (n,) how far the robot has turned left since that frame, rad in (-pi, pi].
+    """
+
+    index: NDArray[np.int64]
+    distance: NDArray[np.float64]
+    heading: NDArray[np.float64]
+
+
+def spectrum(columns: NDArray[Any]) -> NDArray[np.complex64]:
+    """Return the transform (K // 2 + 1, B, F) along the turn of real values (B, K, F), frequency first."""
+    transformed = fft().rfft(np.asarray(columns, dtype=np.float32), axis=1)
+    return np.ascontiguousarray(transformed.transpose(1, 0, 2)).astype(np.complex64, copy=False)
+
+
+def fft() -> ModuleType:
+    """Return scipy's transforms, or numpy's where scipy is not installed, as on a robot."""
+    try:
+        from scipy import fft as found
+    except ImportError:
+        from numpy import fft as found
+    return found
+
+
+def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[NDArray[Any], NDArray[Any] | None]:
+    """Return position and orientation parts of all rows.
+
+    Where the position part is a flat view of the orientation part, it stays one: they are kept in memory once.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    orientations = [orientation for _, orientation in parts if orientation is not None]
+    if not orientations:
+        return np.concatenate([position for position, _ in parts]), None
+    orientation = np.concatenate(orientations)
+    if all(both is not None and np.shares_memory(position, both) for position, both in parts):
+        return orientation.reshape(len(orientation), -1), orientation
+    return np.concatenate([position for position, _ in parts]), orientation
+
+
+def check_alike(first: Description, second: Description) -> None:
+    """Raise AnalyticError unless two descriptions have one identity and one size.
+
+    Equal parameters on images of different sizes give orientation parts that cannot be compared.
+    """
+    if first.identity is not None and second.identity is not None and first.identity != second.identity:
+        raise AnalyticError(other_parameters(first.identity, second.identity))
+    shapes = [
+        (d.position.shape[1:], None if d.orientation is None else d.orientation.shape[1:]) for d in (first, second)
+    ]
+    if shapes[0] != shapes[1]:
+        raise AnalyticError(
+            f"descriptions of different sizes cannot be compared: {_sizes(shapes[0])} against {_sizes(shapes[1])}; "
+            "describe images of one size with one descriptor"
+        )
+
+
+def other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:
+    """Return the sentence for an error about descriptions that two different descriptors made."""
+    keys = [key for key in {**expected, **found} if expected.get(key) != found.get(key)]
+    if "name" in keys:
+        keys = ["name"]  # the parameters of two descriptors have nothing to do with each other
+    said = ", ".join(f"{key}={found.get(key)} instead of {expected.get(key)}" for key in keys)
+    return f"the descriptions were made with other parameters ({said}): describe all images with one descriptor"
+
+
+def _sizes(shape: tuple[tuple[int, ...], tuple[int, ...] | None]) -> str:
+    orientation = "no orientation part" if shape[1] is None else "orientation " + " x ".join(map(str, shape[1]))
+    return f"position {' x '.join(map(str, shape[0]))} and {orientation}"

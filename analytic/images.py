@@ -1,0 +1,160 @@
+"""Batches of images, checked and in one shape: what descriptors, filters and disturbances take."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.errors import AnalyticError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601
+
+
+def shaped(array: Any) -> Any:
+    """Return an array or tensor with shape (B, C, H, W), C being 1 or 3.
+
+    Three planes (3, H, W) are one colour image, not three grey ones.
+
+    Raises:
+        AnalyticError: another shape.
+
+    Example:
+        >>> shaped(np.zeros((128, 512))).shape, shaped(np.zeros((3, 128, 512))).shape
+        ((1, 1, 128, 512), (1, 3, 128, 512))
+    """
+    shape = tuple(array.shape)
+    if array.ndim == 2:
+        array = array[None, None]
+    elif array.ndim == 3:
+        if shape[2] == 3 and shape[0] != 3:
+            raise AnalyticError(f"a colour image must have its channels first, (3, H, W), got {shape}: transpose it")
+        array = array[None] if shape[0] == 3 else array[:, None]
+    if array.ndim != 4 or array.shape[1] not in (1, 3) or 0 in shape:
+        raise AnalyticError(f"images must have shape (H, W), (3, H, W), (B, H, W) or (B, 3, H, W), got {shape}")
+    return array
+
+
+def with_channels(images: ArrayLike) -> NDArray[Any]:
+    """Return images, their values untouched, with shape (B, C, H, W), C being 1 or 3.
+
+    Raises:
+        AnalyticError: another shape, images of different sizes, or neither uint8 nor floating point.
+
+    Example:
+        >>> with_channels(np.zeros((5, 128, 512), dtype=np.uint8)).shape
+        (5, 1, 128, 512)
+    """
+    try:
+        array = np.asarray(images)
+    except ValueError as error:
+        raise AnalyticError("the images of a batch must have one size: resize them first") from error
+    array = shaped(array)
+    if array.dtype != np.uint8 and array.dtype.kind != "f":
+        raise AnalyticError(_wrong_type(array.dtype))
+    return array
+
+
+def as_grey(images: ArrayLike) -> NDArray[np.float32]:
+    """Return images as luma, float32 in [0, 1] of shape (B, H, W), without torch.
+
+    Raises:
+        AnalyticError: as `with_channels`, or values that are not finite.
+
+    Example:
+        >>> as_grey(np.full((3, 2, 2), 51, dtype=np.uint8)).round(3)
+        array([[[0.2, 0.2],
+                [0.2, 0.2]]], dtype=float32)
+    """
+    array = with_channels(images)
+    if array.dtype == np.uint8:
+        array = array / np.float32(255)
+    elif not np.isfinite(array).all():
+        raise AnalyticError("an image holds values that are not finite: clean it before describing it")
+    array = array.astype(np.float32, copy=False)
+    return array[:, 0] if array.shape[1] == 1 else np.einsum("bchw,c->bhw", array, np.array(LUMA, dtype=np.float32))
+
+
+def image_tensor(images: Any) -> Tensor:
+    """Return images as a tensor (B, C, H, W), values untouched; a tensor stays on its device.
+
+    Raises:
+        AnalyticError: as `with_channels`.
+
+    Example:
+        >>> image_tensor(np.zeros((3, 128, 512), dtype=np.uint8)).shape
+        torch.Size([1, 3, 128, 512])
+    """
+    import torch
+
+    if not isinstance(images, torch.Tensor):
+        return torch.from_numpy(_plain(with_channels(images)))
+    tensor = shaped(images)
+    if tensor.dtype != torch.uint8 and not tensor.is_floating_point():
+        raise AnalyticError(_wrong_type(tensor.dtype))
+    return tensor
+
+
+def unit_tensor(tensor: Tensor, device: str) -> Tensor:
+    """Return images (B, C, H, W) as float32 in [0, 1] on a device.
+
+    Raises:
+        AnalyticError: floating-point values out of range or not finite, or a device that is not there.
+
+    Example:
+        >>> unit_tensor(image_tensor(np.full((1, 2), 51, dtype=np.uint8)), "cpu")
+        tensor([[[[0.2000, 0.2000]]]])
+    """
+    import torch
+
+    tensor = _moved(tensor, device)
+    if tensor.dtype == torch.uint8:
+        return tensor.to(torch.float32).mul_(1 / 255)
+    values = tensor.to(torch.float32)
+    low, high = (float(value) for value in values.aminmax())
+    if not (low >= 0 and high <= 1):
+        bad = "not finite" if not np.isfinite(low + high) else f"between {low:g} and {high:g}"
+        raise AnalyticError(f"floating-point images must have values in [0, 1], got values {bad}")
+    return values
+
+
+def grey_tensor(values: Tensor) -> Tensor:
+    """Return the luma (B, H, W) of images (B, C, H, W).
+
+    Example:
+        >>> grey_tensor(unit_tensor(image_tensor(np.full((3, 1, 2), 255, dtype=np.uint8)), "cpu"))
+        tensor([[[1., 1.]]])
+    """
+    if values.shape[1] == 1:
+        return values[:, 0]
+    red, green, blue = values.unbind(1)
+    return (red * LUMA[0]).add_(green, alpha=LUMA[1]).add_(blue, alpha=LUMA[2])
+
+
+def _wrong_type(found: Any) -> str:
+    return f"images must be uint8 or floating point in [0, 1], got {found}"
+
+
+def _moved(tensor: Tensor, device: str) -> Tensor:
+    """Return a tensor on a device; torch's own errors for a missing one take several sentences."""
+    import torch
+
+    try:
+        return tensor.to(device)
+    except (RuntimeError, AssertionError) as error:
+        if isinstance(error, torch.OutOfMemoryError):
+            raise
+        raise AnalyticError(
+            f"torch cannot compute on device={device!r} here: use 'cpu', or 'cuda' where there is a GPU"
+        ) from error
+
+
+def _plain(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array that torch takes without a warning: writable, of native byte order, with forward strides."""
+    if array.flags.writeable and array.dtype.isnative and all(stride >= 0 for stride in array.strides):
+        return array
+    return np.array(array, dtype=array.dtype.newbyteorder("="), order="C")

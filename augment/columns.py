@@ -1,0 +1,135 @@
+"""Effects on whole columns: turning the robot on the spot moves them, an obstacle hides them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from math import ceil, floor, pi
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from augment.base import Effect, Params, Range, column_of
+from augment.brushes import Brush, Frame
+
+_MOST = 4  # bars
+_PLACES = tuple(f"place{number}" for number in range(_MOST))
+
+
+class Rotate(Effect):
+    """Turn the robot on the spot: I'(y, x) = I(y, x - s mod W), s whole columns ([T] 5.3.2, figure 5.4 h).
+
+    The parameters are `shift`, s columns to the right, and `heading`, what this adds to the robot's heading: 2 pi
+    s / W rad, wrapped to (-pi, pi], positive when the robot turns left. Exact: turning back gives the same picture.
+
+    Args:
+        degrees: angle of the turn to the left; whole columns within this range are drawn. 10 ... 350 as published.
+        circular: the picture of an ordinary camera cannot be turned this way; with False the shift is 0.
+    """
+
+    name = "rotate"
+    RANGES: ClassVar[Mapping[str, Range]] = {"degrees": Range(10, 350, minimum=-360, maximum=360)}
+
+    def spans(self, height: int, width: int) -> dict[str, Range]:
+        """The shift in columns."""
+        degrees = self.ranges["degrees"]
+        low, high = ceil(degrees.low * width / 360), floor(degrees.high * width / 360)
+        if not self.circular:
+            low = high = 0
+        elif low > high:  # a range narrower than a column
+            low = high = round((degrees.low + degrees.high) / 2 * width / 360)
+        return {"shift": Range(low, high, neutral=0, whole=True)}
+
+    def complete(self, params: Params, count: int, height: int, width: int) -> Params:
+        """Add the heading."""
+        return {**params, "heading": wrapped(params["shift"] * (2 * pi / width))}
+
+    def shift(self, params: Mapping[str, Tensor]) -> Tensor:
+        """Return the shift."""
+        return params["shift"]
+
+    def limits(self, height: int, width: int) -> dict[str, Range]:
+        """Any shift, and the heading."""
+        return {"shift": Range(0, 0, whole=True), "heading": Range(0, 0)}
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the move of its columns."""
+        return [[partial(_turn, int(shift) % width)] if int(shift) % width else [] for shift in params["shift"]]
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the batch with moved columns."""
+        width = batch.shape[3]
+        columns = torch.arange(width, device=batch.device)
+        source = (columns - params["shift"].to(batch.device).view(-1, 1)) % width
+        return batch.gather(3, source.view(-1, 1, 1, width).expand_as(batch))
+
+
+class Occlude(Effect):
+    """Vertical bars of one grey hide a share of the columns ([T] 3.4.2).
+
+    The frame is divided into as many sectors as there are bars, counted from `column`. Each sector has one bar, at a
+    place of its own; all are equally wide. So bars never overlap, and the share is exact to whole columns.
+
+    Args:
+        share: of the columns that are hidden. 5 ... 40 % as published.
+        bars: how many, 1 ... 4.
+        level: their grey, 0 ... 255; black as published.
+        circular: sectors begin anywhere and wrap around.
+    """
+
+    name = "occlude"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        "share": Range(0.05, 0.4, minimum=0, maximum=1, neutral=0),
+        "bars": Range(1, _MOST, minimum=1, maximum=_MOST, whole=True),
+        "level": Range(0, 0, minimum=0, maximum=255, whole=True),
+    }
+
+    def places(self, height: int, width: int) -> dict[str, Range]:
+        """Where the first sector begins, and where each bar is in its sector."""
+        column = Range(0, width - 1 if self.circular else 0, whole=True)
+        return {"column": column, **{place: Range(0, 1, minimum=0, maximum=1) for place in _PLACES}}
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame what fills its bars."""
+        starts, lengths = (value.tolist() for value in _bars(params, width))
+        frames = zip(starts, lengths, params["level"].tolist(), strict=True)
+        return [[partial(_fill, list(zip(start, length, strict=True)), level)] for start, length, level in frames]
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the batch behind the bars."""
+        width = batch.shape[3]
+        starts, lengths = (value[..., None] for value in _bars(params, width))
+        hidden = ((torch.arange(width) - starts) % width < lengths).any(dim=1).to(batch.device)
+        return torch.where(hidden[:, None, None], column_of(params["level"], batch) / 255, batch)
+
+
+def wrapped(angle: Tensor) -> Tensor:
+    """Wrap angles to (-pi, pi]."""
+    return pi - (pi - angle) % (2 * pi)
+
+
+def _turn(shift: int, frame: Frame) -> None:
+    frame[:] = np.concatenate([frame[:, :, -shift:], frame[:, :, :-shift]], axis=2)
+
+
+def _bars(params: Params, width: int) -> tuple[Tensor, Tensor]:
+    """Return the first column and the width of each bar, both (B, 4) int64; absent bars have width 0."""
+    bars = params["bars"].view(-1, 1)
+    number = torch.arange(_MOST)
+    place = torch.stack([params[key] for key in _PLACES], dim=1)
+    sector = number * width // bars
+    room = (number + 1) * width // bars - sector
+    wanted = (params["share"].double().view(-1, 1) * width / bars + 0.5).floor().long()
+    length = torch.minimum(wanted, room)
+    start = sector + torch.minimum((place * (room - length + 1)).long(), room - length)
+    return (start + params["column"].view(-1, 1)) % width, torch.where(number < bars, length, 0)
+
+
+def _fill(bars: list[tuple[int, int]], level: int, frame: Frame) -> None:
+    width = frame.shape[2]
+    for start, length in bars:
+        frame[:, :, start : start + length] = level
+        if start + length > width:
+            frame[:, :, : start + length - width] = level

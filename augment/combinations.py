@@ -1,0 +1,114 @@
+"""The variants of each frame in an expanded data set: the combinations of effects of the thesis ([T] 5.3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+import torch
+
+from augment.base import Params
+from augment.compose import Policy
+from augment.errors import AugmentError
+
+Tree = dict[str, Any]
+
+_SHAPES = ("bulb", "square", "trapezoid")
+_LOCALS: tuple[tuple[str, Tree], ...] = tuple(
+    (f"{shape} {tone}", {"effect": shape, "tone": tone}) for shape in _SHAPES for tone in ("light", "dark")
+)
+_GLOBALS: tuple[tuple[str, Tree], ...] = tuple((name, {"effect": name}) for name in ("brighten", "darken"))
+_WHOLE: tuple[tuple[str, Tree], ...] = (
+    ("sharpen", {"effect": "sharpen"}),
+    ("blur", {"effect": "blur"}),
+    ("contrast up", {"effect": "contrast", "factor": [1.2, 1.8]}),
+    ("contrast down", {"effect": "contrast", "factor": [0.5, 0.8]}),
+    ("equalize", {"effect": "equalize"}),
+    ("saturate", {"effect": "saturate"}),
+)
+_BULBS = ("light", "light", "light"), ("dark", "dark", "dark"), ("light", "light", "dark"), ("light", "dark", "dark")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One picture to be made of every frame.
+
+    Attributes:
+        number: from 0.
+        label: the effects in words, such as "darken + bulb light + rotate".
+        policy: draws their parameters; nothing else in it is left to chance.
+    """
+
+    number: int
+    label: str
+    policy: Policy
+
+    def parameters(self, seed: int, frames: Iterable[int], size: tuple[int, int]) -> Params:
+        """Return the parameters of this variant of some frames, each of shape (number of frames,).
+
+        Those of a frame depend on the seed, the variant and the frame's number alone.
+
+        Args:
+            seed: of the expansion, 0 or more.
+            frames: numbers of the frames.
+            size: rows and columns of the pictures.
+        """
+        generator, count = torch.Generator(), len(self.policy.spans(*size))
+        rows = []
+        for frame in frames:
+            state = np.random.SeedSequence([seed, frame, self.number]).generate_state(1, np.uint64)
+            generator.manual_seed(int(state[0] >> np.uint64(1)))
+            rows.append(torch.rand(count, generator=generator))
+        return self.policy.values(torch.stack(rows), *size)
+
+
+def variants(depth: int, circular: bool = True) -> list[Variant]:
+    """Return the variants that a data set is expanded by, `depth` for each frame.
+
+    They come in a fixed order, so that a greater depth contains the smaller ones ([T] table 5.18 has 16, 44, 128, 129
+    and 246 per frame without listing them):
+
+    - 1-16: the original, each single effect (six spots, brighten, darken, sharpen, blur, contrast raised and
+      lowered, equalize, saturate), and a rotation;
+    - 17-44: the 14 single effects with a rotation, brighten and darken with each of the six spots, three bulbs of
+      light and three of darkness;
+    - 45-104: three bulbs of mixed tones, every pair of spots, and a rotation with each of the combinations that has
+      not had one yet. So depth 104 has every combination once;
+    - from 105: the same list again without the original, with other parameters: depth 128 reaches its 24th entry,
+      129 its 25th, and 246 the 39th entry of the third round.
+
+    Args:
+        depth: how many, at least 1.
+        circular: False for cameras whose columns do not wrap around; combinations with a rotation then turn by 0.
+
+    Raises:
+        AugmentError: a depth below 1.
+
+    Example:
+        >>> [variant.label for variant in variants(18)[15:]]
+        ['rotate', 'bulb light + rotate', 'bulb dark + rotate']
+    """
+    if isinstance(depth, bool) or not isinstance(depth, int) or depth < 1:
+        raise AugmentError(f"depth must be a whole number of variants per frame, at least 1, got {depth!r}")
+    listed = combinations()
+    policies = {label: Policy({"all_of": steps}, name=label, circular=circular) for label, steps in listed.items()}
+    labels = list(listed)
+    order = labels + labels[1:] * (depth // len(labels) + 1)
+    return [Variant(number, label, policies[label]) for number, label in enumerate(order[:depth])]
+
+
+def combinations() -> dict[str, list[Tree]]:
+    """Return the 104 combinations in the order of `variants`: the steps of each by its label."""
+    singles = [*_LOCALS, *_GLOBALS, *_WHOLE]
+    bulbs = [tuple((f"bulb {tone}", {"effect": "bulb", "tone": tone}) for tone in tones) for tones in _BULBS]
+    lit = [(change, spot) for change in _GLOBALS for spot in _LOCALS]
+    pairs = list(combinations_with_replacement(_LOCALS, 2))
+    turn = ("rotate", {"effect": "rotate"})
+    ordered: list[tuple[tuple[str, Tree], ...]] = [(), *((one,) for one in singles), (turn,)]
+    ordered += [(one, turn) for one in singles]
+    ordered += [*lit, *bulbs, *pairs]
+    ordered += [(*some, turn) for some in [*lit, *bulbs, *pairs]]
+    return {" + ".join(word for word, _ in some) or "original": [step for _, step in some] for some in ordered}

@@ -1,0 +1,154 @@
+"""`Augment`: an effect or a policy as a torch module and a torchvision transform."""
+
+from __future__ import annotations
+
+from math import prod
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import get_worker_info
+
+from augment.base import Effect, Params
+from augment.errors import AugmentError
+from augment.torchvision_compat import ensure_torchvision
+
+ensure_torchvision()
+from torchvision import tv_tensors  # noqa: E402
+from torchvision.transforms import v2  # noqa: E402
+from torchvision.transforms.v2 import functional  # noqa: E402
+
+
+class Augment(v2.Transform):
+    """Augment pictures by an effect or a policy: in `v2.Compose`, in `nn.Sequential`, in a data set.
+
+    In training mode every call draws new parameters, each picture its own; after `eval()` pictures stay as they are.
+
+    Pictures are tensors (..., 3, H, W), uint8, or floating point in [0, 1], `tv_tensors.Image` or `tv_tensors.Video`,
+    or RGB pictures of Pillow; type, shape and dtype stay the same. A sample may be nested, as for all transforms of
+    torchvision; all pictures in it, such as the two of a stereo camera, get the same parameters. A rotation moves
+    `tv_tensors.Mask` along and refuses boxes and key points, which may lie across the seam. Everything else in a
+    sample stays as it is, as do plain tensors after the first picture. To repeat a draw, keep the parameters: call
+    `make_params([picture])` once, and `transform(picture, params)` as often as wanted.
+
+    Draws depend only on `seed` and the number of earlier calls, not on torch's global generator. A copy draws what
+    the original would. In a worker of a DataLoader, the worker's seed is mixed in, so that workers and epochs differ;
+    to repeat them, give the loader a seeded `generator`. Processes that train together need a seed each.
+
+    Args:
+        effect: of `augment.effect`, `augment.policy` or `Policy`.
+        seed: 0 or more.
+
+    Attributes:
+        effect: as given.
+        seed: as given.
+        calls: number of draws so far; set it to continue where an earlier run stopped.
+
+    Raises:
+        AugmentError: not an effect, a negative seed, or pictures of another shape, dtype or range.
+
+    Example:
+        >>> import torch, augment
+        >>> darker = augment.Augment(augment.effect("darken", amount=(30, 60)), seed=0)
+        >>> picture = torch.full((3, 128, 512), 100, dtype=torch.uint8)
+        >>> [int(darker(picture).max()) for _ in range(3)]
+        [66, 54, 53]
+        >>> int(darker.eval()(picture).max())
+        100
+    """
+
+    def __init__(self, effect: Effect, seed: int = 0) -> None:
+        super().__init__()
+        if not isinstance(effect, Effect):
+            raise AugmentError(f"Augment takes an effect or a policy, such as augment.policy('thesis'), got {effect!r}")
+        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+            raise AugmentError(f"seed of Augment must be a whole number, 0 or more, got {seed!r}")
+        self.effect = effect
+        self.seed = seed
+        self.calls = 0
+
+    def extra_repr(self) -> str:
+        """Return what the module's repr shows."""
+        return f"{self.effect!r}, seed={self.seed}"
+
+    def forward(self, *inputs: Any) -> Any:
+        """Return the sample with its pictures augmented, or as it is after `eval()`."""
+        if self.training:
+            return super().forward(*inputs)
+        return inputs if len(inputs) > 1 else inputs[0]
+
+    def make_params(self, flat_inputs: list[Any]) -> Params:
+        """Draw the parameters for the pictures of a sample; none if it has no picture."""
+        shapes = {_shape(item) for item in flat_inputs if _is_picture(item)}
+        if not shapes:
+            return {}
+        if len(shapes) > 1:
+            raise AugmentError(f"the pictures of one sample must have one number and size, got {sorted(shapes)}")
+        count, height, width = shapes.pop()
+        params = self.effect.draw(self._generator(), torch.empty(count, 3, height, width, device="meta"))
+        if self._moves(params):
+            for item in flat_inputs:
+                if not _is_picture(item):
+                    _check_movable(item, count, width)
+        return params
+
+    def transform(self, inpt: Any, params: Params) -> Any:
+        """Apply parameters to one item of a sample."""
+        if _is_picture(inpt):
+            return self._augmented(inpt, params)
+        if isinstance(inpt, tv_tensors.Mask) and params and self._moves(params):
+            shifts, mask = self.effect.shift(params), inpt.as_subclass(Tensor)
+            assert shifts is not None
+            frames = [mask] if len(shifts) == 1 else mask.unbind()
+            moved = [frame.roll(shift, -1) for frame, shift in zip(frames, shifts.tolist(), strict=True)]
+            return tv_tensors.wrap(torch.stack(moved).view_as(mask), like=inpt)
+        return inpt
+
+    def _augmented(self, picture: Any, params: Params) -> Any:
+        if not isinstance(picture, Tensor):
+            return functional.to_pil_image(self._augmented(functional.pil_to_tensor(picture), params))
+        batch = picture.as_subclass(Tensor).reshape(-1, *picture.shape[-3:])
+        if batch.is_floating_point():
+            out = self.effect.apply(batch.float(), params).to(picture.dtype)
+        else:
+            out = self.effect.apply(batch, params)
+        return tv_tensors.wrap(out.reshape(picture.shape), like=picture)
+
+    def _moves(self, params: Params) -> bool:
+        shift = self.effect.shift(params)
+        return shift is not None and bool(shift.any())
+
+    def _generator(self) -> torch.Generator:
+        worker = get_worker_info()
+        words = [self.seed, self.calls, *([] if worker is None else [worker.seed])]
+        self.calls += 1
+        state = np.random.SeedSequence(words).generate_state(1, np.uint64)
+        return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
+
+
+def _is_picture(item: Any) -> bool:
+    """Return True for a picture, False for masks, boxes and other marks in one."""
+    return not isinstance(item, tv_tensors.TVTensor) or isinstance(item, tv_tensors.Image | tv_tensors.Video)
+
+
+def _shape(picture: Any) -> tuple[int, int, int]:
+    """Return number, height and width of the pictures in an item of a sample."""
+    if not isinstance(picture, Tensor):
+        if picture.mode != "RGB":
+            raise AugmentError(f"a picture of Pillow must be RGB, got {picture.mode}: use picture.convert('RGB')")
+        return 1, picture.height, picture.width
+    if picture.ndim < 3 or picture.shape[-3] != 3:
+        raise AugmentError(f"a picture has shape (..., 3, H, W), got {tuple(picture.shape)}")
+    return prod(picture.shape[:-3]), picture.shape[-2], picture.shape[-1]
+
+
+def _check_movable(item: Any, count: int, width: int) -> None:
+    """Raise AugmentError if what marks places in a picture cannot be rotated with it."""
+    if not isinstance(item, tv_tensors.Mask):
+        raise AugmentError(f"a rotation cannot move {type(item).__name__}, which may lie across the seam: leave it out")
+    if item.shape[-1] != width or (count > 1 and item.shape[0] != count):
+        raise AugmentError(
+            f"a mask of shape {tuple(item.shape)} cannot be rotated with {count} pictures of {width} columns: "
+            "it needs as many columns, and a mask for each picture of a batch"
+        )

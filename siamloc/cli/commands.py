@@ -1,0 +1,273 @@
+"""The commands: each reads its configuration, makes a call of the library, and prints what came of it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from siamloc.cli.compose import composed, plain
+from siamloc.cli.inherit import label_of, map_file
+from siamloc.cli.objects import (
+    data_of,
+    descriptor_of,
+    files_in,
+    heading_of,
+    images_named,
+    needs_network,
+    open_roles,
+    run_of,
+    suggestion,
+    training_folder,
+    way_of,
+)
+from siamloc.data import Protocol
+from siamloc.errors import ConfigError, DataError
+
+
+def simulate(config: DictConfig) -> None:
+    """Render a made-up office building."""
+    from siamloc.simulate import SimulateConfig
+    from siamloc.simulate import simulate as render
+
+    summary = render(SimulateConfig.of(plain(config)))
+    for path in summary.files:
+        print(f"picture: {path}")
+    for sequence, count in summary.sequences.items():
+        print(f"{sequence}: {count} frames")
+    if summary.sequences:
+        rate = f", {summary.rendered / summary.seconds:.1f} frames/s" if summary.rendered else ""
+        print(f"{summary.folder}: {summary.rendered} frames rendered in {summary.seconds:.0f} s{rate}")
+
+
+def prepare(config: DictConfig) -> None:
+    """Check a data set and decode its images once."""
+    from siamloc.data import check
+
+    data = data_of(config)
+    frames = data.read()
+    print(frames.summary())
+    images = data.library(frames, plain(config.unwrap))
+    rows, columns = images.image_size
+    print(f"decoded: {len(images)} panoramas of {rows} x {columns} px in {images.settings()['cache']}")
+    for finding in check(frames, images):
+        print(f"note: {finding}")
+
+
+def train(config: DictConfig) -> None:
+    """Train a siamese network."""
+    from siamloc import models, training
+
+    settings = training.Training.of(
+        {
+            **{key: config[key] for key in ("seed", "epochs", "batch_size")},
+            "workers": config.loader.workers,
+            "margin": config.loss.margin,
+            "augment_where": config.augment.where,
+            "pairs": plain(config.pairs),
+            "optimizer": plain(config.optimizer),
+        }
+    )
+    validated = config.protocol.validation.sequences is not None
+    images, roles = open_roles(config, "train", *(["validation"] if validated else []))
+    branch, head = config.model.branch, config.model.head
+    network = models.build(branch.name, head.name, images.image_size, branch.weights, config.seed)
+    run = training.fit(
+        network,
+        images,
+        roles["train"],
+        run=training_folder(config),
+        validation=roles.get("validation"),
+        augmentation={key: value for key, value in plain(config.augment).items() if key != "where"},
+        trainer=plain(config.trainer),
+        protocol=Protocol.of(plain(config.protocol)).plain(),
+        resume=config.resume,
+        overwrite=config.overwrite,
+        settings=settings,
+    )
+    print(f"checkpoint: {run.checkpoint('best')}; next: siamloc map run={run.folder}")
+
+
+def map_frames(config: DictConfig) -> None:
+    """Describe the map frames of a run, and group them into nodes if that is asked for."""
+    from siamloc import maps
+
+    run, label = run_of(config), label_of(config.descriptor)
+    images, roles = open_roles(config, "map")
+    made = {"role": plain(config.protocol.map)}
+    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config), made=made)
+    target = map_file(run, label)
+    known.save(target)
+    run.record_written([target])
+    print(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")
+    if known.heading is not None:
+        size = known.heading.values[0].nbytes
+        print(f"headings: by {known.heading.identity['name']}, {size} bytes a frame")
+    if config.build.name == "none":
+        print(f"next: siamloc evaluate run={run.folder}{'' if needs_network(config) else f' descriptor={label}'}")
+        return
+    folder = run.layer(label, label_of(config.build))
+    built = maps.group(known, folder=folder, **way_of(config))
+    run.record_written(files_in(folder))
+    print(built.summary(folder))
+    print(f"next: siamloc evaluate run={run.folder} task=hierarchical build={label_of(config.build)}")
+
+
+def evaluate(config: DictConfig) -> None:
+    """Measure a task: one call of `siamloc.evaluation`, its files and its table."""
+    from siamloc.cli.tasks import TASKS, result_of
+
+    names = list(config.task.names)
+    known = [name for name in names if name in TASKS]
+    if (len(names) != 1 and set(names) != {"absolute", "room_retrieval"}) or len(known) != len(names):
+        raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
+    run = run_of(config)
+    name, result = result_of(config, run)
+    folder = run.evaluation(name)
+    pictures = result.save(folder, pictures=config.task.plots)
+    run.record_written(files_in(folder))
+    print(f"data: {config.data.name}")
+    print(result.table())
+    for path in pictures:
+        print(f"picture: {path}")
+    print(f"results: {folder / 'results.json'}, one row each in {folder / next(iter(result.tables))}.csv")
+
+
+def export(config: DictConfig) -> None:
+    """Write the bundle for the robot."""
+    from siamloc import runtime
+    from siamloc.maps import VisualMap
+    from siamloc.maps.error_model import saved_errors
+
+    if config.run is None:
+        raise ConfigError(f"no run is named: {suggestion()}")
+    run = run_of(config)
+    if not needs_network(config):
+        raise ConfigError(f"only a network can be exported, not descriptor={config.descriptor.name}")
+    network = descriptor_of(config, run)
+    known = VisualMap.load(run.map, network) if run.map.is_file() else None
+    errors = saved_errors(run.evaluation(label_of(config.descriptor)) / "error_model.json", known)
+    images = {} if known is not None else {"preprocessing": data_of(config).preprocessing(plain(config.unwrap))}
+    folder = Path(config.bundle) if config.bundle is not None else run.bundle
+    bundle = runtime.export(network, known, folder, errors=errors, **images)
+    if folder == run.bundle:
+        run.record_written(files_in(folder))
+    print(bundle.summary())
+    if known is not None and known.heading is None:
+        print(f"for a heading as well: siamloc map run={run.folder} heading=hog, then export again")
+    if known is not None and errors is None:
+        print(f"for expected errors: siamloc evaluate run={run.folder} task.error_model=true, then export again")
+    print(f"next: siamloc localize run={run.folder} images=[photo.jpeg]")
+
+
+def localize(config: DictConfig) -> None:
+    """Locate image files with a bundle."""
+    from siamloc.runtime import Localizer, write_locations
+
+    if config.bundle is None and config.run is None:
+        raise ConfigError(f"no bundle and no run are named: give bundle=FOLDER, or {suggestion()}")
+    folder = Path(config.bundle) if config.bundle is not None else run_of(config).bundle
+    images = images_named(config.images)
+    localizer = Localizer(folder, top=config.top)
+    found, failed = {}, []
+    for path in images:
+        try:
+            found[str(path)] = location = localizer.locate(path)
+        except DataError as error:
+            if config.data.on_error == "raise":
+                raise
+            failed.append(f"left out: {error}")
+            continue
+        print(f"{path}: {location.describe(localizer.unit)}")
+    print(*failed, sep="\n", end="\n" if failed else "")
+    if not found:
+        raise DataError(f"none of the {len(images)} images could be read")
+    target = Path("locations.csv") if config.bundle is not None else run_of(config).folder / "locations.csv"
+    write_locations(target, found)
+    print(f"{len(found)} of {len(images)} images located: {target}")
+
+
+def report(config: DictConfig) -> None:
+    """Write one page with everything about a run, or about several side by side."""
+    from siamloc.report import write_report
+    from siamloc.runs import newest_run
+
+    several = [config.runs] if isinstance(config.runs, str) else list(config.runs or [])
+    if several and config.run is not None:
+        raise ConfigError(f"give run={config.run} or runs=[...], not both")
+    folders = [Path(name) for name in several or [config.run or newest_run().folder]]
+    default = folders[0] / "report.html" if len(folders) == 1 else Path("report.html")
+    path = write_report(folders, Path(config.out or default))
+    print(f"report: {path}, {path.stat().st_size / 1e6:.1f} MB; open it in a browser")
+
+
+def expand(config: DictConfig) -> None:
+    """Write an augmented data set in the layout of the one it is made of."""
+    from siamloc import data
+
+    settings = data_of(config)
+    frames = settings.read()
+    if config.sequences:
+        frames = frames.select(sequence=[str(name) for name in config.sequences])
+    expanded = data.expand(
+        frames,
+        config.out,
+        unwrap=plain(config.unwrap),
+        **{key: getattr(settings, key) for key in ("image_size", "circular", "on_error")},
+        **{key: config[key] for key in ("depth", "seed", "resume", "workers")},
+    )
+    print(expanded.summary())
+
+
+def preview(config: DictConfig) -> None:
+    """Draw a labelled contact sheet of all effects at several strengths."""
+    import torch
+
+    import augment
+    from siamloc import data, simulate
+    from siamloc.files import write_picture
+
+    paths = [str(path) for path in images_named(config.images)] if config.images else []
+    if not paths and (config.data.get("manifest") or config.data.get("root")):
+        paths = data_of(config).read().path.tolist()
+    if paths:
+        decode = data.Preprocessing.checked(tuple(config.data.image_size), plain(config.unwrap))
+        panoramas = decode.panoramas(paths, config.count)
+    else:
+        panoramas = simulate.panoramas(config.count)
+    write_picture(config.out, augment.preview(torch.from_numpy(panoramas)))
+    print(f"{config.out}: {len(augment.EFFECTS)} effects on {len(panoramas)} panoramas")
+
+
+def demo(config: DictConfig) -> None:
+    """Simulate, train, map, evaluate, export, localize, report."""
+    from siamloc.data.frames import image_files
+    from siamloc.runs import Run
+
+    run, data, begin = Run(config.run), Path(config.data), time.monotonic()
+    if run.record.is_file() and not config.overwrite:
+        raise ConfigError(f"{run.folder} holds a run already: replace it by overwrite=true, or choose another run=")
+    overwrite = ["overwrite=true"] if config.overwrite else []
+    mini = ["building=mini", f"seed={config.seed}", f"out={data}"]
+    runs = "cloudy1,cloudy2,cloudy3,night1,night2,sunny1,sunny2"
+    _step("simulate", [*mini, "camera=panorama", f"runs=[{runs}]", "spacing=0.2", *overwrite])
+    _step("simulate", [*mini, "runs=[cloudy1,night1,sunny1]", "preview=true"])
+    here = [f"run={run.folder}"]
+    _step("train", ["experiment=demo", f"data.root={data / 'mini'}", f"seed={config.seed}", *overwrite, *here])
+    _step("map", [*here, "heading=hog"])
+    _step("evaluate", [*here, "task.radii=[0.5]", "task.baselines=[hog,thumbnail,untrained]", "task.error_model=true"])
+    _step("export", here)
+    photograph = image_files(next((data / "mini").glob("part_*/*night2/omni_cam")))[0]
+    _step("localize", [*here, f"images=['{photograph}']"])
+    _step("report", here)
+    print(f"\nThe run is {run.folder}, the building {data / 'mini'} with pictures in preview; curves for")
+    print(f"tensorboard --logdir {run.tensorboard}; {time.monotonic() - begin:.0f} s in all.")
+
+
+def _step(command: str, words: list[str]) -> None:
+    """Show a command as one would type it, and run it."""
+    from siamloc.cli.help import COMMANDS
+
+    print(f"\n$ siamloc {command} {' '.join(words)}", flush=True)
+    globals()[COMMANDS[command].function](composed(command, words))

@@ -1,0 +1,188 @@
+"""From a configuration to the objects of the library: frames, panoramas, descriptors, runs, maps, layers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import DictConfig, OmegaConf
+
+from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
+from siamloc.cli.compose import config_folder, plain, sweep_suffix
+from siamloc.cli.inherit import label_of
+from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol, concatenate
+from siamloc.data.frames import image_files
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.runs import Run, newest_run
+
+
+def data_of(config: DictConfig) -> DataSettings:
+    """Return the settings of the data set."""
+    return DataSettings.of(plain(config.data))
+
+
+def open_roles(config: DictConfig, *names: str) -> tuple[PanoramaLibrary, dict[str, FrameTable]]:
+    """Return the panoramas of the sequences that these roles of the protocol need, and the roles' readable frames."""
+    data, protocol = data_of(config), Protocol.of(plain(config.protocol))
+    table = data.read()
+    roles = protocol.roles(table, *names)
+    sequences = list(concatenate(list(roles.values())).rows_by("sequence"))
+    images = data.library(table.take(np.isin(table.sequence, sequences)), plain(config.unwrap))
+    return images, {name: images.readable(frames) for name, frames in roles.items()}
+
+
+def images_named(names: Any) -> list[Path]:
+    """Return the image files that a key names: one file or folder, or a list of them.
+
+    Raises:
+        ConfigError: none named.
+        DataError: a file that is not there, or a folder without images.
+    """
+    paths: list[Path] = []
+    for name in [names] if isinstance(names, str) else list(names or []):
+        path = Path(name)
+        inside = image_files(path) if path.is_dir() else [path]
+        if not inside or not inside[0].is_file():
+            raise DataError(f"{path} holds no images" if path.is_dir() else f"there is no image {path}")
+        paths.extend(inside)
+    if not paths:
+        raise ConfigError("no images given: name files or folders, images=[a.jpeg,folder]")
+    return paths
+
+
+def run_of(config: DictConfig) -> Run:
+    """Return the run that a command works on; analytic descriptors need none, and have a folder of their own.
+
+    Raises:
+        ConfigError: a network is needed, and no run is named.
+    """
+    if config.run is not None:
+        return Run(Path(config.run))
+    if needs_network(config) and config.descriptor.get("run") is None:
+        raise ConfigError(f"no run is named: {suggestion()}")
+    return Run(Path("runs") / (config.data.name or "data") / label_of(config.descriptor))
+
+
+def suggestion() -> str:
+    """Return which run a user may have meant, for an error message."""
+    try:
+        return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
+    except ConfigError:
+        return "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none, descriptor=hog"
+
+
+def needs_network(config: DictConfig) -> bool:
+    """Return whether the configured descriptor is the network of a run."""
+    return config.descriptor.name in ("network", "untrained")
+
+
+def training_folder(config: DictConfig) -> Path:
+    """Return the folder that a training writes into."""
+    names = [config.data.name or "data", config.model.branch.name, config.model.head.name, f"seed{config.seed}"]
+    folder = Path("runs") / "-".join(names) if config.run is None else Path(config.run)
+    if config.run is not None and not str(config.run).strip():
+        raise ConfigError("run= is empty: name a folder, such as run=runs/robot")
+    return folder / sweep_suffix() if sweep_suffix() else folder
+
+
+def options_of(name: str) -> dict[str, Any]:
+    """Return the options of a descriptor by the name of its configuration file; what it leaves out has its default.
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+    folder = config_folder() / "descriptor"
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        raise ConfigError(f"unknown descriptor {name!r}: {hint(name, [p.stem for p in folder.glob('*.yaml')])}")
+    return {str(key): value for key, value in OmegaConf.load(path).items() if key != "defaults"}
+
+
+def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | None = None) -> Descriptor:
+    """Return a descriptor by its options, those of the configuration if none are given, on the configured device."""
+    parameters = dict(plain(config.descriptor) if options is None else options)
+    name, _ = parameters.pop("name"), parameters.pop("label", None)
+    if name == "thumbnail":
+        return Thumbnail(**parameters)
+    if name in DESCRIPTORS:
+        return descriptor(name, **parameters, circular=config.data.circular, device=device(config))
+    if name not in ("network", "untrained"):
+        raise ConfigError(f"unknown descriptor {name!r}: {hint(name, ('network', 'thumbnail', *DESCRIPTORS))}")
+    from siamloc import models
+
+    trained = Run(Path(parameters["run"])) if parameters.get("run") else run
+    network = models.load(trained, which="untrained" if name == "untrained" else config.checkpoint)
+    _check_architecture(config, network, trained)
+    return models.as_descriptor(network, device=device(config))
+
+
+def baselines_of(config: DictConfig, run: Run, main: str) -> dict[str, Descriptor]:
+    """Return the descriptors that the main one is compared with, by name; those that need a network only with one."""
+    found = {}
+    for name in config.task.baselines:
+        if name == main:
+            continue
+        if name in ("network", "untrained") and not run.record.is_file():
+            print(f"baseline {name} left out: {run.folder} holds no trained network")
+            continue
+        found[str(name)] = descriptor_of(config, run, options_of(str(name)))
+    return found
+
+
+def heading_of(config: DictConfig) -> Descriptor | None:
+    """Return what gives headings in place of the configured descriptor; None if nothing is asked for."""
+    options = plain(config.heading)
+    name = options.pop("name")
+    if name == "none":
+        return None
+    if config.descriptor.name in DESCRIPTORS:
+        print(f"heading={name} left out: {config.descriptor.name} gives headings itself")
+        return None
+    if not config.data.circular:
+        raise ConfigError(f"heading={name} needs columns that are a full turn, and data.circular is false")
+    return descriptor(name, **options, device=device(config))
+
+
+def device(config: DictConfig) -> str:
+    """Return the device that descriptors are computed on."""
+    import torch
+
+    if config.device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    kind, _, number = str(config.device).partition(":")
+    if kind not in ("cpu", "cuda") or not (number == "" or number.isdigit()):
+        raise ConfigError(f"device must be auto, cpu or cuda, got {config.device!r}")
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device=cuda, but torch finds no GPU here: use device=cpu or auto")
+    return str(config.device)
+
+
+def way_of(config: DictConfig) -> dict[str, Any]:
+    """Return how the configuration groups frames into nodes, as `siamloc.maps.group` takes it."""
+    options = {key: value for key, value in plain(config.build).items() if key != "label"}
+    return {"way": options.pop("name"), "seed": config.seed, **options}
+
+
+def files_in(folder: Path) -> list[Path]:
+    """Return all files in a folder, for the record of what was written into a run."""
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _check_architecture(config: DictConfig, network: Any, run: Run) -> None:
+    """Refuse a network that takes other images than are configured, or is another one than the words ask for."""
+    size = tuple(getattr(network, "image_size", None) or config.data.image_size)
+    if size != tuple(config.data.image_size):
+        rows, columns = size
+        raise ConfigError(
+            f"the network of {run.folder} takes panoramas of {rows} x {columns}, and data.image_size says "
+            f"{list(config.data.image_size)}: leave it out"
+        )
+    for key in ("branch", "head"):
+        found, wanted = getattr(getattr(network, key, None), "name", None), config.model[key].name
+        if found is not None and found != wanted:
+            raise ConfigError(
+                f"the checkpoint of {run.folder} is of another architecture: its {key} is {found}, and the "
+                f"configuration says {wanted}: leave model/{key} out, or train another run"
+            )

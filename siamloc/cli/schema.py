@@ -1,0 +1,95 @@
+"""The settings classes of the library as defaults of the configuration, so that every value stands in one place."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+
+def register(name: str) -> None:
+    """Make the defaults that a configuration file names known to Hydra."""
+    from hydra.core.config_store import ConfigStore
+    from omegaconf import OmegaConf
+
+    store = ConfigStore.instance()
+    for group, nodes in (_of_config() if name == "config" else _of_data() if name in _READS_DATA else {}).items():
+        for node, values in nodes.items():
+            store.store(node, OmegaConf.create(values), group=group)
+    if name == "simulate":
+        from siamloc.files import plain
+        from siamloc.simulate import SimulateConfig
+
+        store.store("simulate_defaults", OmegaConf.create(plain(asdict(SimulateConfig()))))
+
+
+_READS_DATA = ("expand", "preview")
+
+
+def _of_config() -> dict[str, dict[str, Any]]:
+    """Return the nodes of the configuration of most commands by group."""
+    from analytic.descriptors.registry import DESCRIPTORS, parameters
+    from siamloc.data.pairs import PairSettings
+    from siamloc.evaluation.disturbed import Robustness
+    from siamloc.evaluation.hierarchy import Hierarchical
+    from siamloc.evaluation.layers import MapMeasures
+    from siamloc.evaluation.localize import Localization
+    from siamloc.maps.grouping import WAYS
+    from siamloc.models.registry import Optimizer
+    from siamloc.settings import defaults_of
+    from siamloc.training.settings import Training
+
+    training = defaults_of(Training)
+    descriptors = {
+        # Whether columns wrap around follows from the data, and where to compute from `device`.
+        name: {key: value for key, value in parameters(name).items() if key not in ("circular", "device")}
+        for name in DESCRIPTORS
+    }
+    tasks = {
+        "localization": defaults_of(Localization),
+        "hierarchical": defaults_of(Hierarchical),
+        "mapping": defaults_of(MapMeasures),
+        "robustness": {"robustness": defaults_of(Robustness)},
+    }
+    return {
+        **_of_data(),
+        "settings": {
+            "pairs": defaults_of(PairSettings),
+            "optimizer": defaults_of(Optimizer),
+            "training": {
+                **{key: training[key] for key in ("seed", "epochs", "batch_size")},
+                "loss": {"margin": training["margin"]},
+                "loader": {"workers": training["workers"]},
+                "augment": {"where": training["augment_where"]},
+            },
+            **_of_data()["settings"],
+        },
+        "settings/task": tasks,
+        "settings/build": {name: defaults_of(way) for name, way in WAYS.items()},
+        "parameters/descriptor": descriptors,
+    }
+
+
+def _of_data() -> dict[str, dict[str, Any]]:
+    from siamloc.data.panorama import HyperbolicMirror, PolarRing
+    from siamloc.data.protocol import Protocol
+    from siamloc.data.reading import DataSettings
+    from siamloc.settings import defaults_of
+
+    data = defaults_of(DataSettings)
+    own = {"manifest": ("manifest",), "cold": ("root", "places", "camera"), "folder": ("root",)}
+    every = {key: value for key, value in data.items() if not any(key in keys for keys in own.values())}
+    return {
+        "settings": {
+            "protocol": defaults_of(Protocol),
+            **{f"data_{kind}": {**every, **{key: data[key] for key in keys}} for kind, keys in own.items()},
+        },
+        "settings/unwrap": {"polar": _fields(PolarRing), "hyperbolic": _fields(HyperbolicMirror)},
+    }
+
+
+def _fields(camera: type) -> dict[str, Any]:
+    import dataclasses
+
+    return {
+        field.name: field.default for field in dataclasses.fields(camera) if field.default is not dataclasses.MISSING
+    }

@@ -1,0 +1,190 @@
+"""`siamloc evaluate`: which call of `siamloc.evaluation` a configuration asks for, and with what."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from siamloc import evaluation, maps
+from siamloc.cli.compose import plain
+from siamloc.cli.inherit import label_of, map_file
+from siamloc.cli.objects import (
+    baselines_of,
+    descriptor_of,
+    files_in,
+    heading_of,
+    open_roles,
+    options_of,
+    way_of,
+)
+from siamloc.data import FrameTable, PanoramaLibrary, Protocol
+from siamloc.errors import ConfigError
+from siamloc.evaluation import Result
+from siamloc.evaluation.disturbed import Robustness
+from siamloc.evaluation.hierarchy import Hierarchical
+from siamloc.evaluation.layers import MapMeasures
+from siamloc.evaluation.localize import Localization
+from siamloc.maps import Built, VisualMap
+from siamloc.runs import Run
+
+TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "robustness", "buildings")
+
+
+def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
+    """Return what the configured task measures, and what its folder is called."""
+    names = list(config.task.names)
+    if names == ["mapping"]:
+        return _mapping(config, run)
+    if names == ["buildings"]:
+        return _buildings(config, run)
+    if names == ["hierarchical"]:
+        return _hierarchical(config, run)
+    if names == ["robustness"]:
+        return _robustness(config, run)
+    return _localization(config, run)
+
+
+def _localization(config: DictConfig, run: Run) -> tuple[str, Result]:
+    settings = Localization.of(_own(config, Localization))
+    learned = settings.error_model or settings.filter_tune
+    known, images, roles = _known(config, run, "query", *(["validation"] if learned else []))
+    label = label_of(config.descriptor)
+    result = evaluation.localization(
+        known,
+        images,
+        roles["query"],
+        validation=roles.get("validation"),
+        protocol=_protocol(config),
+        baselines=baselines_of(config, run, label),
+        name=label,
+        seed=config.seed,
+        settings=settings,
+    )
+    return label, result
+
+
+def _robustness(config: DictConfig, run: Run) -> tuple[str, Result]:
+    known, images, roles = _known(config, run, "query")
+    label = label_of(config.descriptor)
+    result = evaluation.robustness(
+        known,
+        images,
+        roles["query"],
+        protocol=_protocol(config),
+        baselines=baselines_of(config, run, label),
+        name=label,
+        seed=config.seed,
+        settings=Robustness.of(plain(config.task.robustness)),
+    )
+    return f"robustness-{label}", result
+
+
+def _hierarchical(config: DictConfig, run: Run) -> tuple[str, Result]:
+    known, images, roles = _known(config, run, "query")
+    known = known.placed()
+    label, other = label_of(config.descriptor), config.task.coarse.descriptor
+    coarse, coarse_label = None, label
+    if other is not None and other != label:
+        options = {"name": "network", "run": other} if (Path(other) / "run.json").is_file() else options_of(other)
+        coarse_label = f"network-{Path(other).resolve().name}" if "run" in options else label_of(options)
+        coarse = maps.build(descriptor_of(config, run, options), images, known.frames)
+    built, _ = _layer(config, run, known if coarse is None else coarse, coarse_label)
+    settings = _own(config, Hierarchical)
+    settings["coarse"] = {key: value for key, value in settings["coarse"].items() if key != "descriptor"}
+    vote = ["vote"] if settings["coarse"]["by"] == "vote" else []
+    name = "-".join(dict.fromkeys([label, coarse_label, label_of(config.build), *vote]))
+    result = evaluation.hierarchical(
+        known,
+        images,
+        roles["query"],
+        built,
+        coarse_map=coarse,
+        protocol=_protocol(config),
+        name=name,
+        settings=Hierarchical.of(settings),
+    )
+    return f"hierarchical-{name}", result
+
+
+def _mapping(config: DictConfig, run: Run) -> tuple[str, Result]:
+    known, _, _ = _known(config, run)
+    label = label_of(config.descriptor)
+    built, folder = _layer(config, run, known, label)
+    name = f"{label_of(config.build)} over {label}"
+    result = evaluation.mapping(known, built, name=name, settings=MapMeasures.of(_own(config, MapMeasures)))
+    return f"mapping-{label}-{label_of(config.build)}", replace(result, layer=folder)
+
+
+def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
+    label, named = label_of(config.descriptor), config.task.maps
+    if named is None:
+        known, images, roles = _known(config, run, "query")
+        candidates = [known]
+    else:
+        images, roles = open_roles(config, "query")
+        described = descriptor_of(config, run)
+        files = [Path(one) if Path(one).is_file() else map_file(Run(Path(one)), label) for one in named]
+        candidates = [VisualMap.load(file, described) for file in files]
+    layers = None
+    if config.build.name != "none":
+        parts = evaluation.by_building(candidates)
+        layers = {building: maps.group(part, **way_of(config)).layer for building, part in parts.items()}
+        label = f"{label}-{label_of(config.build)}"
+    result = evaluation.buildings(
+        candidates,
+        images,
+        roles["query"],
+        layers=layers,
+        distance=config.task.distance,
+        protocol=_protocol(config),
+        name=label,
+    )
+    return f"buildings-{label}", result
+
+
+def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, PanoramaLibrary, dict[str, FrameTable]]:
+    """Return the saved map, or one made of the configured frames, with the frames of some roles.
+
+    Raises:
+        ConfigError: the saved map is by another descriptor, or of other frames than protocol.map asks for.
+    """
+    label, described, heading = label_of(config.descriptor), descriptor_of(config, run), heading_of(config)
+    path = map_file(run, label)
+    images, frames = open_roles(config, "map", *roles)
+    if not path.is_file():
+        return maps.build(described, images, frames["map"], heading=heading), images, frames
+    known = VisualMap.load(path, described)
+    role = known.made.get("role")
+    if role is not None and Protocol.of({"map": role}).map != _protocol(config).map:
+        if roles:
+            raise ConfigError(
+                f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "
+                "protocol.map keys that are wanted"
+            )
+        return maps.build(described, images, frames["map"], heading=heading), images, frames
+    return (known if heading is None else known.with_heading(heading)), images, frames
+
+
+def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[Built, Path]:
+    """Return the configured layer over a map and its folder: the one that was built before, if it fits."""
+    if config.build.name == "none":
+        raise ConfigError(
+            f"task={config.task.names[0]} needs a coarse layer: choose one with build={'|'.join(maps.WAYS)}"
+        )
+    folder = run.layer(label, label_of(config.build))
+    built = maps.group(known, folder=folder, **way_of(config))
+    run.record_written(files_in(folder))
+    return built, folder
+
+
+def _own(config: DictConfig, kind: type) -> dict[str, Any]:
+    """Return the part of the task's configuration that a settings class knows."""
+    task = plain(config.task)
+    return {field.name: task[field.name] for field in fields(kind) if field.name in task}
+
+
+def _protocol(config: DictConfig) -> Protocol:
+    return Protocol.of(plain(config.protocol))

@@ -1,0 +1,249 @@
+"""Which of several buildings a query is in, by the building whose map is nearest ([C] 5.3.3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic import Description
+from analytic.distances import DISTANCES
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.protocol import Protocol
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.evaluation.metrics import confusion_matrix
+from siamloc.evaluation.result import Result
+from siamloc.evaluation.session import Session
+from siamloc.maps import CoarseLayer, VisualMap, match
+from siamloc.results import Columns, rows_by_label
+
+
+def buildings(
+    known: VisualMap | Sequence[VisualMap],
+    images: PanoramaLibrary,
+    queries: FrameTable,
+    *,
+    layers: Mapping[str, CoarseLayer] | None = None,
+    distance: str | None = None,
+    protocol: Protocol | str = "cross_run",
+    name: str | None = None,
+) -> Result:
+    """Choose the building of each query: that of the map with the nearest frame, or nearest node.
+
+    Args:
+        known: maps of one building each, or one map that is split by building.
+        images: panoramas of the queries.
+        queries: frames with a building; those without are left out.
+        layers: nodes over the map of each building, by the building's name; its frames if None.
+        distance: how descriptors are compared; the map's own distance if None.
+        protocol: who may be compared with whom; see `localization`.
+        name: what the results are called.
+
+    Raises:
+        ConfigError: fewer than two buildings, maps by different descriptors, or an unknown distance.
+        DataError: map frames without a building, or queries in one that has no map.
+    """
+    candidates = by_building([known] if isinstance(known, VisualMap) else known)
+    first = next(iter(candidates.values()))
+    describer = first.descriptor
+    if distance is not None and distance not in DISTANCES:
+        raise ConfigError(f"unknown task.distance {distance!r}: {hint(str(distance), DISTANCES)}")
+    if describer.aligned and (layers is not None or distance is not None):
+        raise ConfigError(
+            f"descriptors of {describer.name} are compared after turning, by a distance of their own, and their means "
+            "have no meaning: leave layers and distance out, or use another descriptor"
+        )
+    session = Session(first, images, queries, protocol="same_run", name=name)
+    session.protocol = Protocol.of({"kind": protocol}) if isinstance(protocol, str) else protocol
+    wanted = _known_buildings(session, list(candidates))
+    for building, one in candidates.items():
+        Session(one, images, wanted.take(wanted.building == building), protocol=protocol)
+    chosen = {building: layers[building] for building in candidates} if layers is not None else {}
+    vectors = [chosen[building].representatives if chosen else one.descriptors for building, one in candidates.items()]
+    names = [chosen[building].names if chosen else one.frames.path for building, one in candidates.items()]
+    apart, rows = [], []
+    for part in session.parts_of(first, wanted, f"the queries, {session.name}"):
+        found = [
+            _nearest(one, own, part, distance or one.distance)
+            for one, own in zip(candidates.values(), vectors, strict=True)
+        ]
+        apart.append(np.stack([near for near, _ in found], axis=1))
+        rows.append(np.stack([row for _, row in found], axis=1))
+    result = evaluate_buildings(wanted, list(candidates), np.concatenate(apart), np.concatenate(rows), names)
+    held = {
+        building: {"frames": len(one), "representatives": len(own)}
+        for (building, one), own in zip(candidates.items(), vectors, strict=True)
+    }
+    build = next(iter(chosen.values())).made.get("name", "layer") if chosen else "none"
+    measured = {**result.parts["buildings"], "maps": held, "distance": distance or first.distance, "build": build}
+    return Result(
+        name=session.name,
+        parts={"buildings": measured},
+        tables=result.tables,
+        denominators={**result.denominators, "queries_of_the_role": len(session.queries)},
+        skipped=session.skipped,
+        about=session.about(),
+        settings={"task": {"distance": distance}, "protocol": session.protocol.plain(), "data": images.settings()},
+    )
+
+
+def by_building(known: Sequence[VisualMap]) -> dict[str, VisualMap]:
+    """Return maps of one building each, by the building's name.
+
+    Raises:
+        ConfigError: fewer than two buildings, one of them twice, or maps by different descriptors.
+        DataError: frames without a building.
+    """
+    found: dict[str, VisualMap] = {}
+    for one in known:
+        unknown = int((one.frames.building == "").sum())
+        if unknown:
+            raise DataError(
+                f"{unknown} of the {len(one)} map frames have no building: give the manifest a column `building`, or "
+                "lay the images out as COLD's, and make the map again"
+            )
+        one.check_describer(known[0].identity)
+        for building in sorted(set(one.frames.building.tolist())):
+            if building in found:
+                raise ConfigError(f"two of the maps are of building {building!r}: give one of each")
+            found[building] = one.take(one.frames.building == building)
+    if len(found) < 2:
+        raise ConfigError(
+            f"choosing a building needs maps of at least two, and all map frames are of {', '.join(found)!r}: give the "
+            "maps of several (task.maps=[runs/a,runs/b])"
+        )
+    return found
+
+
+def _known_buildings(session: Session, labels: list[str]) -> FrameTable:
+    """Return the queries whose building is known, and note how many have none."""
+    queries = session.queries
+    has = queries.building != ""
+    if text := session.lacking(has, "queries have no building"):
+        if not has.any():
+            raise DataError(f"{text}: give the manifest a column `building`, or lay the images out as COLD's")
+        session.skipped["queries"] = f"{text}: left out"
+    strange = sorted(set(queries.building[has].tolist()) - set(labels))
+    if strange:
+        count = int(np.isin(queries.building, strange).sum())
+        raise DataError(
+            f"{count} of {len(queries)} queries are in a building that has no map ({', '.join(strange)}; the maps are "
+            f"of {', '.join(labels)}): add its map, or choose other queries"
+        )
+    return queries.take(has)
+
+
+def _nearest(
+    one: VisualMap, vectors: NDArray[np.float32], queries: Description, distance: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    if one.descriptor.aligned:
+        found = match(one, queries, 1)
+        return found.distances[:, 0], found.indices[:, 0]
+    from analytic.buildings import choose_building
+
+    choice = choose_building(queries.position, [vectors], distance)
+    return choice.apart[:, 0], choice.representative
+
+
+def evaluate_buildings(
+    frames: FrameTable, labels: Sequence[str], apart: ArrayLike, nearest: ArrayLike, names: Sequence[ArrayLike]
+) -> Result:
+    """Take the building of the nearest representative for each query's building; of equally near ones the first.
+
+    Args:
+        frames: n queries, each in one of the buildings.
+        labels: names of B buildings, B at least 2.
+        apart: distance of each query's descriptor to the nearest representative of each building (n, B).
+        nearest: row of that representative in its map (n, B).
+        names: of the representatives of each building.
+
+    Raises:
+        DataError: fewer than two buildings, one that stands twice, no queries, queries whose building is unknown or
+            has no map, or distances that do not fit.
+    """
+    known, distance = tuple(map(str, labels)), np.asarray(apart, dtype=np.float64)
+    rows = np.asarray(nearest, dtype=np.int64)
+    if len(known) < 2 or len(set(known)) < len(known):
+        raise DataError(f"choosing a building needs maps of at least two different ones, got {', '.join(known)}")
+    if not len(frames):
+        raise DataError("there are no queries to evaluate")
+    if distance.shape != (len(frames), len(known)) or rows.shape != distance.shape:
+        raise DataError(
+            f"{len(frames)} queries and {len(known)} buildings need distances of shape {(len(frames), len(known))}, "
+            f"got {distance.shape} and rows of {rows.shape}"
+        )
+    lost = np.flatnonzero(~np.isin(frames.building, known))
+    if len(lost):
+        first = str(frames.building[lost[0]]) or "(unknown)"
+        raise DataError(
+            f"{len(lost)} of {len(frames)} queries are in a building that has no map, the first in {first!r}: the "
+            f"maps are of {', '.join(known)}"
+        )
+    every = np.arange(len(frames))
+    chosen = distance.argmin(axis=1)
+    others = distance.copy()
+    others[every, chosen] = np.inf
+    columns: Columns = {
+        "query": every,
+        "path": frames.path,
+        "sequence": frames.sequence,
+        "lighting": frames.lighting,
+        "room": frames.room,
+        "building": frames.building,
+        "predicted_building": np.array(known)[chosen],
+        "correct": np.array(known)[chosen] == frames.building,
+        "match": rows[every, chosen],
+        "match_name": np.array(
+            [str(np.asarray(names[b])[row]) for b, row in zip(chosen, rows[every, chosen], strict=True)], dtype=np.str_
+        ),
+        "descriptor_distance": distance[every, chosen],
+        "next_distance": others.min(axis=1),
+    }
+    for number, label in enumerate(known):
+        columns[f"distance_{label}"] = distance[:, number]
+    return Result(
+        name="buildings",
+        parts={"buildings": measures_of(columns, known)},
+        tables={"queries": columns},
+        denominators={"queries": len(frames), "maps": len(known)},
+    )
+
+
+def measures_of(columns: Columns, labels: Sequence[str]) -> dict[str, Any]:
+    """Return the measures that follow from the columns alone.
+
+    Returns:
+        The groups "overall" and "lighting" (by label), each with `accuracy`, `correct`, `queries` and the same by
+        true `building`; and `confusion` with the `labels`, the `counts` of all queries (row = true building, column =
+        building of the nearest map) and those by `lighting`.
+    """
+    true, predicted = columns["building"], columns["predicted_building"]
+
+    def group(rows: NDArray[np.int64]) -> dict[str, Any]:
+        parts = {label: rows[true[rows] == label] for label in labels}
+        by_building = {label: _share(columns, part) for label, part in parts.items() if len(part)}
+        return {**_share(columns, rows), "building": by_building}
+
+    def confused(rows: NDArray[np.int64]) -> list[list[int]]:
+        counts: list[list[int]] = confusion_matrix(true[rows], predicted[rows], labels).tolist()
+        return counts
+
+    every, by_lighting = np.arange(len(true)), rows_by_label(columns["lighting"])
+    return {
+        "overall": group(every),
+        "lighting": {label: group(rows) for label, rows in by_lighting.items()},
+        "confusion": {
+            "labels": list(labels),
+            "counts": confused(every),
+            "lighting": {label: confused(rows) for label, rows in by_lighting.items()},
+        },
+    }
+
+
+def _share(columns: Columns, rows: NDArray[np.int64]) -> dict[str, Any]:
+    hits = int(columns["correct"][rows].sum())
+    return {"accuracy": hits / len(rows) if len(rows) else math.nan, "correct": hits, "queries": len(rows)}

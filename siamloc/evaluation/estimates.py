@@ -1,0 +1,304 @@
+"""Estimates alongside the single-frame one, on the same queries: filtered, between frames, expected errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation import calibration
+from siamloc.evaluation.absolute import neighbours
+from siamloc.evaluation.columns import room_names
+from siamloc.evaluation.interpolation import interpolate_poses
+from siamloc.evaluation.metrics import heading_error, localization_error, recall_from_ranks, summarize
+from siamloc.evaluation.result import Result
+from siamloc.evaluation.session import Search, Session
+from siamloc.maps.error_model import ErrorModel
+from siamloc.maps.search import Retrieval
+from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
+from siamloc.maps.visual_map import VisualMap
+from siamloc.results import Columns, rows_by_label
+
+if TYPE_CHECKING:
+    from siamloc.evaluation.localize import Localization
+
+MATCHES = 20  # that an error model looks at
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Validation frames with positions, looked for in the map as queries are."""
+
+    frames: FrameTable
+    search: Search
+
+
+def needs_validation(settings: Localization) -> bool:
+    """Return whether validation frames are needed to learn from."""
+    return settings.error_model or (settings.filter and settings.filter_tune)
+
+
+def search_validation(session: Session, settings: Localization, known: VisualMap) -> Validation:
+    """Look for the validation frames in the map.
+
+    Raises:
+        ConfigError: the session has none.
+        DataError: none of them has a position.
+    """
+    frames = session.validation
+    if frames is None:
+        raise ConfigError(
+            "the error model and the filter's settings are learned from validation frames: give validation=FRAMES "
+            "(on the command line protocol.validation.sequences)"
+        )
+    has = frames.has_position
+    if text := session.lacking(has, "validation frames have no position"):
+        if not has.any():
+            raise DataError(f"{text}: the error model and the filter's settings are learned from known positions")
+        session.skipped["validation"] = text
+    k = min(max(neighbours(settings.ks, len(known)), MATCHES), len(known))
+    tuned = settings.filter and settings.filter_tune
+    search = Search(known, np.flatnonzero(has), k, with_distances=tuned)
+    session.run(known, frames, {"validation": search}, "the validation frames")
+    return Validation(frames.take(has), search)
+
+
+def prepared(settings: Localization, search: Search) -> Search:
+    """Return a search for all that the further estimates need."""
+    interpolated = settings.interpolate or 0
+    wanted = max(search.k, interpolated, MATCHES if settings.error_model else 0)
+    return replace(
+        search,
+        k=min(wanted, len(search.known)),
+        headings_of=max(1, min(interpolated, len(search.known))),
+        with_distances=settings.filter,
+    )
+
+
+def with_estimates(
+    result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable
+) -> Result:
+    """Return a result of absolute localization with the further estimates that the settings ask for.
+
+    Args:
+        result: of the single-frame estimates.
+        session: with validation frames where `needs_validation`.
+        settings: of the task.
+        search: as `prepared` returned it, run.
+        queries: those of the search (n), all with positions.
+
+    Raises:
+        DataError: validation frames without positions, or too few.
+    """
+    known = search.known
+    validation = search_validation(session, settings, known) if needs_validation(settings) else None
+    if settings.filter:
+        columns, about = filtered(settings, search, queries, validation)
+        result = _with_columns(result, "filtered", columns, {"filter": about})
+    if settings.interpolate:
+        k, radius = settings.interpolate, settings.place_radius
+        poses = interpolate_poses(search.retrieval, known.frames, k, radius, search.headings)
+        columns = estimate_columns("interpolated", poses.xy, queries, poses.theta)
+        columns["interpolated_used"] = poses.used
+        result = _with_columns(result, "interpolated", columns, {"interpolation": {"neighbours": k, "radius": radius}})
+    if settings.error_model and validation is not None:
+        model, about = learned_errors(settings, known, validation)
+        expected = model.predict(search.retrieval, known.frames.xy)
+        columns = {**result.tables["queries"], "error_m": expected, "lost": model.lost(expected)}
+        result = replace(
+            result,
+            parts={**result.parts, "calibration": calibration.measures_of(columns, settings.lost_above)},
+            tables={**result.tables, "queries": columns},
+            about={**result.about, "estimates": {**result.about.get("estimates", {}), "error_model": about}},
+            error_model=model,
+        )
+    return result
+
+
+def filtered(
+    settings: Localization, search: Search, queries: FrameTable, validation: Validation | None
+) -> tuple[Columns, dict[str, Any]]:
+    """Follow the robot through the queries of each sequence; return the columns, and what the filter ran with."""
+    known = search.known
+    temperature, kidnapping = settings.filter_settings.temperature, settings.filter_settings.kidnapping
+    if temperature is None:
+        temperature = temperature_of_map(known)
+    tuned = None
+    if validation is not None and settings.filter_tune:
+        frames = validation.frames
+        motion = MotionModel.learn(known.frames, interval=_interval(frames))
+        best = tune_filter(motion, validation.search.distances, frames.xy, frames.sequence, temperature)[0]
+        temperature, kidnapping = best.temperature, best.kidnapping
+        tuned = {"queries": len(frames), "error": best.error}
+    motion = MotionModel.learn(known.frames, interval=_interval(queries))
+    track = SequenceFilter(motion, temperature, kidnapping).run(search.distances, queries.sequence)
+    columns = {
+        **estimate_columns("filtered", known.frames.xy[track.frame], queries),
+        "filtered_match": track.frame,
+        "filtered_probability": track.probability,
+        "filtered_spread": track.spread,
+    }
+    about = {
+        "temperature": float(temperature),
+        "kidnapping": float(kidnapping),
+        "step": motion.step,
+        "spacing": motion.spacing,
+        "tuned": tuned,
+    }
+    return columns, about
+
+
+def learned_errors(
+    settings: Localization, known: VisualMap, validation: Validation
+) -> tuple[ErrorModel, dict[str, Any]]:
+    """Return the error model of a map, learned on the validation frames, and what it was learned from.
+
+    Raises:
+        DataError: too few validation frames.
+    """
+    found, xy = validation.search.retrieval, known.frames.xy
+    errors = localization_error(xy[found.indices[:, 0]], validation.frames.xy)
+    model = ErrorModel.fit(found, xy, errors, radius=settings.place_radius, neighbours=MATCHES)
+    about = {
+        "file": "error_model.json",
+        "sequences": list(validation.frames.rows_by("sequence")),
+        "queries": len(validation.frames),
+    }
+    return replace(model, lost_above=settings.lost_above, map_digest=known.digest), about
+
+
+def estimate_columns(
+    name: str, estimated_xy: ArrayLike, frames: FrameTable, headings: ArrayLike | None = None
+) -> Columns:
+    """Return the columns of one more estimate of each query.
+
+    Args:
+        name: what the columns' names begin with.
+        estimated_xy: (n, 2).
+        frames: the queries (n), all with positions.
+        headings: estimated headings (n,), rad, NaN where unknown.
+
+    Returns:
+        `<name>_est_x`, `<name>_est_y`, `<name>_error`; with headings also `<name>_est_theta` and
+        `<name>_heading_error` in degrees, NaN where one of the two headings is unknown.
+
+    Raises:
+        DataError: arrays that do not fit each other, or positions that are unknown.
+    """
+    xy = np.asarray(estimated_xy, dtype=np.float64)
+    error = localization_error(xy, frames.xy)
+    columns: Columns = {f"{name}_est_x": xy[:, 0], f"{name}_est_y": xy[:, 1], f"{name}_error": error}
+    if headings is None:
+        return columns
+    theta = np.asarray(headings, dtype=np.float64)
+    if theta.shape != (len(frames),):
+        raise DataError(f"{len(frames)} queries need as many headings, got shape {theta.shape}")
+    known = np.isfinite(theta) & np.isfinite(frames.theta)
+    off = np.full(len(frames), np.nan)
+    off[known] = np.degrees(heading_error(theta[known], frames.theta[known]))
+    return {**columns, f"{name}_est_theta": theta, f"{name}_heading_error": off}
+
+
+def measures_of(
+    columns: Mapping[str, NDArray], name: str, radii: Sequence[float], map_frames: int, unit: str
+) -> dict[str, Any]:
+    """Return the measures of one more estimate, from the columns of `queries.csv`.
+
+    Returns:
+        What `siamloc.evaluation.absolute.measures_of` returns, with the recall of the estimate itself (k = 1) alone.
+        The excess is that over the nearest map frame, and negative where an estimate between frames is nearer.
+    """
+
+    def group(rows: NDArray[np.int64]) -> dict[str, Any]:
+        error, floor = columns[f"{name}_error"][rows], columns["floor"][rows]
+        within = {radius: (error <= radius).astype(np.int64) for radius in radii}
+        found = {
+            "queries": len(rows),
+            "error": summarize(error),
+            "floor": summarize(floor),
+            "excess": summarize(error - floor),
+            "recall": [dict(vars(recall_from_ranks(within[radius], floor, radius, 1))) for radius in radii],
+        }
+        turned = columns[f"{name}_heading_error"][rows] if f"{name}_heading_error" in columns else np.empty(0)
+        turned = turned[np.isfinite(turned)]
+        return {**found, "heading_error": summarize(turned)} if len(turned) else found
+
+    return {
+        "unit": unit,
+        "map_frames": int(map_frames),
+        "radii": list(radii),
+        "ks": [1],
+        "overall": group(np.arange(len(columns["error"]))),
+        "lighting": {label: group(rows) for label, rows in rows_by_label(columns["lighting"]).items()},
+        "room": {label: group(rows) for label, rows in rows_by_label(columns["room"]).items()},
+    }
+
+
+def located_columns(
+    known: VisualMap,
+    frames: FrameTable,
+    found: Retrieval,
+    headings: ArrayLike | None = None,
+    errors: ErrorModel | None = None,
+) -> Columns:
+    """Return where queries were found whose true poses are unknown: what `located.csv` holds.
+
+    Args:
+        known: m frames, all with positions.
+        frames: the queries (n).
+        found: their nearest map frames.
+        headings: estimated headings (n,), rad.
+        errors: what tells the expected error, with a threshold of being lost.
+
+    Raises:
+        DataError: a retrieval of other queries, or of too few frames for the error model.
+    """
+    if len(found) != len(frames):
+        raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")
+    match = found.indices[:, 0]
+    known_rooms, rooms = room_names(known.frames, frames)
+    columns: Columns = {
+        "query": np.arange(len(frames)),
+        "path": frames.path,
+        "sequence": frames.sequence,
+        "lighting": frames.lighting,
+        "room": rooms,
+        "match": match,
+        "match_path": known.frames.path[match],
+        "match_room": known_rooms[match],
+        "est_x": known.frames.x[match],
+        "est_y": known.frames.y[match],
+        "descriptor_distance": found.distances[:, 0],
+    }
+    if headings is not None:
+        columns["est_theta"] = np.asarray(headings, dtype=np.float64)
+    if errors is not None:
+        columns["error_m"] = errors.predict(found, known.frames.xy)
+        columns["lost"] = errors.lost(columns["error_m"])
+    return columns
+
+
+def _interval(frames: FrameTable) -> float | None:
+    """Return the median time between consecutive frames of one sequence; None where there are no times."""
+    seconds = np.concatenate(
+        [np.empty(0), *(np.diff(frames.time[rows]) for rows in frames.rows_by("sequence").values())]
+    )
+    seconds = seconds[np.isfinite(seconds) & (seconds > 0)]
+    return float(np.median(seconds)) if len(seconds) else None
+
+
+def _with_columns(result: Result, name: str, columns: Columns, about: dict[str, Any]) -> Result:
+    """Return a result with one more estimate of each query: its columns, its measures and what made it."""
+    table, held = {**result.tables["queries"], **columns}, result.parts["absolute"]
+    measures = measures_of(table, name, held["radii"], held["map_frames"], held["unit"])
+    return replace(
+        result,
+        parts={**result.parts, f"absolute_{name}": measures},
+        tables={**result.tables, "queries": table},
+        about={**result.about, "estimates": {**result.about.get("estimates", {}), **about}},
+    )

@@ -1,0 +1,304 @@
+"""Hierarchical localization: a coarse layer says in which nodes to look, the fine layer where in them ([T] 5.2.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.protocol import Protocol
+from siamloc.errors import DataError
+from siamloc.evaluation import absolute
+from siamloc.evaluation.absolute import evaluate_absolute, neighbours
+from siamloc.evaluation.columns import missing_rooms
+from siamloc.evaluation.estimates import located_columns
+from siamloc.evaluation.metrics import localization_error, summarize
+from siamloc.evaluation.result import Result
+from siamloc.evaluation.session import Session
+from siamloc.maps import Built, Retrieval, VisualMap, headings, match
+from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
+from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, rank_by_position
+from siamloc.results import Columns, rows_by_label
+from siamloc.settings import Count, NotNegative, Settings, takes
+
+
+@dataclass(frozen=True)
+class CoarseRanking(Settings):
+    """How the nodes are ranked for a query.
+
+    Attributes:
+        by: by their "representatives", or by the "vote" of the nearest map frames.
+        neighbours: frames that vote.
+    """
+
+    WHERE = "task.coarse"
+
+    by: Literal["representatives", "vote"] = "representatives"
+    neighbours: Count = 10
+
+
+@dataclass(frozen=True)
+class Hierarchical(Settings):
+    """How the two layers are searched, and what is measured.
+
+    Attributes:
+        candidates: nodes searched for each query.
+        coarse: how they are ranked.
+        radii: recall: a map frame this near counts as found, in the unit of the positions.
+        ks: recall: numbers of retrieved frames.
+    """
+
+    WHERE = "task"
+
+    candidates: Count = 3
+    coarse: CoarseRanking = field(default_factory=CoarseRanking)
+    radii: tuple[NotNegative, ...] = (0.25, 0.5, 1.0)
+    ks: tuple[Count, ...] = (1, 5, 10, 20)
+
+
+@takes(Hierarchical)
+def hierarchical(
+    known: VisualMap,
+    images: PanoramaLibrary,
+    queries: FrameTable,
+    layer: CoarseLayer | Built,
+    *,
+    coarse_map: VisualMap | None = None,
+    protocol: Protocol | str = "cross_run",
+    name: str | None = None,
+    settings: Hierarchical,
+) -> Result:
+    """Search the nodes of a coarse layer first and the frames inside the best of them then.
+
+    The search in the whole map, and in the node that is truly right, are measured on the same queries.
+
+    Args:
+        known: the map; frames without a position are left out.
+        images: panoramas of the queries.
+        queries: frames to be located; those without a position are located without a score, in the table "located".
+        layer: nodes over the frames of the map, from `siamloc.maps.group`.
+        coarse_map: a map of the same frames by another descriptor, which ranks the nodes; the map itself if None.
+        protocol: who may be compared with whom; see `localization`.
+        name: what the results are called.
+        settings: instead of its fields as keywords.
+
+    Raises:
+        ConfigError: queries that the protocol forbids, or descriptors by which nodes cannot be ranked this way.
+        DataError: a layer or a coarse map of other frames, or a map without positions.
+    """
+    session = Session(known, images, queries, protocol=protocol, name=name)
+    layer = layer.layer if isinstance(layer, Built) else layer
+    search = HierarchicalSearch(
+        known,
+        layer,
+        coarse=coarse_map,
+        by=settings.coarse.by,
+        candidates=settings.candidates,
+        neighbours=settings.coarse.neighbours,
+    )
+    placed, scored = known.frames.has_position, session.queries.has_position
+    if text := session.lacking(placed, "map frames have no position"):
+        raise DataError(f"{text}: build the layer over a map whose frames all have one (known.placed())")
+    if text := session.lacking(scored, "queries have no position"):
+        session.skipped["hierarchical, queries"] = f"{text}; located all the same in located.csv"
+    if text := missing_rooms(known.frames, session.queries):
+        session.skipped["rooms"] = text
+    found = _run(session, search, settings)
+    result = Result(session.name, {}, {}, {"queries": 0, "nodes": len(layer)})
+    if scored.any():
+        assert found.perfect is not None
+        result = evaluate_hierarchical(
+            known,
+            layer,
+            session.queries.take(scored),
+            found.both.take(scored),
+            found.perfect,
+            found.whole.take(scored),
+            settings.radii,
+            settings.ks,
+            None if found.headings is None else found.headings[scored],
+        )
+    if not scored.all():
+        result = replace(result, tables={**result.tables, "located": _unscored(session, found, ~scored)})
+    about = {
+        **session.about(),
+        "coarse_descriptor": search.coarse.descriptor.identity,
+        "layer": layer.made,
+    }
+    return replace(result, name=session.name, about=about, settings=session.settings(settings), skipped=session.skipped)
+
+
+def evaluate_hierarchical(
+    visual_map: VisualMap,
+    layer: CoarseLayer,
+    frames: FrameTable,
+    found: HierarchicalRetrieval,
+    perfect: HierarchicalRetrieval,
+    whole: Retrieval,
+    radii: Sequence[float] = (0.5, 1.0),
+    ks: Sequence[int] = (1, 5, 10, 20),
+    headings: ArrayLike | None = None,
+) -> Result:
+    """Compare what hierarchical search found with the queries' true poses.
+
+    The table "queries" is that of `evaluate_absolute` with further columns: `node` of the estimate and `true_node`,
+    that of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one text, the best first;
+    `coarse_correct`, whether the true node was tried (a frame in no node is always searched, so that a query whose true
+    frame is in none counts as correct); `frames_compared` and `comparisons`, which counts the comparisons with the
+    coarse layer as well; `error_perfect_coarse` and `error_absolute`, the errors on the same query of a search in the
+    true node alone and in the whole map. The table "map" has the `node` of each frame, the table "nodes" a row for each
+    node.
+
+    Args:
+        visual_map: m frames, all with positions.
+        layer: nodes over them.
+        frames: the queries (n), all with positions.
+        found: by the search that is measured, with `siamloc.evaluation.absolute.neighbours(ks, m)` neighbours.
+        perfect: with the nodes of `rank_by_position`, the perfect coarse layer, at least one neighbour.
+        whole: by the search in the whole map, at least one neighbour.
+        radii: radii of the recall, in units of x and y.
+        ks: numbers of retrieved frames for the recall.
+        headings: estimated headings of the queries (n,), rad; measured where the true one is known.
+
+    Raises:
+        ConfigError: as `evaluate_absolute`.
+        DataError: as `evaluate_absolute`, a layer of another map, or retrievals of other queries.
+    """
+    if len(layer.labels) != len(visual_map):
+        raise DataError(f"the layer has labels for {len(layer.labels)} frames, the map has {len(visual_map)}")
+    for what, count in (("perfect coarse layer", len(perfect)), ("whole map", len(whole))):
+        if count != len(frames):
+            raise DataError(f"the retrieval with the {what} must be that of the {len(frames)} queries, got {count}")
+    base = evaluate_absolute(visual_map, None, frames, radii, ks, found.found, headings)
+    known = visual_map.frames.xy
+    true = rank_by_position(frames.xy, known, layer.labels).nodes[:, 0]
+    columns: Columns = {
+        **base.tables["queries"],
+        "node": found.node,
+        "true_node": true,
+        "nodes_tried": np.array([_listed(row) for row in found.tried.tolist()], dtype=np.str_),
+        "coarse_correct": (found.tried == true[:, None]).any(axis=1) | (true == UNASSIGNED),
+        "frames_compared": found.frames_compared,
+        "comparisons": found.compared,
+        "error_perfect_coarse": localization_error(known[perfect.found.indices[:, 0]], frames.xy),
+        "error_absolute": localization_error(known[whole.indices[:, 0]], frames.xy),
+    }
+    node_columns: Columns = {
+        "node": np.arange(len(layer)),
+        "name": layer.names,
+        "x": layer.positions[:, 0],
+        "y": layer.positions[:, 1],
+        "frames": np.bincount(layer.labels[layer.labels != UNASSIGNED], minlength=len(layer)),
+    }
+    map_columns = {**base.tables["map"], "node": layer.labels}
+    held = base.parts["absolute"]
+    measures = measures_of(columns, held["radii"], held["ks"], held["map_frames"], held["unit"])
+    return replace(
+        base,
+        name="hierarchical",
+        parts={"hierarchical": measures},
+        tables={"queries": columns, "map": map_columns, "nodes": node_columns},
+        denominators={**base.denominators, "nodes": len(layer)},
+    )
+
+
+def measures_of(
+    columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
+) -> dict[str, Any]:
+    """Return all measures from the columns of `queries.csv`, pooled over queries.
+
+    Returns:
+        What `siamloc.evaluation.absolute.measures_of` returns. Each group further holds `coarse` (accuracy, correct,
+        queries); `given_right`, `given_wrong`, `perfect_coarse` and `absolute`, each with `queries` and the summary
+        `error`; `loss`, by what share the mean error exceeds that of the search in the whole map; and `comparisons`
+        (mean, max, share of the map, frames_share without the comparisons with the coarse layer).
+    """
+    measures = absolute.measures_of(columns, radii, ks, map_frames, unit)
+    measures["overall"].update(_coarse(columns, np.arange(len(columns["error"])), map_frames))
+    for by in ("lighting", "room"):
+        for label, rows in rows_by_label(columns[by]).items():
+            measures[by][label].update(_coarse(columns, rows, map_frames))
+    return measures
+
+
+def _coarse(columns: Mapping[str, NDArray], rows: NDArray[np.int64], map_frames: int) -> dict[str, Any]:
+    names = ("error", "coarse_correct", "comparisons", "frames_compared", "error_perfect_coarse", "error_absolute")
+    error, right, compared, frames_compared, perfect, whole = (columns[name][rows] for name in names)
+    correct, reference = int(right.sum()), float(whole.mean()) if len(rows) else math.nan
+    return {
+        "coarse": {
+            "accuracy": correct / len(rows) if len(rows) else math.nan,
+            "correct": correct,
+            "queries": len(rows),
+        },
+        "given_right": _error(error[right]),
+        "given_wrong": _error(error[~right]),
+        "perfect_coarse": _error(perfect),
+        "absolute": _error(whole),
+        "loss": float(error.mean()) / reference - 1 if reference > 0 else math.nan,
+        "comparisons": {
+            "mean": float(compared.mean()) if len(rows) else math.nan,
+            "max": int(compared.max()) if len(rows) else 0,
+            "share": float(compared.mean()) / map_frames if len(rows) else math.nan,
+            "frames_share": float(frames_compared.mean()) / map_frames if len(rows) else math.nan,
+        },
+    }
+
+
+def _error(errors: NDArray[np.float64]) -> dict[str, Any]:
+    return {"queries": len(errors), "error": summarize(errors)}
+
+
+def _listed(nodes: list[int]) -> str:
+    return " ".join(str(node) for node in nodes if node != UNASSIGNED)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What became of each query: by both layers, by a perfect coarse layer, and in the whole map."""
+
+    both: HierarchicalRetrieval
+    perfect: HierarchicalRetrieval | None  # of the queries with positions alone
+    whole: Retrieval
+    headings: NDArray[np.float64] | None
+
+
+def _run(session: Session, search: HierarchicalSearch, settings: Hierarchical) -> _Found:
+    """Look for all queries, batch by batch where the descriptions are large."""
+    known, queries = session.known, session.queries
+    scored, rankings = queries.has_position, None
+    if search.coarse is not known:
+        parts = session.parts_of(search.coarse, queries, f"the queries, {search.coarse.descriptor.name}")
+        rankings = NodeRanking.concatenate([search.rank(part) for part in parts])
+    k = neighbours(settings.ks, len(known))
+    both, perfect, whole, turned, start = [], [], [], [], 0
+    for part in session.parts_of(known, queries, f"the queries, {session.name}"):
+        rows = np.arange(start, start + len(part))
+        ranking = search.rank(part) if rankings is None else rankings.take(rows)
+        both.append(search.search(part, ranking, k))
+        whole.append(match(known, part, 1))
+        turned.append(headings(known, part, both[-1].found))
+        inside = np.flatnonzero(scored[rows])
+        if len(inside):
+            true = rank_by_position(queries.xy[rows[inside]], known.frames.xy, search.layer.labels)
+            perfect.append(search.search(part.take(inside), true, 1))
+        start += len(part)
+    by_nearest = np.concatenate(turned)[:, 0]
+    return _Found(
+        HierarchicalRetrieval.concatenate(both),
+        HierarchicalRetrieval.concatenate(perfect) if perfect else None,
+        Retrieval.concatenate(whole),
+        by_nearest if np.isfinite(by_nearest).any() else None,
+    )
+
+
+def _unscored(session: Session, found: _Found, rows: NDArray[np.bool_]) -> Columns:
+    headings = None if found.headings is None else found.headings[rows]
+    columns = located_columns(session.known, session.queries.take(rows), found.both.found.take(rows), headings)
+    return {**columns, "node": found.both.node[rows], "comparisons": found.both.compared[rows]}

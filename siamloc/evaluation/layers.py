@@ -1,0 +1,242 @@
+"""What a coarse layer is worth: compactness, rooms, loop closures, and what it costs ([C] 3, [I] 5, [T] 4.4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic import Descriptor
+from analytic.measures.closures import ClosureScores, closure_scores
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.columns import room_names
+from siamloc.evaluation.result import Result
+from siamloc.maps import Built
+from siamloc.maps.coarse import CoarseLayer
+from siamloc.maps.visual_map import VisualMap
+from siamloc.results import Columns
+from siamloc.settings import Count, NotNegative, Settings, takes
+
+
+@dataclass(frozen=True)
+class MapMeasures(Settings):
+    """Loop closures.
+
+    Attributes:
+        closure_radius: a loop closure is right if its two frames lie this near, in the unit of the positions.
+        closure_gap: frames that it has to bridge.
+    """
+
+    WHERE = "task"
+
+    closure_radius: NotNegative = 1.0
+    closure_gap: Count = 30
+
+
+@takes(MapMeasures)
+def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings: MapMeasures) -> Result:
+    """Measure the nodes of a map: how compact they are, how they fit the rooms, which loops they close, their cost.
+
+    Positions are needed only for what they measure: without them the result holds the rest.
+
+    Args:
+        known: the map, its frames in capture order.
+        built: nodes over its frames, from `siamloc.maps.group`.
+        name: what the results are called.
+        settings: instead of its fields as keywords.
+    """
+    result = evaluate_mapping(
+        known,
+        built.layer,
+        known.descriptor,
+        settings.closure_radius,
+        settings.closure_gap,
+        built.seconds,
+        np.array(built.reasons) if built.reasons else None,
+    )
+    return replace(
+        result,
+        name=name or known.descriptor.name,
+        about={
+            "data": {"map": {**known.made.get("data", {}), "sequences": list(known.frames.rows_by("sequence"))}},
+            "descriptor": known.descriptor.identity,
+            "layer": built.layer.made,
+            "edges": built.layer.edges,
+        },
+        settings={"task": settings.plain(), "data": known.made.get("data", {})},
+    )
+
+
+def evaluate_mapping(
+    known: VisualMap,
+    layer: CoarseLayer,
+    descriptor: Descriptor,
+    radius: float = 1.0,
+    gap: int = 30,
+    seconds: ArrayLike | None = None,
+    reasons: ArrayLike | None = None,
+) -> Result:
+    """Measure a coarse layer.
+
+    Args:
+        known: n frames in capture order; what positions measure is left out for frames without one.
+        layer: nodes over them.
+        descriptor: what described the map; loop closures are its most similar earlier frames.
+        radius: a closure is right if its frames lie within it, in units of x and y.
+        gap: frames that a closure has to bridge.
+        seconds: what placing each frame took (n,), or all of them (1,); not measured if None.
+        reasons: of an incremental mapper, for each frame (n,).
+
+    Raises:
+        ConfigError: a radius or gap out of range.
+        DataError: a layer of another map.
+    """
+    if not (radius >= 0 and math.isfinite(radius)):
+        raise ConfigError(f"the radius of loop closures must not be negative, got {radius}")
+    if gap < 1:
+        raise ConfigError(f"the gap of loop closures must be at least 1 frame, got {gap}")
+    if len(layer.labels) != len(known):
+        raise DataError(f"the layer has {len(layer.labels)} frames and the map {len(known)}: build the layer again")
+    frames = known.frames
+    rooms = room_names(frames)[0]
+    took = np.full(len(known), np.nan) if seconds is None else np.asarray(seconds, dtype=np.float64)
+    columns: Columns = {
+        "frame": np.arange(len(known)),
+        "path": frames.path,
+        "sequence": frames.sequence,
+        "room": rooms,
+        "x": frames.x,
+        "y": frames.y,
+        "node": layer.labels,
+        "closes_with": closures(known, layer.labels, descriptor, gap),
+        "seconds": np.full(len(known), took[0] / len(known)) if len(took) == 1 else took,
+    }
+    if reasons is not None:
+        columns["reason"] = np.asarray(reasons, dtype=np.str_)
+    silhouette = math.nan
+    if not descriptor.aligned:
+        silhouette = _silhouette(known.descriptors, layer.labels, "nearest")
+    sizes = {"representatives": layer.representatives.nbytes, "descriptors": known.descriptors.nbytes}
+    measures = {
+        **mapping_measures(columns, float(radius), int(gap)),
+        "unit": known.unit,
+        "descriptor_silhouette": silhouette,
+        "bytes": sizes,
+    }
+    return Result(
+        name="mapping",
+        parts={"mapping": measures},
+        tables={"frames": columns, "nodes": _nodes(layer, columns)},
+        denominators={"frames": len(known), "nodes": len(layer)},
+    )
+
+
+def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) -> dict[str, Any]:
+    """Return the measures that follow from the columns of `frames.csv`.
+
+    Returns:
+        frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
+        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); both of the frames that
+        have a position, NaN where none has; `purity` per room and overall, with its denominators; `closures` with
+        precision, recall, F1 and theirs, NaN unless all frames have a position; `ms_per_frame` as mean,
+        median and p95, NaN where it was not measured; `reasons`, counted, where there are any.
+    """
+    from analytic import measures
+
+    labels = np.asarray(columns["node"])
+    xy = np.column_stack([columns["x"], columns["y"]])
+    placed = np.isfinite(xy).all(axis=1)
+    pure = measures.purity(labels, columns["room"])
+    ms = 1000 * np.asarray(columns["seconds"], dtype=np.float64)
+    known = bool(np.isfinite(ms).all())
+    unassigned = int((labels < 0).sum())
+    found = {
+        "frames": len(labels),
+        "nodes": len(set(labels[labels >= 0].tolist())),
+        "unassigned": {"frames": unassigned, "share": unassigned / len(labels)},
+        "silhouette": {mode: _silhouette(xy[placed], labels[placed], mode) for mode in ("nearest", "pooled")},
+        "inertia": float(np.nansum(inertias)) if np.isfinite(inertias := _inertias(xy, labels)).any() else math.nan,
+        "purity": {
+            "overall": pure.overall,
+            "room": {room: {"purity": pure.rooms[room], "frames": pure.frames_per_room[room]} for room in pure.rooms},
+            "frames": pure.counted,
+        },
+        "closures": asdict(_closure_scores(columns, xy, radius, gap)),
+        "ms_per_frame": {
+            "mean": float(ms.mean()) if known else math.nan,
+            "median": float(np.median(ms)) if known else math.nan,
+            "p95": float(np.percentile(ms, 95)) if known else math.nan,
+        },
+    }
+    if "reason" in columns:
+        names, counts = np.unique(columns["reason"], return_counts=True)
+        found["reasons"] = dict(zip(names.tolist(), counts.tolist(), strict=True))
+    return found
+
+
+def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor, gap: int) -> NDArray[np.int64]:
+    """Return the frame that each frame closes a loop with (n,), -1 for none.
+
+    It is the most similar of the frames of its node that came at least `gap` frames earlier.
+    """
+    found = np.full(len(known), -1, dtype=np.int64)
+    for node in range(int(labels.max()) + 1):
+        members = np.flatnonzero(labels == node)
+        part = known.description.take(members)
+        apart = descriptor.pairwise(part, part, known.distance)
+        early = members[None, :] <= members[:, None] - gap
+        apart = np.where(early, apart, np.inf)
+        closing = early.any(axis=1)
+        found[members[closing]] = members[apart[closing].argmin(axis=1)]
+    return found
+
+
+def _silhouette(values: NDArray, labels: NDArray[np.int64], mode: str) -> float:
+    from analytic import measures
+
+    if len(set(labels[labels >= 0].tolist())) < 2:
+        return math.nan
+    return measures.silhouette(values, labels, mode)
+
+
+def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
+    from analytic import measures
+
+    xy = np.column_stack([columns["x"], columns["y"]])
+    pure = measures.purity(layer.labels, columns["room"])
+    rooms = dict(zip(pure.labels.tolist(), pure.room_of_node, strict=True))
+    shares = dict(zip(pure.labels.tolist(), pure.nodes.tolist(), strict=True))
+    numbers = range(len(layer))
+    return {
+        "node": np.arange(len(layer)),
+        "name": layer.names,
+        "frames": np.bincount(layer.labels[layer.labels >= 0], minlength=len(layer)),
+        "x": layer.positions[:, 0],
+        "y": layer.positions[:, 1],
+        "room": np.array([rooms.get(node, "") for node in numbers], dtype=np.str_),
+        "purity": np.array([shares.get(node, math.nan) for node in numbers]),
+        "inertia": _inertias(xy, layer.labels),
+    }
+
+
+def _inertias(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the moment of inertia of each node (k,) from its frames that have a position; NaN where none has."""
+    from analytic import measures
+
+    used = np.isfinite(xy).all(axis=1) & (labels >= 0)
+    found = np.full(int(labels.max(initial=-1)) + 1, math.nan)
+    if used.any():
+        found[np.unique(labels[used])] = measures.moments_of_inertia(xy[used], labels[used])
+    return found
+
+
+def _closure_scores(columns: Mapping[str, NDArray], xy: NDArray[np.float64], radius: float, gap: int) -> ClosureScores:
+    pairs = np.column_stack([columns["frame"], columns["closes_with"]])
+    pairs = pairs[pairs[:, 1] >= 0]
+    if np.isfinite(xy).all():
+        return closure_scores(pairs, xy, radius, gap)
+    return ClosureScores(math.nan, math.nan, math.nan, 0, len(pairs), 0, 0, 0, float(radius), int(gap))

@@ -1,0 +1,297 @@
+"""Where a query was taken, and in which room, by the map frame that looks most like it ([T] 5.3.4-5.3.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.pairs import PairSampler, PairSettings
+from siamloc.data.protocol import Protocol
+from siamloc.errors import ConfigError, DataError, SiamlocError
+from siamloc.evaluation import room_retrieval
+from siamloc.evaluation.absolute import evaluate_absolute, neighbours, with_baseline
+from siamloc.evaluation.columns import missing_rooms
+from siamloc.evaluation.estimates import (
+    MATCHES,
+    learned_errors,
+    located_columns,
+    prepared,
+    search_validation,
+    with_estimates,
+)
+from siamloc.evaluation.result import Result
+from siamloc.evaluation.session import Baselines, Search, Session
+from siamloc.maps import VisualMap
+from siamloc.maps.error_model import ErrorModel
+from siamloc.settings import Count, NotNegative, Positive, Probability, Settings, Share, takes
+
+
+@dataclass(frozen=True)
+class JudgedPairs(Settings):
+    """Pairs of queries that are judged to be from one room or two.
+
+    Attributes:
+        count: how many.
+        same_room_share: share of pairs from one room.
+    """
+
+    WHERE = "task.pairs"
+
+    count: Count = 7000
+    same_room_share: Share = 0.5
+
+
+@dataclass(frozen=True)
+class FilterSettings(Settings):
+    """The sequence filter.
+
+    Attributes:
+        temperature: of the softmax of the descriptor distances; learned from the map if None.
+        kidnapping: probability that the robot is anywhere.
+    """
+
+    WHERE = "task.filter_settings"
+
+    temperature: Positive | None = None
+    kidnapping: Probability = 1e-3
+
+
+@dataclass(frozen=True)
+class Localization(Settings):
+    """What is measured of the queries.
+
+    Attributes:
+        names: "absolute" for poses, "room_retrieval" for rooms.
+        radii: recall: a map frame this near counts as found, in the unit of the positions.
+        ks: recall: numbers of retrieved frames.
+        pairs: pairs of queries that are judged as well, for descriptors that have a margin.
+        filter: follow the robot through each sequence; keeps the distances of all queries to all map frames.
+        filter_settings: of that filter.
+        filter_tune: choose both of them on the validation frames.
+        interpolate: a pose between that many of the nearest map frames.
+        error_model: expected error of each query, learned on the validation frames.
+        lost_above: a larger expected error means lost, in the unit of the positions.
+        place_radius: map frames farther apart are different places: for interpolation and the error model.
+    """
+
+    WHERE = "task"
+
+    names: tuple[Literal["absolute", "room_retrieval"], ...] = ("absolute", "room_retrieval")
+    radii: tuple[NotNegative, ...] = (0.25, 0.5, 1.0)
+    ks: tuple[Count, ...] = (1, 5, 10, 20)
+    pairs: JudgedPairs = field(default_factory=JudgedPairs)
+    filter: bool = False
+    filter_settings: FilterSettings = field(default_factory=FilterSettings)
+    filter_tune: bool = False
+    interpolate: Count | None = None
+    error_model: bool = False
+    lost_above: Positive = 1.0
+    place_radius: NotNegative = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        asked = [name for name in ("filter", "interpolate", "error_model") if getattr(self, name)]
+        if asked and "absolute" not in self.names:
+            raise ConfigError(
+                f"task.{asked[0]} goes with absolute localization, which {', '.join(self.names)} leaves out: "
+                f"use task=absolute, or leave task.{asked[0]} out"
+            )
+        if self.filter_tune and not self.filter:
+            raise ConfigError("task.filter_tune=true chooses the settings of the sequence filter: set task.filter=true")
+
+
+@takes(Localization)
+def localization(
+    known: VisualMap,
+    images: PanoramaLibrary,
+    queries: FrameTable,
+    *,
+    validation: FrameTable | None = None,
+    protocol: Protocol | str = "cross_run",
+    baselines: Baselines = (),
+    name: str | None = None,
+    seed: int = 0,
+    settings: Localization,
+) -> Result:
+    """Locate queries in a map and compare with their true poses and rooms.
+
+    Queries without a pose are located too, in the table "located"; they are not scored.
+
+    Args:
+        known: the map, from `siamloc.maps.build`.
+        images: panoramas of the queries (and of the map's frames for baselines).
+        queries: frames to be located.
+        validation: frames from which the filter's settings and the expected error are learned.
+        protocol: "cross_run": no query comes from a drive in the map; "same_run"; or a `Protocol`.
+        baselines: descriptors measured on the same frames: names such as "hog", or a mapping of names to descriptors.
+        name: what the results are called; that of the descriptor if None.
+        seed: of the judged pairs.
+        settings: instead of its fields as keywords.
+
+    Returns:
+        Parts "absolute" and "room_retrieval", as far as the data have poses and rooms; "room_pairs" for descriptors
+        with a margin; "absolute_filtered", "absolute_interpolated" and "calibration" where asked for.
+
+    Raises:
+        ConfigError: settings that contradict each other, or queries that the protocol forbids.
+        DataError: nothing can be measured.
+
+    Examples:
+        >>> result = localization(known, images, tuesday, radii=(0.5,))  # doctest: +SKIP
+        >>> result.measures["error"]["mean"]  # doctest: +SKIP
+        0.31
+    """
+    session = Session(
+        known,
+        images,
+        queries,
+        validation=validation,
+        protocol=protocol,
+        baselines=baselines,
+        name=name,
+        seed=seed,
+    )
+    result = _measured(session, settings, session.name, known)
+    # Where no query can be scored there is nothing that a baseline could be compared with.
+    for label, other in session.baselines.items() if result.parts else ():
+        alone = replace(settings, filter=False, filter_tune=False, interpolate=None, error_model=False)
+        baseline = _measured(session, alone, label, session.map_by(other), main=False)
+        if "absolute" in result.parts and "absolute" in baseline.parts:
+            result = with_baseline(result, label, baseline)
+        else:
+            result = replace(result, baselines={**result.baselines, label: baseline})
+    return replace(
+        result,
+        about={**session.about(), **result.about},
+        settings=session.settings(settings),
+        skipped={**result.skipped, **session.skipped},
+    )
+
+
+def rooms(known: VisualMap, images: PanoramaLibrary, queries: FrameTable, **options: Any) -> Result:
+    """Find the room of queries by the map frame that looks most like each; options are those of `localization`.
+
+    Poses are not needed.
+    """
+    return localization(known, images, queries, names=("room_retrieval",), **options)
+
+
+def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTable, **options: Any) -> ErrorModel:
+    """Learn from validation frames how far off an estimate in a map probably is.
+
+    Args:
+        known: the map; frames without a position are left out.
+        images: panoramas of the validation frames.
+        validation: frames of another drive than the map's, with positions.
+        **options: settings of `localization`: `lost_above`, `place_radius`.
+
+    Raises:
+        DataError: fewer than 10 validation frames with positions.
+    """
+    settings, placed = Localization.of(options), known.placed()
+    session = Session(known, images, validation, validation=validation)
+    return learned_errors(settings, placed, search_validation(session, settings, placed))[0]
+
+
+def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:
+    """Measure one descriptor; `main` for the map's own, whose queries without a pose are located as well."""
+    queries = session.queries
+    skipped: dict[str, str] = {}
+    searches: dict[str, Search] = {}
+    if "absolute" in settings.names:
+        at_least = neighbours(settings.ks, len(known))
+        if search := _search(session, "position", "absolute", known, at_least, skipped):
+            searches["absolute"] = prepared(settings, search)
+    if "room_retrieval" in settings.names:
+        depth = room_retrieval.neighbours(len(known))
+        if search := _search(session, "room label", "room_retrieval", known, depth, skipped):
+            searches["room_retrieval"] = search
+    bare = np.flatnonzero(~queries.has_position)
+    if main and len(bare) and known.frames.has_position.any():
+        searches["located"] = Search(known.placed(), bare, MATCHES if settings.error_model else 1)
+    if not searches:
+        raise DataError(f"nothing could be measured: {'; '.join(skipped.values())}")
+    vectors = session.run(known, queries, searches, f"the queries, {name}")
+    result = Result(name, {}, {}, skipped=skipped)
+    if search := searches.get("absolute"):
+        placed = queries.take(search.rows)
+        headings = None if search.headings is None else search.headings[:, 0]
+        found = evaluate_absolute(
+            search.known, None, placed, settings.radii, settings.ks, search.retrieval, headings, search.excluded
+        )
+        result = result.joined(with_estimates(found, session, settings, search, placed) if main else found)
+    if search := searches.get("room_retrieval"):
+        labelled = queries.take(search.rows)
+        found = room_retrieval.evaluate_rooms(search.known, None, labelled, search.retrieval, search.excluded)
+        result = result.joined(found)
+        if vectors is not None:
+            result = _with_pairs(result, session, settings, known, vectors[search.rows], labelled, skipped)
+        if main and (text := missing_rooms(known.frames, queries)):
+            skipped["rooms"] = text
+    if search := searches.get("located"):
+        result = _located(result, session, settings, search, queries.take(bare))
+    return replace(result, name=name, skipped={**result.skipped, **skipped})
+
+
+def _search(session: Session, what: str, task: str, known: VisualMap, k: int, skipped: dict[str, str]) -> Search | None:
+    """Return the search among the frames that have what a task needs, and note how many do not."""
+    in_map, in_queries = (
+        table.has_position if what == "position" else table.room != "" for table in (known.frames, session.queries)
+    )
+    for where, has in (("queries", in_queries), ("map frames", in_map)):
+        text = session.lacking(has, f"{where} have no {what}")
+        if not has.any():
+            skipped[task] = f"{text}: add {'x and y' if what == 'position' else 'rooms'} to the data"
+            return None
+        if text:
+            skipped[f"{task}, {where}"] = text
+    inside, rows = (known if in_map.all() else known.take(in_map)), np.flatnonzero(in_queries)
+    excluded = session.excluded(session.queries.take(rows), inside.frames)
+    return Search(inside, rows, min(k, len(inside)), excluded=excluded)
+
+
+def _located(result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable) -> Result:
+    """Return the result with where queries without a pose were found."""
+    model, about = result.error_model, result.about
+    if settings.error_model and model is None:
+        validation = search_validation(session, settings, search.known)
+        model, learned = learned_errors(settings, search.known, validation)
+        about = {**about, "estimates": {"error_model": learned}}
+    headings = None if search.headings is None else search.headings[:, 0]
+    columns = located_columns(search.known, queries, search.retrieval, headings, model)
+    return replace(result, tables={**result.tables, "located": columns}, error_model=model, about=about)
+
+
+def _with_pairs(
+    result: Result,
+    session: Session,
+    settings: Localization,
+    known: VisualMap,
+    vectors: NDArray[np.float32],
+    queries: FrameTable,
+    skipped: dict[str, str],
+) -> Result:
+    """Return the result with pairs of queries judged by the distance of their descriptors, where there is a margin."""
+    margin = getattr(known.descriptor, "margin", None)
+    if margin is None:
+        skipped["room_pairs"] = f"{known.descriptor.name} has no margin by which to judge pairs"
+        return result
+    wanted = settings.pairs
+    try:
+        room_pairs = PairSettings(label="room", same_room_share=wanted.same_room_share, epoch_pairs=wanted.count)
+        sampler = PairSampler(queries, room_pairs, session.seed)
+    except SiamlocError as error:
+        skipped["room_pairs"] = str(error)
+        return result
+    pairs = sampler.epoch(0)
+    one, other = queries.lighting[pairs.first], queries.lighting[pairs.second]
+    first, second = np.where(one <= other, one, other), np.where(one <= other, other, one)
+    lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))
+    labels = {"first": queries.path[pairs.first], "second": queries.path[pairs.second]}
+    one_each, another = vectors[pairs.first], vectors[pairs.second]
+    return result.joined(room_retrieval.evaluate_pairs(one_each, another, pairs.same, margin, 0.5, lighting, labels))

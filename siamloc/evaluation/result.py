@@ -1,0 +1,173 @@
+"""`Result`: what an evaluation found, whatever the task: measures, tables, pictures, files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from siamloc.errors import DataError
+from siamloc.files import plain
+from siamloc.results import Columns, read_results, read_rows, write_results
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from siamloc.maps.error_model import ErrorModel
+
+_KEPT = ("config", "measures", "baselines", "denominators", "skipped", "tables", "schema", "created", "versions")
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Measures, and the tables that they follow from.
+
+    Attributes:
+        name: what its folder and its rows in a comparison are called, such as "hog".
+        parts: measures by kind, such as "absolute" and "room_retrieval": what `results.json` holds.
+        tables: columns by name; "queries" becomes `queries.csv`, "map" `map.csv`.
+        denominators: how many queries, map frames, pairs or nodes the measures rest on.
+        skipped: what could not be measured, with the reason.
+        baselines: results of other methods on the same queries, by name.
+        about: what was evaluated: data, protocol, descriptor and so on, as plain values.
+        settings: of the evaluation, as plain values.
+        error_model: what was learned of the error, where that was asked for.
+        layer: folder of the coarse layer, where there is one on disk: some pictures need it.
+    """
+
+    name: str
+    parts: dict[str, Any]
+    tables: dict[str, Columns]
+    denominators: dict[str, Any] = field(default_factory=dict)
+    skipped: dict[str, str] = field(default_factory=dict)
+    baselines: dict[str, Result] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    error_model: ErrorModel | None = None
+    layer: Path | None = None
+
+    @property
+    def measures(self) -> dict[str, Any]:
+        """Measures of the first part, those of all queries on top: `measures["error"]["mean"]`.
+
+        The groups follow under "lighting" and "room": `measures["lighting"]["night"]["error"]`.
+        """
+        if not self.parts:
+            return {}
+        first = next(iter(self.parts.values()))
+        return {**first.get("overall", {}), **{key: value for key, value in first.items() if key != "overall"}}
+
+    @property
+    def columns(self) -> Columns:
+        """The first table: a row for each query, or for each frame of a map."""
+        return next(iter(self.tables.values()))
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The first table, one dictionary per row."""
+        values = {name: column.tolist() for name, column in self.columns.items()}
+        return [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()))) if self.tables else 0
+
+    def __repr__(self) -> str:
+        rows = ", ".join(f"{len(next(iter(table.values())))} {name}" for name, table in self.tables.items())
+        return f"Result({self.name}: {', '.join(self.parts) or 'nothing measured'}; {rows})"
+
+    def _repr_html_(self) -> str:
+        import html
+
+        return f"<pre>{html.escape(self.table())}</pre>"
+
+    def table(self) -> str:
+        """Return the measures as text: a table by method and lighting, and what they rest on."""
+        from siamloc.evaluation.tables import text_of
+
+        return text_of(self)
+
+    def plot(self, name: str | None = None) -> Figure:
+        """Return a picture of the result: the first that suits it, or the one of this name, such as "error_curve".
+
+        Raises:
+            DataError: no such picture; those there are are named.
+        """
+        drawn = self._pictures()
+        if not drawn or (name is not None and name not in drawn):
+            raise DataError(f"there is no picture {name!r} of {self!r}: there is {', '.join(drawn) or 'none'}")
+        return drawn[name if name is not None else next(iter(drawn))]()
+
+    def save(self, folder: str | Path, *, pictures: bool = True) -> list[Path]:
+        """Write `results.json`, a CSV file for each table, and the pictures; return the pictures' paths.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        folder = Path(folder)
+        extra = {
+            f"{name}_{method}": table
+            for method, other in self.baselines.items()
+            for name, table in other.tables.items()
+            if name in ("queries", "rooms", "pairs")
+        }
+        if self.error_model is not None:
+            self.error_model.save(folder / "error_model.json")
+        write_results(folder, self.as_dict(), tables={**self.tables, **extra})
+        return self.draw(folder) if pictures else []
+
+    def draw(self, folder: str | Path) -> list[Path]:
+        """Write every picture that suits the result into a folder and return their paths."""
+        from siamloc.report.draw import save_pictures
+
+        return save_pictures(self._pictures(), Path(folder))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what `results.json` holds, without the tables."""
+        return {
+            "command": "evaluate",
+            "name": self.name,
+            **self.about,
+            "config": self.settings,
+            "measures": self.parts,
+            "baselines": {method: other.parts for method, other in self.baselines.items()},
+            "denominators": self.denominators,
+            "skipped": self.skipped,
+        }
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Result:
+        """Read a result that `save` wrote; the tables of its baselines come among its own, as `queries_hog`.
+
+        Raises:
+            FormatError: a file is missing, cut short, altered, or of a newer version.
+        """
+        held = read_results(folder)
+        tables = {name: read_rows(folder, name) for name in held.get("tables", {})}
+        about = {key: value for key, value in held.items() if key not in (*_KEPT, "command", "name")}
+        return cls(
+            name=held.get("name", Path(folder).name),
+            parts=held["measures"],
+            tables=tables,
+            denominators=held["denominators"],
+            skipped=held.get("skipped", {}),
+            baselines={method: cls(method, parts, {}) for method, parts in held.get("baselines", {}).items()},
+            about=about,
+            settings=held["config"],
+        )
+
+    def joined(self, other: Result) -> Result:
+        """Return the result with the parts, tables and remarks of another one on the same queries."""
+        return replace(
+            self,
+            parts={**self.parts, **other.parts},
+            tables={**self.tables, **other.tables},
+            denominators={**other.denominators, **self.denominators},
+            skipped={**self.skipped, **other.skipped},
+        )
+
+    def _pictures(self) -> Mapping[str, Any]:
+        from siamloc.report.draw import pictures
+
+        measures = {**plain(self.parts), "baselines": {m: plain(o.parts) for m, o in self.baselines.items()}}
+        return pictures(measures, self.tables, self.layer)

@@ -1,0 +1,238 @@
+"""`Session`: what all tasks of an evaluation share: a map, images, queries, and who may be compared with whom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic import Description, Descriptor, Thumbnail, descriptor
+from siamloc import maps
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.protocol import Protocol
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import Retrieval, VisualMap, frame_distances, headings, match
+
+Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor]
+
+
+@dataclass
+class Search:
+    """Frames to be looked for in a map, and what was found so far.
+
+    Attributes:
+        known: map frames that have what the task needs.
+        rows: of the frames that have it (n,), in order.
+        k: neighbours wanted.
+        headings_of: by how many of the neighbours the heading is wanted.
+        with_distances: whether the distances to all map frames are kept, n x m float64.
+        excluded: (n, m) map frames that a frame is not compared with; None if there are none.
+    """
+
+    known: VisualMap
+    rows: NDArray[np.int64]
+    k: int
+    headings_of: int = 1
+    with_distances: bool = False
+    excluded: NDArray[np.bool_] | None = None
+    _found: list[Retrieval] = field(default_factory=list)
+    _turned: list[NDArray[np.float64]] = field(default_factory=list)
+    _apart: list[NDArray[np.float64]] = field(default_factory=list)
+
+    def take_in(self, queries: Description) -> None:
+        """Look for the next frames."""
+        start = sum(map(len, self._found))
+        barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
+        found = match(self.known, queries, self.k, excluded=barred)
+        self._found.append(found)
+        self._turned.append(headings(self.known, queries, found, self.headings_of))
+        if self.with_distances:
+            self._apart.append(frame_distances(self.known, queries))
+
+    @property
+    def retrieval(self) -> Retrieval:
+        """The nearest map frames of all."""
+        return Retrieval.concatenate(self._found)
+
+    @property
+    def distances(self) -> NDArray[np.float64]:
+        """Distances to all map frames (n, m)."""
+        return np.concatenate(self._apart)
+
+    @property
+    def headings(self) -> NDArray[np.float64] | None:
+        """Headings by each of the first neighbours (n, headings_of), NaN if unknown; None where none is known."""
+        turned = np.concatenate(self._turned)
+        return turned if np.isfinite(turned).any() else None
+
+
+class Session:
+    """A map, images, queries and a protocol, checked against each other once for all tasks.
+
+    Args:
+        known: the map; `known.descriptor` describes the queries.
+        images: panoramas of the queries, and of the map's frames where they have to be described again.
+        queries: frames to be located.
+        validation: frames to learn from what the queries must not be asked: settings of the filter, expected errors.
+        protocol: who may be compared with whom: a `Protocol`, or its kind, "cross_run" or "same_run".
+        baselines: descriptors to measure on the same frames: by name, or as a mapping of names to descriptors.
+        name: what the results are called; that of the descriptor if None.
+        seed: of everything that is drawn.
+
+    Raises:
+        ConfigError: queries that the protocol forbids in this map, or an unknown baseline.
+        DataError: no query's image can be read.
+    """
+
+    def __init__(
+        self,
+        known: VisualMap,
+        images: PanoramaLibrary,
+        queries: FrameTable,
+        *,
+        validation: FrameTable | None = None,
+        protocol: Protocol | str = "cross_run",
+        baselines: Baselines = (),
+        name: str | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.known, self.images, self.seed = known, images, seed
+        self.protocol = Protocol.of({"kind": protocol}) if isinstance(protocol, str) else protocol
+        self.name = name or known.descriptor.name
+        self.queries = _readable(images, queries, "queries")
+        self.validation = None if validation is None else _readable(images, validation, "validation frames")
+        self.baselines = _named(baselines, images.circular)
+        self.skipped: dict[str, str] = {}
+        self._check_apart()
+
+    def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
+        """Return which map frames (n, m) each query is not compared with, by the protocol; None for none."""
+        return self.protocol.excluded(queries, known)
+
+    def map_by(self, other: Descriptor) -> VisualMap:
+        """Return a map of the same frames by another descriptor."""
+        if other is self.known.descriptor:
+            return self.known
+        return maps.build(other, self.images, self.known.frames)
+
+    def parts_of(self, by: VisualMap | Descriptor, frames: FrameTable, what: str) -> Iterable[Description]:
+        """Return descriptions of frames, in one part unless the descriptor compares after turning.
+
+        The parts of such descriptors are large, so that only those of a batch are there at once.
+        """
+        parts = maps.describe(by, self.images, frames, progress=f"describing {what}")
+        return parts if by.aligned else [Description.concatenate(list(parts))]
+
+    def run(
+        self, by: VisualMap | Descriptor, frames: FrameTable, searches: Mapping[str, Search], what: str
+    ) -> NDArray[np.float32] | None:
+        """Describe frames and look for them; return the position parts, or None where they are too large to keep."""
+        start, vectors = 0, []
+        for part in self.parts_of(by, frames, what):
+            for search in searches.values():
+                inside = search.rows[(search.rows >= start) & (search.rows < start + len(part))] - start
+                if len(inside):
+                    search.take_in(part if len(inside) == len(part) else part.take(inside))
+            start += len(part)
+            vectors.append(part.position)
+            if by.aligned:
+                vectors.clear()
+        return vectors[0] if vectors else None
+
+    def lacking(self, has: NDArray[np.bool_], what: str) -> str:
+        """Return how many frames lack something, in words; nothing if all have it.
+
+        Raises:
+            DataError: some lack it, others do not, and the images' `on_error` is "raise".
+        """
+        if has.all():
+            return ""
+        text = f"{int((~has).sum())} of {len(has)} {what}"
+        if has.any() and self.images.settings()["on_error"] == "raise":
+            raise DataError(f"{text}: on_error=skip leaves them out")
+        return text
+
+    def with_positions(self) -> tuple[VisualMap, FrameTable]:
+        """Return the map and the queries without the frames that have no position, and note how many have none.
+
+        Raises:
+            DataError: none has one, or some have none and `on_error` is "raise".
+        """
+        known, queries = self.known, self.queries
+        for what, frames in (("map frames", known.frames), ("queries", queries)):
+            if text := self.lacking(frames.has_position, f"{what} have no position"):
+                if not frames.has_position.any():
+                    raise DataError(f"{text}: add x and y to the data")
+                self.skipped[f"{self.name}, {what}"] = text
+        return known.placed(), queries.take(queries.has_position)
+
+    def about(self) -> dict[str, Any]:
+        """Return what is evaluated, as plain values: data, protocol and descriptor."""
+        known = self.known.made.get("data", {})
+        return {
+            "data": {
+                "queries": {**self.queries.source, "sequences": list(self.queries.rows_by("sequence"))},
+                "map": {**known, "sequences": list(self.known.frames.rows_by("sequence"))},
+            },
+            "protocol": self.protocol.kind,
+            "descriptor": self.known.descriptor.identity,
+        }
+
+    def settings(self, task: Any) -> dict[str, Any]:
+        """Return the settings of a task with those of the session, as plain values."""
+        return {
+            "task": task.plain(),
+            "protocol": self.protocol.plain(),
+            "data": {**self.queries.source, **self.images.settings()},
+            "baselines": list(self.baselines),
+            "seed": self.seed,
+        }
+
+    def _check_apart(self) -> None:
+        """Refuse queries and validation frames of the map's own run, unless the protocol allows for them."""
+        if self.validation is not None and (what := shared_with(self.known.frames, self.validation)):
+            raise ConfigError(
+                f"{what} is in the map and in the validation, so that nothing could be learned of the errors on "
+                "another day: validate on another sequence"
+            )
+        if self.protocol.kind == "same_run" or self.protocol.excludes:
+            return
+        if what := shared_with(self.known.frames, self.queries):
+            raise ConfigError(
+                f"{what} is in the map and among the queries, so that the result would not be honest: query another "
+                "sequence, leave map frames near the query out (protocol.apart_seconds, protocol.apart_metres), or say "
+                "protocol.kind=same_run"
+            )
+
+
+def shared_with(known: FrameTable, frames: FrameTable) -> str:
+    """Return the first sequence or image that two tables share, in words; nothing if there is none."""
+    sequences = sorted(set(known.sequence.tolist()) & set(frames.sequence.tolist()))
+    copies = np.flatnonzero(np.isin(frames.path, known.path))
+    if sequences:
+        return f"sequence {sequences[0]!r}"
+    return f"image {frames.path[copies[0]]}" if len(copies) else ""
+
+
+def _readable(images: PanoramaLibrary, frames: FrameTable, what: str) -> FrameTable:
+    found = images.readable(frames)
+    if not len(found):
+        raise DataError(f"none of the images of the {len(frames)} {what} could be read")
+    return found
+
+
+def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
+    """Return descriptors by name: "thumbnail", or a name in `analytic.DESCRIPTORS` with its default parameters."""
+    if isinstance(baselines, Mapping):
+        return dict(baselines)
+    made: dict[str, Descriptor] = {}
+    for one in baselines:
+        if isinstance(one, str):
+            made[one] = Thumbnail() if one == "thumbnail" else descriptor(one, circular=circular)
+        else:
+            made[one.name] = one
+    return made

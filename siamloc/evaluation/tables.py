@@ -1,0 +1,257 @@
+"""Results as text: what `Result.table()` returns, a notebook shows and the commands print."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from siamloc.evaluation.result import Result
+
+Measures = Mapping[str, Any]
+FURTHER = {"filtered": "filter", "interpolated": "interpolation"}  # estimates of the same descriptor by another way
+
+
+def text_of(result: Result) -> str:
+    """Return a result's tables, what they rest on, and what could not be measured."""
+    lines: list[str] = []
+    if "absolute" in result.parts or "room_retrieval" in result.parts:
+        lines += _localization(result)
+    for part, write in _WRITERS.items():
+        if part in result.parts:
+            lines += write(result.name, result.parts[part])
+    lines += [f"{what} left out: {reason}" for what, reason in result.skipped.items()]
+    if "located" in result.tables:
+        lines.append(f"located without a score: {len(result.tables['located']['path'])} queries, in located.csv")
+    return "\n".join(lines)
+
+
+def _localization(result: Result) -> list[str]:
+    """Return a row per method and lighting: errors, floor, excess, recall@1, rooms, and their denominators."""
+    methods: dict[str, Measures] = {result.name: result.parts}
+    for name, sign in FURTHER.items():
+        if f"absolute_{name}" in result.parts:
+            methods[f"{result.name} + {sign}"] = {"absolute": result.parts[f"absolute_{name}"]}
+    methods |= {name: other.parts for name, other in result.baselines.items()}
+    first, with_heading = result.parts, _any_heading(methods)
+    table = _table("method", "lighting")
+    absolute = first.get("absolute")
+    if absolute is not None:
+        unit = absolute["unit"]
+        for name in ("mean", "median", "95 %", "floor", "excess"):
+            _number_column(table, f"{name}\n[{unit}]")
+        for radius in absolute["radii"]:
+            _number_column(table, f"recall@1\n{radius:g} {unit}")
+        if with_heading:
+            _number_column(table, "heading\n[deg]")
+        _number_column(table, "queries")
+    if "room_retrieval" in first:
+        for name in ("room\nretrieved", "room in\ntop 5", "mAP", "chance"):
+            _number_column(table, name)
+        if absolute is None:
+            _number_column(table, "queries")
+    if "room_pairs" in first:
+        _number_column(table, "pairs\nsame")
+        _number_column(table, "pairs\ndifferent")
+    for method, measures in methods.items():
+        for lighting in _lightings(measures):
+            table.add_row(method, lighting, *_cells(measures, lighting, first, with_heading))
+    lines = [_text(table)]
+    if absolute is not None:
+        lines.append(f"map: {absolute['map_frames']} frames")
+        for recall in absolute["overall"]["recall"]:
+            if recall["k"] == 1:
+                within = f"recall@1 within {recall['radius']:g} {absolute['unit']}"
+                lines.append(
+                    f"{within}: {recall['answerable']} of {recall['queries']} queries have a map frame that near"
+                )
+    for method, measures in methods.items():
+        overall = measures.get("absolute", {}).get("overall", {})
+        count = overall.get("heading_error", {}).get("count", 0)
+        if 0 < count < overall["queries"]:
+            lines.append(
+                f"heading, {method}: {count} of {overall['queries']} queries, where theta is known on both sides"
+            )
+    return lines
+
+
+def _cells(measures: Measures, lighting: str, first: Measures, with_heading: bool) -> Iterator[str]:
+    def group(name: str) -> Measures | None:
+        part = measures.get(name)
+        if part is None:
+            return None
+        return part["overall"] if lighting == "all" else part["lighting"].get(lighting)
+
+    absolute, rooms, pairs = group("absolute"), group("room_retrieval"), group("room_pairs")
+    if absolute is not None:
+        error = absolute["error"]
+        for value in (error["mean"], error["median"], error["p95"]):
+            yield _number(value)
+        yield _number(absolute["floor"]["mean"])
+        yield _number(absolute["excess"]["mean"])
+        yield from (_percent(recall["recall"]) for recall in absolute["recall"] if recall["k"] == 1)
+        if with_heading:
+            yield _number(absolute["heading_error"]["mean"], 1) if "heading_error" in absolute else "-"
+        yield str(absolute["queries"])
+    elif "absolute" in first:
+        yield from ["-"] * (6 + len(first["absolute"]["radii"]) + with_heading)
+    if "room_retrieval" in first:
+        values = (
+            (rooms["accuracy"], rooms["top"]["5"], rooms["mean_average_precision"], rooms["chance"]) if rooms else ()
+        )
+        yield from map(_percent, values) if rooms else ["-"] * 4
+        if "absolute" not in first:
+            yield str(rooms["queries"]) if rooms else "-"
+    if "room_pairs" in first:
+        yield from (_percent(pairs["same"]), _percent(pairs["different"])) if pairs else ("-", "-")
+
+
+def _calibration(name: str, measures: Measures) -> list[str]:
+    overall = measures["overall"]
+    lost = overall["lost"]
+    return [
+        f"expected error: {_number(overall['predicted'])} for {_number(overall['observed'])} in truth, off by "
+        f"{_number(overall['gap'])} along the calibration curve; lost above {lost['lost_above']:g}: {lost['called']} "
+        f"called, {lost['lost']} in truth, precision {_percent(lost['precision'])}, recall {_percent(lost['recall'])}"
+    ]
+
+
+def _hierarchical(name: str, measures: Measures) -> list[str]:
+    """Return a row per lighting: errors of both layers together and taken apart, and the comparisons they took."""
+    table, unit = _table("lighting"), measures["unit"]
+    heads = ["mean", "95 %", "floor", "excess", "right\nnode", "wrong\nnode", "perfect\nnodes", "whole\nmap"]
+    for head in heads:
+        _number_column(table, f"{head}\n[{unit}]" if "\n" not in head else f"{head} [{unit}]")
+    heading = "heading_error" in measures["overall"]
+    for head in ["loss", "node\nfound", "frames\ncompared", "with\nnodes", *["heading\n[deg]"] * heading, "queries"]:
+        _number_column(table, head)
+    for label in _lightings({"absolute": measures}):
+        group = measures["overall"] if label == "all" else measures["lighting"][label]
+        errors = [group["error"]["mean"], group["error"]["p95"], group["floor"]["mean"], group["excess"]["mean"]]
+        apart = ("given_right", "given_wrong", "perfect_coarse", "absolute")
+        errors += [group[one]["error"]["mean"] for one in apart]
+        compared = group["comparisons"]
+        shares = [group["loss"], group["coarse"]["accuracy"], compared["frames_share"], compared["share"]]
+        turned = group.get("heading_error", {}).get("mean")
+        cells = [*map(_number, errors), *map(_percent, shares), *[_number(turned, 1)] * heading, str(group["queries"])]
+        table.add_row(label, *cells)
+    mean = measures["overall"]["comparisons"]["mean"]
+    return [
+        f"hierarchical localization, {name}",
+        _text(table),
+        f"map: {measures['map_frames']} frames; {mean:.1f} comparisons a query with those of the nodes",
+    ]
+
+
+def _mapping(name: str, measures: Measures) -> list[str]:
+    closures, purity, unit = measures["closures"], measures["purity"], measures["unit"]
+    nearest, pooled = (_number(measures["silhouette"][mode]) for mode in ("nearest", "pooled"))
+    ms = measures["ms_per_frame"]
+    unassigned = measures["unassigned"]
+    table = _table()
+    for what, value in {
+        "layer": name,
+        "nodes": f"{measures['nodes']} over {measures['frames']} frames",
+        "frames in no node": f"{unassigned['frames']} ({_percent(unassigned['share'])})",
+        "silhouette of points": f"{nearest} to the nearest cluster, {pooled} pooled",
+        "silhouette of descriptors": _number(measures["descriptor_silhouette"]),
+        "moment of inertia": f"{_number(measures['inertia'])} {unit}^2",
+        "purity by room": f"{_percent(purity['overall'])} of {purity['frames']} frames",
+        "loop closures": f"precision {_percent(closures['precision'])} of {closures['closures']}, recall "
+        f"{_percent(closures['recall'])} of {closures['revisits']}, F1 {_percent(closures['f1'])}, within "
+        f"{closures['radius']:g} {unit}",
+        "time per frame": f"{_number(ms['median'])} ms median, {_number(ms['p95'])} ms 95 %",
+        "bytes": f"{measures['bytes']['representatives']} of {measures['bytes']['descriptors']}",
+    }.items():
+        table.add_row(what, value)
+    return [_text(table)]
+
+
+def _buildings(name: str, measures: Measures) -> list[str]:
+    labels, maps = measures["confusion"]["labels"], measures["maps"]
+    table = _table("lighting")
+    for head in (*(f"of {label}" for label in labels), "all", "queries"):
+        _number_column(table, head)
+    for lighting in _lightings({"absolute": measures}):
+        group = measures["overall"] if lighting == "all" else measures["lighting"][lighting]
+        shares = [_counted(group["building"].get(label)) for label in labels]
+        table.add_row(lighting, *shares, _counted(group), str(group["queries"]))
+    listed = [
+        f"{label} {one['frames']} frames"
+        + (f" in {one['representatives']} nodes" if measures["build"] != "none" else "")
+        for label, one in maps.items()
+    ]
+    title = f"building chosen correctly, {name}, {measures['distance']} distance"
+    return [title, _text(table), f"maps: {'; '.join(listed)}"]
+
+
+def _robustness(name: str, measures: Measures) -> list[str]:
+    unit = measures["unit"]
+    table = _table("method", "disturbance", "level")
+    for head in (f"mean [{unit}]", f"median [{unit}]", f"floor [{unit}]", f"within {measures['radius']:g} {unit}"):
+        _number_column(table, head)
+    for method, by_name in measures["methods"].items():
+        for disturbance, levels in by_name.items():
+            for entry in levels:
+                share = f"{_percent(entry['share'])} ({entry['within']})"
+                cells = [_number(entry[key]) for key in ("mean", "median", "floor")]
+                table.add_row(method, disturbance, f"{entry['level']:g}", *cells, share)
+    counted = f"queries: {measures['queries']} (one in {measures['every']}), map: {measures['map_frames']} frames"
+    return [_text(table), counted]
+
+
+_WRITERS: dict[str, Callable[[str, Measures], list[str]]] = {
+    "calibration": _calibration,
+    "hierarchical": _hierarchical,
+    "mapping": _mapping,
+    "buildings": _buildings,
+    "robustness": _robustness,
+}
+
+
+def _lightings(measures: Measures) -> list[str]:
+    """Return the lightings of all queries: some may have a room and no position, or the other way round."""
+    parts = [measures[name]["lighting"] for name in ("absolute", "room_retrieval") if name in measures]
+    labels = sorted({label for part in parts for label in part})
+    return [*labels, "all"] if len(labels) != 1 else labels
+
+
+def _any_heading(methods: Mapping[str, Measures]) -> bool:
+    return any("heading_error" in measures.get("absolute", {}).get("overall", {}) for measures in methods.values())
+
+
+def _table(*heads: str) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, header_style="bold", pad_edge=False, show_header=bool(heads))
+    for head in heads:
+        table.add_column(head)
+    return table
+
+
+def _number_column(table: Table, head: str) -> None:
+    table.add_column(head.replace("[", "\\["), justify="right")
+
+
+def _text(table: Table) -> str:
+    from rich.console import Console
+
+    # As wide as the table needs: what it is shown on decides about folding.
+    out = StringIO()
+    Console(file=out, width=250, color_system=None).print(table)
+    return "\n".join(line.rstrip() for line in out.getvalue().rstrip("\n").split("\n"))
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None or value != value else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None or share != share else f"{100 * share:.1f} %"
+
+
+def _counted(group: Measures | None) -> str:
+    return "-" if group is None else f"{_percent(group['accuracy'])} ({group['correct']}/{group['queries']})"

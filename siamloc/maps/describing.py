@@ -1,0 +1,130 @@
+"""From images to a map: `build` describes a robot's frames, `describe` those to be found in the map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.maps.heading import HeadingPart, WithHeading
+from siamloc.maps.visual_map import VisualMap
+from siamloc.progress import track
+
+if TYPE_CHECKING:
+    from torch import nn
+
+    from siamloc.data.library import PanoramaLibrary
+
+
+def build(
+    described_by: Descriptor | nn.Module | str,
+    images: PanoramaLibrary,
+    frames: FrameTable,
+    *,
+    heading: Descriptor | str | None = None,
+    device: str | None = None,
+    progress: bool = True,
+) -> VisualMap:
+    """Describe frames and keep them as the map that queries are searched in.
+
+    Args:
+        described_by: a network (B, 3, H, W) -> (B, D), or any descriptor, or the name of an analytic one such as "hog".
+        images: panoramas of the frames.
+        frames: those of the map; the ones whose image cannot be read are left out.
+        heading: what finds headings where `described_by` does not: a descriptor, or the name of an analytic one.
+        device: where descriptors are computed, such as "cuda"; where they are if None.
+        progress: whether to show how far the work is.
+
+    Raises:
+        ConfigError: an unknown name, or two descriptors that do not work together.
+        DataError: no image can be read, or descriptors that are not finite.
+
+    Example:
+        >>> import cv2, numpy as np, tempfile
+        >>> from siamloc.data import FrameTable, PanoramaLibrary
+        >>> folder = tempfile.mkdtemp()
+        >>> for name, level in (("dark", 20), ("light", 220)):
+        ...     _ = cv2.imwrite(f"{folder}/{name}.png", np.full((16, 64, 3), level, np.uint8))
+        >>> frames = FrameTable(path=[f"{folder}/dark.png", f"{folder}/light.png"], x=[0, 1], y=[0, 0])
+        >>> images = PanoramaLibrary(frames, f"{folder}/cache", image_size=(16, 64))
+        >>> build("hog", images, frames, progress=False)
+        VisualMap(2 frames, 256 numbers each by hog, compared by correlation)
+    """
+    by = _as_descriptor(described_by, circular=images.circular, device=device)
+    turning = None if heading is None else _as_descriptor(heading, circular=images.circular, device=device)
+    if turning is not None and not images.circular:
+        raise ConfigError(
+            f"heading={turning.name} needs columns that are a full turn, and circular=false says that they are not: "
+            "leave heading out"
+        )
+    both = by if turning is None else WithHeading(by, turning)
+    readable = images.readable(frames)
+    if not len(readable):
+        raise DataError(f"none of the images of the {len(frames)} map frames could be read")
+    what = "describing the map" if progress else None
+    described = Description.concatenate(list(describe(both, images, readable, progress=what)))
+    part = None
+    if turning is not None and described.orientation is not None:
+        part = HeadingPart.of(turning, described.orientation)
+    data = {**readable.source, **images.settings()}
+    return VisualMap(
+        described.position,
+        readable,
+        {**by.identity, "images": images.preprocessing.parameters()},
+        by.default_distance,
+        unit=readable.unit,
+        made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable)},
+        orientation=described.orientation if turning is None else None,
+        heading=part,
+        describes=by,
+    )
+
+
+def describe(
+    by: VisualMap | Descriptor, images: PanoramaLibrary, frames: FrameTable, *, progress: str | None = None
+) -> Iterator[Description]:
+    """Yield the descriptions of frames batch by batch, in order: `Description.concatenate(list(...))` joins them.
+
+    Descriptions that are compared after turning are large, so that it is better to search batch by batch.
+
+    Args:
+        by: a descriptor, or the map in which the frames are to be found: then its `describer`, after making sure that
+            the panoramas are made alike.
+        images: panoramas of the frames.
+        frames: n frames, all readable.
+        progress: the work in words, to show how far it is; None to show nothing.
+
+    Raises:
+        ConfigError: the map cannot describe, or its panoramas were made in another way.
+    """
+    if isinstance(by, VisualMap):
+        by.check_images(images.preprocessing.parameters())
+        by = by.describer
+    parts = (by.describe(batch) for batch in images.batches(frames))
+    return parts if progress is None else track(parts, len(frames), progress, size=len)
+
+
+def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool = True, device: str | None = None) -> Descriptor:
+    """Return what describes images: a descriptor as it is, a network wrapped, an analytic descriptor by its name.
+
+    Args:
+        by: what is given.
+        circular: whether the columns of the images are a full turn, for a name.
+        device: where to compute.
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+    if isinstance(by, str):
+        if by == Thumbnail.name:
+            return Thumbnail()
+        if by not in DESCRIPTORS:
+            raise ConfigError(f"unknown descriptor {by!r}: {hint(by, (Thumbnail.name, *DESCRIPTORS))}")
+        return descriptor(by, circular=circular, **({} if device is None else {"device": device}))
+    if isinstance(by, Descriptor):
+        return by
+    from siamloc.models import as_descriptor as of_network
+
+    return of_network(by, device)

@@ -1,0 +1,247 @@
+"""How far off an estimate probably is: learned on a validation sequence, predicted from the retrieval alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.files import read_json, write_json
+from siamloc.maps.search import Retrieval
+
+if TYPE_CHECKING:
+    from siamloc.maps.visual_map import VisualMap
+
+_FORMAT = "siamloc-error-model"
+_VERSION = 2
+_GROUP = 25  # validation queries behind each value of the model, at least
+_FEWEST = 10
+
+
+def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Return the distance of the best match over that of the first one beyond the radius from it (n,), in [0, 1].
+
+    Near 1, a place elsewhere looks as much like the query. Where all neighbours lie within the radius, the farthest
+    known descriptor distance stands for the one that was not found: the score is then too high rather than too low.
+    """
+    apart = _from_best(found, map_xy)
+    known = np.isfinite(found.distances)
+    other = np.where((apart > radius) & known, found.distances, np.inf).min(axis=1)
+    last = np.where(known, found.distances, -np.inf).max(axis=1)
+    other = np.where(np.isinf(other), last, other)
+    return np.divide(found.distances[:, 0], other, out=np.ones(len(other)), where=other > 0)
+
+
+def distance_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Return the descriptor distance of the best match (n,)."""
+    return found.distances[:, 0].astype(np.float64)
+
+
+def spread_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Return the mean distance of the matches from the best one (n,), in units of x and y."""
+    known = np.isfinite(found.distances)
+    return np.where(known, _from_best(found, map_xy), 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+
+
+SCORES: dict[str, Callable[[Retrieval, NDArray[np.float64], float], NDArray[np.float64]]] = {
+    "ratio": ratio_score,
+    "distance": distance_score,
+    "spread": spread_score,
+}
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """The expected error as an increasing function of one score of the retrieval, as plain numbers.
+
+    The ratio score is the default: it has no unit, so that what was learned under one lighting holds under another,
+    where all distances are larger; a weighted sum with the other scores predicted no better on queries that it had not
+    learned from. Isotonic regression assumes nothing of the function but that it does not fall.
+
+    Attributes:
+        score: a name in `SCORES`.
+        radius: beyond which a match is another place, in units of x and y.
+        neighbours: matches of each query that the score looks at.
+        knots: scores, increasing.
+        errors: the expected error at each, not decreasing; linear between them and constant beyond.
+        queries: how many it was learned from.
+        lost_above: the expected error above which the robot counts as lost; None if none was chosen.
+        map_digest: of the map it was learned on; "" if unknown.
+    """
+
+    score: str
+    radius: float
+    neighbours: int
+    knots: tuple[float, ...]
+    errors: tuple[float, ...]
+    queries: int
+    lost_above: float | None = None
+    map_digest: str = ""
+
+    def __post_init__(self) -> None:
+        if self.score not in SCORES:
+            raise ConfigError(f"unknown score {self.score!r}: {hint(self.score, SCORES)}")
+        if not 0 <= self.radius < math.inf or self.neighbours < 1:
+            raise ConfigError(
+                f"an error model needs radius >= 0 and neighbours >= 1, got {self.radius} and {self.neighbours}"
+            )
+        if self.lost_above is not None and not 0 < self.lost_above < math.inf:
+            raise ConfigError(f"the threshold of being lost must be a positive error, got {self.lost_above}")
+        knots, errors = np.asarray(self.knots, dtype=float), np.asarray(self.errors, dtype=float)
+        fits = knots.ndim == 1 and knots.shape == errors.shape and len(knots) > 0
+        if not fits or not (np.diff(knots) > 0).all() or not (np.diff(errors) >= 0).all() or not errors[0] >= 0:
+            raise DataError("an error model needs increasing scores with errors >= 0 that do not decrease")
+        object.__setattr__(self, "knots", tuple(knots.tolist()))
+        object.__setattr__(self, "errors", tuple(errors.tolist()))
+
+    @classmethod
+    def fit(
+        cls,
+        found: Retrieval,
+        map_xy: ArrayLike,
+        errors: ArrayLike,
+        score: str = "ratio",
+        radius: float = 1.0,
+        neighbours: int = 20,
+    ) -> ErrorModel:
+        """Learn from a validation sequence.
+
+        The errors of at least 25 queries of similar score are averaged before the regression: a single query
+        says little, the most extreme one least of all.
+
+        Args:
+            found: what the search gave for n validation queries.
+            map_xy: (m, 2) positions of the map's frames.
+            errors: (n,) of the estimates that the model is to be asked about, not negative.
+            score: a name in `SCORES`.
+            radius: beyond which a match is another place.
+            neighbours: matches that the score looks at; fewer where the map, or what was found, is smaller.
+
+        Raises:
+            ConfigError: an unknown score, or a parameter out of range.
+            DataError: fewer than 10 queries, or arrays that do not fit each other.
+        """
+        values = np.asarray(errors, dtype=np.float64)
+        if values.shape != (len(found),) or not (values >= 0).all() or not np.isfinite(values).all():
+            raise DataError(f"{len(found)} validation queries need as many errors, finite and >= 0, got {values.shape}")
+        if len(values) < _FEWEST:
+            raise DataError(
+                f"an error model needs at least {_FEWEST} validation queries, got {len(values)}: "
+                "give protocol.validation more frames"
+            )
+        neighbours = min(int(neighbours), found.indices.shape[1])
+        blank = cls(score, float(radius), neighbours, (0.0,), (0.0,), len(values))
+        scores = blank.scores(found, map_xy)
+        order = np.argsort(scores, kind="stable")
+        groups = np.array_split(order, max(1, len(order) // _GROUP))
+        knots, inverse = np.unique([scores[rows].mean() for rows in groups], return_inverse=True)
+        size = np.bincount(inverse, [len(rows) for rows in groups])
+        mean = np.bincount(inverse, [values[rows].sum() for rows in groups]) / size
+        from sklearn.isotonic import IsotonicRegression
+
+        fitted = IsotonicRegression().fit_transform(knots, mean, sample_weight=size)
+        return cls(score, float(radius), neighbours, tuple(knots), tuple(np.maximum.accumulate(fitted)), len(values))
+
+    def scores(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
+        """Return the score of each query (n,). Arguments and errors as `predict`."""
+        xy = np.asarray(map_xy, dtype=np.float64)
+        if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
+            raise DataError(f"the error of an estimate needs map positions (m, 2), all known, got shape {xy.shape}")
+        k = min(self.neighbours, len(xy))
+        if found.indices.ndim != 2 or found.indices.shape[1] < k:
+            raise DataError(f"the error of an estimate needs {k} neighbours a query, got shape {found.indices.shape}")
+        return SCORES[self.score](Retrieval(found.indices[:, :k], found.distances[:, :k]), xy, self.radius)
+
+    def predict(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
+        """Return the expected error of each query (n,), in units of x and y.
+
+        Args:
+            found: what the search gave, at least `neighbours` of n queries, or the whole map.
+            map_xy: (m, 2) positions of the map's frames.
+
+        Raises:
+            DataError: too few neighbours, or a map frame without a position.
+        """
+        return np.interp(self.scores(found, map_xy), self.knots, self.errors)
+
+    def lost(self, expected: ArrayLike) -> NDArray[np.bool_]:
+        """Return for which expected errors (n,) the robot counts as lost.
+
+        Raises:
+            ConfigError: no threshold was chosen.
+        """
+        if self.lost_above is None:
+            raise ConfigError("the error model has no threshold of being lost: learn it again with task.lost_above")
+        return np.asarray(expected) > self.lost_above
+
+    def learned_on(self, known: VisualMap) -> bool:
+        """Find out whether the model was learned on the frames of a map that have a position."""
+        return bool(known.frames.has_position.any()) and self.map_digest == known.placed().digest
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the model as plain values."""
+        return {"format": _FORMAT, "version": _VERSION, **asdict(self)}
+
+    @classmethod
+    def from_dict(cls, values: Any, source: str = "the error model") -> ErrorModel:
+        """Return the model that `as_dict` gave.
+
+        Args:
+            values: plain values, as JSON gives them back.
+            source: what to call them in an error message.
+
+        Raises:
+            FormatError: something else, or of a newer version.
+        """
+        if not isinstance(values, Mapping) or values.get("format") != _FORMAT:
+            raise FormatError(f"{source} is not an error model: make it with `siamloc evaluate`")
+        if not isinstance(values.get("version"), int) or values["version"] > _VERSION:
+            raise FormatError(
+                f"{source} has format version {values.get('version')}, this siamloc reads up to {_VERSION}: "
+                "update siamloc"
+            )
+        try:
+            return cls(**{key: value for key, value in values.items() if key not in ("format", "version")})
+        except (TypeError, ValueError) as error:
+            raise FormatError(f"{source} is not a whole error model ({error}): make it again") from error
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON, atomically.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        write_json(path, self.as_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> ErrorModel:
+        """Read a model that `save` wrote.
+
+        Raises:
+            FormatError: the file is missing, cut short, no error model, or of a newer version.
+        """
+        return cls.from_dict(read_json(path), str(path))
+
+
+def saved_errors(path: str | Path, known: VisualMap | None) -> ErrorModel | None:
+    """Read an error model if it is there and was learned on this map.
+
+    Raises:
+        FormatError: the file is cut short, no error model, or of a newer version.
+    """
+    if known is None or not Path(path).is_file():
+        return None
+    model = ErrorModel.load(path)
+    return model if model.learned_on(known) else None
+
+
+def _from_best(found: Retrieval, map_xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far each match lies from the best one (n, k)."""
+    offset = map_xy[found.indices] - map_xy[found.indices[:, :1]]
+    return np.hypot(offset[..., 0], offset[..., 1])

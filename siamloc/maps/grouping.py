@@ -1,0 +1,265 @@
+"""Grouping the frames of a map into the nodes of a coarse layer: by rooms, by clustering, or frame by frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic import clustering
+from analytic.mapper import IncrementalMapper, Parameters
+from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.files import read_json, storage_errors, write_json, write_text
+from siamloc.maps.coarse import CoarseLayer
+from siamloc.maps.visual_map import VisualMap
+from siamloc.progress import track
+from siamloc.settings import Count, Positive, Settings
+
+
+@dataclass(frozen=True)
+class Rooms(Settings):
+    """One node for each room label."""
+
+    WHERE = "build"
+
+
+@dataclass(frozen=True)
+class Sample(Settings):
+    """Runs of consecutive frames: the baseline of the clusterings ([C] 5.4).
+
+    Attributes:
+        nodes: how many.
+    """
+
+    WHERE = "build"
+
+    nodes: Count = 40
+
+
+@dataclass(frozen=True)
+class Spectral(Settings):
+    """Normalized spectral clustering of the descriptors ([C] 3).
+
+    Attributes:
+        nodes: how many.
+        sigma: width of the Gaussian similarity; chosen from the descriptors if None.
+        neighbours: a sparse graph of that many neighbours for each frame; all of them if None.
+        assign: how eigenvectors become nodes.
+    """
+
+    WHERE = "build"
+
+    nodes: Count = 40
+    sigma: Positive | None = None
+    neighbours: Count | None = None
+    assign: Literal["kmeans", "som"] = "kmeans"
+
+
+@dataclass(frozen=True)
+class SelfOrganizing(Settings):
+    """A self-organizing map of the descriptors ([C] 3).
+
+    Attributes:
+        grid: rows and columns of its places; at most as many nodes.
+    """
+
+    WHERE = "build"
+
+    grid: tuple[Count, Count] = (8, 5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Incremental(Parameters, Settings):
+    """The mapper that grows node by node while the robot drives ([I] 4, [T] 4.3, 4.6); see its `Parameters`."""
+
+    WHERE = "build"
+
+    version: int = 2
+
+    def __post_init__(self) -> None:
+        Settings.__post_init__(self)
+        super().__post_init__()
+
+
+WAYS: dict[str, type[Settings]] = {
+    "rooms": Rooms,
+    "sample": Sample,
+    "spectral": Spectral,
+    "som": SelfOrganizing,
+    "incremental": Incremental,
+}
+
+
+@dataclass(frozen=True)
+class Built:
+    """A coarse layer and how it came about.
+
+    Attributes:
+        layer: nodes over the frames of the map.
+        seconds: what each frame took (n,) where frames came one by one; what all of them took (1,) otherwise.
+        map_digest: of the map it was built over.
+        reasons: names of `analytic.Reason`, why the incremental mapper put each frame (n) where it did at the time;
+            empty for the other ways.
+        mapper: the incremental map; None for the other ways, and after `load`.
+    """
+
+    layer: CoarseLayer
+    seconds: NDArray[np.float64]
+    map_digest: str
+    reasons: tuple[str, ...] = ()
+    mapper: IncrementalMapper | None = None
+
+    def save(self, folder: str | Path) -> None:
+        """Write the layer with all that explains it into a folder.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        folder = Path(folder)
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            # Removed first and written last: if this is interrupted, no layer lies next to what explains another.
+            (folder / "layer.npz").unlink(missing_ok=True)
+        placing = {"seconds": self.seconds.tolist(), "reasons": list(self.reasons), "map": self.map_digest}
+        write_json(folder / "placing.json", placing)
+        if self.mapper is not None:
+            self.mapper.save(folder / "mapper.npz")
+            write_text(folder / "events.jsonl", "".join(f"{line}\n" for line in self.mapper.events))
+            graph = self.mapper.graph()
+            graph.to_json(folder / "graph.json")
+            graph.to_graphml(folder / "graph.graphml")
+        self.layer.save(folder / "layer.npz")
+
+    def summary(self) -> str:
+        """Say in one line what was built."""
+        lost = int((self.layer.labels < 0).sum())
+        none = f", {lost} frames in none" if lost else ""
+        text = (
+            f"{len(self.layer)} nodes over {len(self.layer.labels)} frames{none}, built in {self.seconds.sum():.1f} s"
+        )
+        if self.reasons and len(self.layer) == 1:
+            text += (
+                "; one node: the thresholds count frames that lie a few centimetres apart, so take more frames into "
+                "the map (protocol.map.every=1), or use build=incremental_sparse"
+            )
+        return text
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Built:
+        """Read what `save` wrote, except the mapper: that is `analytic.IncrementalMapper.load(folder / "mapper.npz")`.
+
+        Raises:
+            FormatError: a file is missing, cut short, something else, or of a newer version.
+        """
+        folder = Path(folder)
+        layer, placing = CoarseLayer.load(folder / "layer.npz"), read_json(folder / "placing.json")
+        try:
+            seconds = np.array(placing["seconds"], dtype=np.float64)
+            return cls(layer, seconds, placing["map"], tuple(placing.get("reasons", ())))
+        except (KeyError, TypeError, ValueError) as error:
+            raise FormatError(f"{folder / 'placing.json'} is not whole: build the layer again") from error
+
+
+def group(
+    known: VisualMap,
+    way: str,
+    *,
+    seed: int = 0,
+    folder: str | Path | None = None,
+    progress: bool = True,
+    **parameters: Any,
+) -> Built:
+    """Group the frames of a map into the nodes of a coarse layer.
+
+    Args:
+        known: n frames in capture order.
+        way: a name in `WAYS`: "rooms", "sample", "spectral", "som" or "incremental".
+        seed: of clusterings.
+        folder: where the layer is kept. One that was built over this map in the same way is read from there;
+            otherwise the new one is written. Nothing is written if None.
+        progress: whether to show how far the incremental mapper is.
+        **parameters: those of the way; see its settings, such as `Spectral`.
+
+    Raises:
+        ConfigError: an unknown way or parameter, one out of range, or descriptors that this way cannot group.
+        DataError: no frame has a room label, or no frame came into a node.
+        AnalyticError: mapper parameters that contradict each other, or descriptors that cannot be clustered.
+
+    Example:
+        >>> from siamloc.data import FrameTable
+        >>> rooms = FrameTable(path=["1.png", "2.png", "3.png"], room=["office", "office", "hall"])
+        >>> group(VisualMap([[0.0], [1.0], [2.0]], rooms), "rooms").layer.names
+        array(['hall', 'office'], dtype='<U6')
+    """
+    if way not in WAYS:
+        raise ConfigError(f"unknown build {way!r}: {hint(str(way), WAYS)}")
+    settings = WAYS[way].of(parameters)
+    made = {"name": way, **settings.plain(), **({} if way in ("rooms", "incremental") else {"seed": seed})}
+    if folder is not None and (found := _built_before(Path(folder), known, made)) is not None:
+        return found
+    start = time.perf_counter()
+    if isinstance(settings, Incremental):
+        built = _grown(known, settings, made, progress)
+    else:
+        layer = CoarseLayer.of_rooms(known) if way == "rooms" else _clustered(known, settings, made, seed)
+        built = Built(layer, np.array([time.perf_counter() - start]), known.digest)
+    if folder is not None:
+        built.save(folder)
+    return built
+
+
+def _built_before(folder: Path, known: VisualMap, made: dict[str, Any]) -> Built | None:
+    """Return what was built over this map in this way, if it lies in the folder."""
+    if not (folder / "layer.npz").is_file():
+        return None
+    try:
+        built = Built.load(folder)
+    except FormatError:
+        return None
+    same = all(built.layer.made.get(key) == value for key, value in made.items())
+    return built if same and built.map_digest == known.digest else None
+
+
+def _clustered(known: VisualMap, settings: Settings, made: dict[str, Any], seed: int) -> CoarseLayer:
+    if isinstance(settings, Sample):
+        return CoarseLayer.of_labels(known, clustering.sample(len(known), settings.nodes), made=made)
+    if known.aligned:
+        raise ConfigError(
+            f"build={made['name']} needs descriptors that a turn leaves as they are, and those of "
+            f"{known.descriptor.name} have to be aligned first: use build=incremental, sample or rooms, or another "
+            "descriptor"
+        )
+    if isinstance(settings, SelfOrganizing):
+        return CoarseLayer.of_labels(known, clustering.som(known.descriptors, settings.grid, seed=seed), made=made)
+    parameters = settings.plain()
+    labels = clustering.spectral(known.descriptors, parameters.pop("nodes"), seed=seed, **parameters)
+    return CoarseLayer.of_labels(known, labels, made=made)
+
+
+def _grown(known: VisualMap, settings: Incremental, made: dict[str, Any], progress: bool) -> Built:
+    mapper = IncrementalMapper(known.descriptor, **settings.plain())
+    seconds, reasons = np.zeros(len(known)), []
+    poses = np.column_stack([known.frames.xy, known.frames.theta])
+    rows: Iterable[int] = range(len(known))
+    for row in track(rows, len(known), "mapping") if progress else rows:
+        one = known.description.take(slice(row, row + 1))
+        start = time.perf_counter()
+        decision = mapper.add(one, poses[row].tolist() if np.isfinite(poses[row]).all() else None)
+        seconds[row] = time.perf_counter() - start
+        reasons.append(decision.reason.name)
+    labels = mapper.labels()
+    ids = [node.id for node in mapper.nodes]
+    if not ids:
+        raise DataError(
+            f"the mapper made no node of {len(known)} frames: give it more frames, or lower build.first_node"
+        )
+    numbered = np.full(len(labels), -1, dtype=np.int64)
+    for number, node in enumerate(ids):
+        numbered[labels == node] = number
+    layer = CoarseLayer.of_labels(known, numbered, made={**made, "ids": ids})
+    return Built(layer, seconds, known.digest, tuple(reasons), mapper)

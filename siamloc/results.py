@@ -1,0 +1,201 @@
+"""Result files: `results.json` with the measures and all that they rest on, and tables with one row per query.
+
+A table is a dictionary of columns of equal length (`Columns`).
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import io
+import platform
+import sys
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc import __version__
+from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.files import read_json, write_json, write_text
+
+Columns = dict[str, NDArray[Any]]
+UNLABELLED = "(unlabelled)"
+
+_SCHEMA = "siamloc-results"
+_VERSION = 1
+_REQUIRED = ("config", "measures", "denominators")
+_KINDS = {"U": "text", "b": "bool", "i": "int", "u": "int", "f": "float"}
+_PARSERS: dict[str, tuple[Any, Callable[[str], Any]]] = {
+    "text": (np.str_, str),
+    "bool": (np.bool_, {"True": True, "False": False}.__getitem__),
+    "int": (np.int64, int),
+    "float": (np.float64, lambda cell: float(cell) if cell else np.nan),
+}
+
+
+def write_results(
+    folder: str | Path,
+    results: Mapping[str, Any],
+    rows: Mapping[str, NDArray] | None = None,
+    tables: Mapping[str, Mapping[str, NDArray]] | None = None,
+) -> Path:
+    """Write `results.json`, `queries.csv` and further tables; return the path of the first.
+
+    Each file is written whole or not at all, `results.json` last: it names the tables that belong to it. Numbers keep
+    every digit.
+
+    Args:
+        folder: made where it is missing.
+        results: plain values with at least `config` (all of it), `measures` and `denominators`.
+        rows: columns of equal length, written to `queries.csv`.
+        tables: more columns by table name: "pairs" becomes `pairs.csv`, "map" `map.csv`.
+
+    Raises:
+        ConfigError: a required key is missing, or a key or table has a name that is taken.
+        DataError: columns of different lengths.
+        StorageError: the disk refuses.
+    """
+    folder = Path(folder)
+    missing = [key for key in _REQUIRED if key not in results]
+    if missing:
+        raise ConfigError(f"results need {', '.join(_REQUIRED)}; {', '.join(missing)} is missing")
+    header = {
+        "schema": {"name": _SCHEMA, "version": _VERSION},
+        "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "versions": versions(),
+    }
+    taken = sorted({*header, "tables"} & set(results))
+    if taken:
+        raise ConfigError(f"results must not hold the reserved key {', '.join(taken)}")
+    every = dict(tables or {})
+    if rows is not None:
+        if "queries" in every:
+            raise ConfigError("give the queries' table once: as `rows`, or in `tables`")
+        every["queries"] = rows
+    checked = {name: _as_table(name, columns) for name, columns in every.items()}
+    for name, columns in checked.items():
+        write_text(folder / f"{name}.csv", _csv_text(columns))
+    described = {
+        name: {
+            "file": f"{name}.csv",
+            "rows": _length(columns),
+            "columns": {key: _KINDS[column.dtype.kind] for key, column in columns.items()},
+        }
+        for name, columns in checked.items()
+    }
+    path = folder / "results.json"
+    write_json(path, {**header, **results, "tables": described})
+    return path
+
+
+def read_results(folder: str | Path) -> dict[str, Any]:
+    """Read `results.json`. NaN was written as null and comes back as None.
+
+    Raises:
+        FormatError: the file is missing, cut short, something else, or of a newer version.
+    """
+    path = Path(folder) / "results.json"
+    results = read_json(path)
+    schema = results.get("schema") if isinstance(results, dict) else None
+    if not isinstance(schema, dict) or schema.get("name") != _SCHEMA or not isinstance(schema.get("version"), int):
+        raise FormatError(f"{path} is not a siamloc result file: give the folder that `siamloc evaluate` wrote")
+    if schema["version"] > _VERSION:
+        raise FormatError(
+            f"{path} has version {schema['version']} of the result files, this siamloc reads up to {_VERSION}: "
+            "update siamloc"
+        )
+    return results
+
+
+def read_rows(folder: str | Path, table: str = "queries") -> Columns:
+    """Read one table of a result folder as columns, with the types and every digit that were written.
+
+    Raises:
+        ConfigError: the results have no such table.
+        FormatError: a file is missing, cut short, altered, or of a newer version.
+    """
+    tables = read_results(folder).get("tables", {})
+    if table not in tables:
+        raise ConfigError(f"the results in {folder} have no table {table!r}; {hint(table, tables)}")
+    described = tables[table]
+    path = Path(folder) / described["file"]
+    if not path.is_file():
+        raise FormatError(f"{path} does not exist, though results.json names it: evaluate again")
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            names, *rows = csv.reader(file)
+        kinds = described["columns"]
+        if names != list(kinds) or len(rows) != described["rows"]:
+            raise ValueError(f"{len(rows)} rows of {len(names)} columns for {described['rows']} of {len(kinds)}")
+        cells = list(zip(*rows, strict=True)) if rows else [()] * len(names)
+        parsed = {name: _parse(kinds[name], column) for name, column in zip(names, cells, strict=True)}
+    except (ValueError, KeyError, csv.Error, UnicodeDecodeError) as error:
+        raise FormatError(f"{path} is not what results.json describes ({error}): evaluate again") from error
+    return parsed
+
+
+def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
+    """Return the row numbers of each label, labels in alphabetic order.
+
+    Rows without a label come under "(unlabelled)"; where no row has one there are no groups at all.
+
+    >>> rows_by_label(np.array(["night", "cloudy", "night"]))
+    {'cloudy': array([1]), 'night': array([0, 2])}
+    """
+    names, inverse = np.unique(labels, return_inverse=True)
+    if names.tolist() == [""]:
+        return {}
+    return {str(name) or UNLABELLED: np.flatnonzero(inverse == i) for i, name in enumerate(names)}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that results depend on; that of torch only if it is loaded."""
+    found = {"python": platform.python_version(), "siamloc": __version__, "numpy": np.__version__}
+    for package, distribution in (("opencv", "opencv-python-headless"), ("torch", "torch")):
+        if package == "torch" and "torch" not in sys.modules:
+            continue
+        try:
+            found[package] = metadata.version(distribution)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def _as_table(name: str, columns: Mapping[str, NDArray]) -> Columns:
+    table = {str(key): np.asarray(column) for key, column in columns.items()}
+    if not table:
+        raise DataError(f"the table {name!r} has no columns")
+    for key, column in table.items():
+        if column.ndim != 1 or len(column) != _length(table):
+            raise DataError(f"column {key!r} of {name!r} has shape {column.shape}, expected ({_length(table)},)")
+        if column.dtype.kind not in _KINDS:
+            raise DataError(f"column {key!r} of {name!r} holds {column.dtype}, expected text, bool, int or float")
+    return table
+
+
+def _csv_text(columns: Columns) -> str:
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(_cells(column) for column in columns.values()), strict=True))
+    return buffer.getvalue()
+
+
+def _cells(column: NDArray) -> list[Any]:
+    if column.dtype.kind != "f":
+        return column.tolist()
+    # The shortest text that reads back as the same float64; an unknown value is an empty cell.
+    return ["" if value != value else repr(value) for value in column.astype(np.float64).tolist()]
+
+
+def _parse(kind: str, cells: tuple[str, ...]) -> NDArray:
+    dtype, parse = _PARSERS[kind]
+    return np.array([parse(cell) for cell in cells], dtype=dtype)
+
+
+def _length(columns: Columns) -> int:
+    return len(next(iter(columns.values())))

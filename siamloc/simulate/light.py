@@ -1,0 +1,290 @@
+"""Baking light: how much light arrives where, once per run.
+
+Every quad carries a small grid of light values. Lamps and windows are sampled directly with shadow rays; what the
+surfaces throw back is gathered on a coarser grid whose rays are cast once and then serve every bounce.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from siamloc.simulate.layout import Array, Building
+from siamloc.simulate.mesh import Caster, QuadMesh
+from siamloc.simulate.shell import Lamp, wall_frame
+from siamloc.simulate.sky import Sky
+from siamloc.simulate.textures import sample
+
+_FINE, _COARSE = 0.11, 0.35
+_GATHER_RAYS = 64
+_BOUNCES = 4
+_LIFT = 0.004
+_FAINT = 0.003
+
+
+@dataclass(frozen=True)
+class BakedLight:
+    """The light of one run.
+
+    Attributes:
+        grid: where the values lie.
+        light: arriving light without the sun (rows, columns, 3).
+        sunny: True where sun may fall, as 0 or 255 (rows, columns) uint8; None if it shines nowhere.
+    """
+
+    grid: LightGrid
+    light: Array
+    sunny: Array | None
+
+
+def bake(
+    building: Building,
+    mesh: QuadMesh,
+    caster: Caster,
+    albedo: Array,
+    lamps: list[Lamp],
+    sky: Sky,
+    rng: np.random.Generator,
+) -> BakedLight:
+    """Compute the light on every quad.
+
+    Args:
+        building: rooms and windows.
+        mesh: everything in it.
+        caster: rays against that mesh.
+        albedo: mean colour of every quad (Q, 3).
+        lamps: those that are lit.
+        sky: what shines in through the windows.
+        rng: draws the gathering directions.
+    """
+    fine = LightGrid.over(mesh, _FINE, 0.12)
+    coarse = LightGrid.over(mesh, _COARSE, 0.45)
+    direct = _direct(building, mesh, caster, fine, lamps, sky)
+    direct_image = fine.image(direct)
+    sunny, sun_share = (None, None)
+    if sky.sun is not None:
+        sunny, sun_share = _sun_patches(mesh, caster, fine, sky.sun, rng)
+    start = _averaged(direct_image, fine, coarse)
+    if sun_share is not None and sky.sun is not None:
+        facing = np.clip(mesh.normals @ sky.sun, 0, None)[coarse.quad]
+        start += _averaged(fine.image(sun_share), fine, coarse)[:, None] * facing[:, None] * sky.sun_radiosity
+    indirect = _indirect(mesh, caster, coarse, albedo, start, rng)
+    smooth = _smoothed(coarse, indirect)
+    x, y = coarse.position(fine.quad, fine.place[:, 0], fine.place[:, 1])
+    light = direct + sample(smooth, x, y)
+    return BakedLight(fine, fine.image(light), sunny)
+
+
+def _world(mesh: QuadMesh, quad: Array, place: Array, lift: float = _LIFT) -> Array:
+    """Return points (n, 3) slightly above their quads, at least 2 cm away from the edges where there is room."""
+    inset = np.minimum(0.35, 0.02 / np.maximum(mesh.size, 1e-6))[quad]
+    place = np.clip(place, inset, 1 - inset)
+    a, b, d = mesh.corners[quad, 0], mesh.corners[quad, 1], mesh.corners[quad, 3]
+    c = mesh.corners[quad, 2]
+    s, t = place[:, :1], place[:, 1:]
+    lower = s + t <= 1
+    point = np.where(lower, a + s * (b - a) + t * (d - a), c + (1 - s) * (d - c) + (1 - t) * (b - c))
+    return point + lift * mesh.normals[quad]
+
+
+def _direct(building: Building, mesh: QuadMesh, caster: Caster, grid: LightGrid, lamps: list[Lamp], sky: Sky) -> Array:
+    points = _world(mesh, grid.quad, grid.place).astype(np.float32)
+    normals = mesh.normals[grid.quad].astype(np.float32)
+    rooms = mesh.room[grid.quad]
+    by_room = [np.flatnonzero(rooms == index) for index in range(len(building.rooms))]
+    light = np.zeros((len(points), 3), dtype=np.float32)
+    outside = sky.softened()
+
+    def add(position: Array, axis: Array, area: float, room: str, radiosity: Array | None) -> None:
+        nodes = np.concatenate([by_room[building.room_index(name)] for name in building.neighbours(room)])
+        towards = position.astype(np.float32) - points[nodes]
+        distance = np.sqrt(np.einsum("ij,ij->i", towards, towards))
+        towards /= np.maximum(distance, 1e-4)[:, None]
+        arriving = np.einsum("ij,ij->i", towards, normals[nodes])
+        leaving = -(towards @ axis.astype(np.float32))
+        share = area * np.clip(arriving, 0, None) * np.clip(leaving, 0, None) / (np.pi * distance**2 + area)
+        keep = share > (_FAINT if radiosity is None else _FAINT / max(float(radiosity.max()), 1e-6))
+        nodes, towards, distance, share = nodes[keep], towards[keep], distance[keep], share[keep]
+        if radiosity is None:
+            seen = ~caster.blocked(points[nodes], towards)
+            nodes, towards, share = nodes[seen], towards[seen], share[seen]
+            light[nodes] += share[:, None] * outside.look(towards)
+        else:
+            seen = ~caster.blocked(points[nodes], towards, np.maximum(distance - 0.03, 0.0).astype(np.float32))
+            light[nodes[seen]] += share[seen, None] * radiosity.astype(np.float32)
+
+    for lamp in lamps:
+        add(np.array([lamp.x, lamp.y, lamp.z]), np.array([0, 0, -1.0]), lamp.area, lamp.room, np.array(lamp.radiosity))
+    for position, axis, area, room in _portals(building):
+        add(position, axis, area, room, None)
+    return light
+
+
+def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
+    """Split every window into pieces: middle, direction into the room, area and room of each."""
+    pieces = []
+    for opening in building.openings:
+        if opening.kind != "window":
+            continue
+        room = building.rooms[opening.rooms[0]]
+        high = getattr(room, "y" if opening.along == "x" else "x")[1] == opening.level
+        side = ("north" if high else "south") if opening.along == "x" else ("east" if high else "west")
+        x, y, turn, _, _ = wall_frame(room, side)
+        radians = np.radians(turn + 90)
+        axis = np.array([np.cos(radians), np.sin(radians), 0.0])
+        inner = y if opening.along == "x" else x
+        columns = max(1, round(opening.width / 0.8))
+        rows = max(1, round((opening.top - opening.bottom) / 0.8))
+        area = opening.width * (opening.top - opening.bottom) / (columns * rows)
+        for i in range(columns):
+            for j in range(rows):
+                along = opening.interval[0] + (i + 0.5) / columns * opening.width
+                z = opening.bottom + (j + 0.5) / rows * (opening.top - opening.bottom)
+                plan = (along, inner) if opening.along == "x" else (inner, along)
+                pieces.append((np.array([*plan, z]), axis, area, room.name))
+    return pieces
+
+
+def _sun_patches(
+    mesh: QuadMesh, caster: Caster, grid: LightGrid, sun: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return where sun may fall (an image, 0 or 255) and the share of each node's surroundings that it reaches."""
+    facing = np.flatnonzero((mesh.normals @ sun > 0.01)[grid.quad])
+    reach = 1.0 / np.maximum(grid.count[grid.quad[facing]], 1)
+    share = np.zeros(len(grid.quad), dtype=np.float32)
+    tries = 6
+    towards = np.tile(sun.astype(np.float32), (len(facing), 1))
+    for step in range(tries):
+        shift = (np.array([(step % 3) / 3, (step // 3) / 2]) + rng.random((len(facing), 2)) * (1 / 3, 1 / 2)) - 0.5
+        places = np.clip(grid.place[facing] + shift * reach, 0, 1)
+        share[facing] += ~caster.blocked(_world(mesh, grid.quad[facing], places).astype(np.float32), towards)
+    share /= tries
+    mask = grid.image((share > 0).astype(np.float32))
+    return np.where(cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0, 255, 0).astype(np.uint8), share
+
+
+def _averaged(image: Array, fine: LightGrid, coarse: LightGrid) -> Array:
+    """Return the means of a fine image around the coarse nodes (N, ...)."""
+    radius = max(1, round(_COARSE / _FINE / 2))
+    total = np.zeros((len(coarse.quad), *image.shape[2:]), dtype=np.float32)
+    steps = np.maximum(fine.count[coarse.quad] - 1, 1)
+    reach = np.where(fine.count[coarse.quad] > 1, radius / steps, 0.0)
+    reach = np.where(coarse.count[coarse.quad] == 1, 0.5, reach)
+    offsets = np.array([-0.8, -0.4, 0.0, 0.4, 0.8])
+    for ds in offsets:
+        for dt in offsets:
+            place = np.clip(coarse.place + reach * (ds, dt), 0, 1)
+            x, y = fine.position(coarse.quad, place[:, 0], place[:, 1])
+            total += sample(image, x, y)
+    return total / len(offsets) ** 2
+
+
+def _indirect(
+    mesh: QuadMesh, caster: Caster, grid: LightGrid, albedo: Array, start: Array, rng: np.random.Generator
+) -> Array:
+    """Gather what all surfaces throw back; `start` is the light they get directly (N, 3)."""
+    n = len(grid.quad)
+    points = _world(mesh, grid.quad, grid.place).astype(np.float32)
+    normals = mesh.normals
+    helper = np.where(np.abs(normals[:, 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    tangent = np.cross(helper, normals)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+    bitangent = np.cross(normals, tangent)
+    frame = np.stack([tangent, bitangent, normals], axis=1).astype(np.float32)[grid.quad]
+    turn = rng.random(n).astype(np.float32)
+    seen = np.empty((_GATHER_RAYS, n), dtype=np.int64)
+    first = np.cumsum(grid.count[:, 0] * grid.count[:, 1]) - grid.count[:, 0] * grid.count[:, 1]
+    for ray in range(_GATHER_RAYS):
+        angle = 2 * np.pi * ((ray * 0.61803399 + turn) % 1)
+        radius = np.float32(np.sqrt((ray + 0.5) / _GATHER_RAYS))
+        local = (radius * np.cos(angle), radius * np.sin(angle), np.full(n, np.sqrt(1 - radius**2), dtype=np.float32))
+        directions = np.stack([sum(local[k] * frame[:, k, axis] for k in range(3)) for axis in range(3)], axis=1)
+        quad, s, t, _ = caster.first_hit(points, directions.astype(np.float32))
+        count = grid.count[quad]
+        node = first[quad] + np.rint(t * (count[:, 1] - 1)).astype(np.int64) * count[:, 0]
+        node += np.rint(s * (count[:, 0] - 1)).astype(np.int64)
+        seen[ray] = np.where(quad < 0, n, node)
+    colour = np.concatenate([albedo[grid.quad], np.zeros((1, 3))]).astype(np.float32)
+    lit = np.concatenate([start, np.zeros((1, 3))]).astype(np.float32)
+    gathered: Array = np.zeros((n, 3), dtype=np.float32)
+    for _ in range(_BOUNCES):
+        thrown = colour * (lit + np.concatenate([gathered, np.zeros((1, 3), dtype=np.float32)]))
+        total = np.zeros((n, 3), dtype=np.float32)
+        for ray in range(_GATHER_RAYS):
+            total += thrown[seen[ray]]
+        gathered = total / _GATHER_RAYS
+    return gathered
+
+
+def _smoothed(grid: LightGrid, values: Array) -> Array:
+    """Return the image of values, smoothed inside each quad's grid but not across its borders."""
+    image = grid.image(values)
+    known = grid.image(np.ones(len(values), dtype=np.float32))
+    weight = cv2.blur(known, (3, 3))
+    smooth = cv2.blur(image, (3, 3)) / np.maximum(weight, 1e-6)[..., None]
+    return np.where(known[..., None] > 0, smooth, 0).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class LightGrid:
+    """A grid of nodes on every quad, packed into one image.
+
+    Attributes:
+        corner: pixel of each quad's first node (Q, 2).
+        count: nodes along the first and the last edge (Q, 2).
+        shape: rows and columns of the image.
+        quad: quad of each node (N,).
+        place: s and t of each node (N, 2).
+        pixel: flat index of each node in the image (N,).
+    """
+
+    corner: Array
+    count: Array
+    shape: tuple[int, int]
+    quad: Array
+    place: Array
+    pixel: Array
+
+    @classmethod
+    def over(cls, mesh: QuadMesh, spacing: float, single_below: float) -> LightGrid:
+        """Lay a grid with about the given spacing in metres; edges shorter than `single_below` get one node."""
+        size = mesh.size
+        count = np.where(size < single_below, 1, np.clip(np.ceil(size / spacing).astype(int) + 1, 2, 160))
+        corner, shape = _pack(count)
+        cells = count[:, 0] * count[:, 1]
+        quad = np.repeat(np.arange(len(mesh)), cells)
+        within = np.arange(len(quad)) - np.repeat(np.cumsum(cells) - cells, cells)
+        i, j = within % count[quad, 0], within // count[quad, 0]
+        steps = np.maximum(count[quad] - 1, 1)
+        place = np.where(count[quad] == 1, 0.5, np.stack([i, j], axis=1) / steps)
+        pixel = (corner[quad, 1] + j) * shape[1] + corner[quad, 0] + i
+        return cls(corner, count, shape, quad, place, pixel)
+
+    def position(self, quad: Array, s: Array, t: Array) -> tuple[Array, Array]:
+        """Return the columns and rows in the image that belong to positions on quads."""
+        steps = (self.count - 1).astype(np.float32)[quad]
+        corner = self.corner[quad]
+        return corner[:, 0] + s * steps[:, 0], corner[:, 1] + t * steps[:, 1]
+
+    def image(self, values: Array) -> Array:
+        """Return the image (rows, columns[, channels]) of values (N[, channels])."""
+        image = np.zeros((self.shape[0] * self.shape[1], *values.shape[1:]), dtype=np.float32)
+        image[self.pixel] = values
+        return image.reshape(*self.shape, *values.shape[1:])
+
+
+def _pack(count: Array) -> tuple[Array, tuple[int, int]]:
+    """Place rectangles of (columns, rows) nodes into an image with one free pixel between them."""
+    width = 2048
+    order = np.argsort(-count[:, 1], kind="stable")
+    corner = np.zeros((len(count), 2), dtype=np.int64)
+    x = y = shelf = 0
+    for index, (columns, rows) in zip(order.tolist(), count[order].tolist(), strict=True):
+        if x + columns > width:
+            x, y, shelf = 0, y + shelf + 1, 0
+        corner[index] = (x, y)
+        x += columns + 1
+        shelf = max(shelf, rows)
+    return corner, (y + shelf + 1, width)

@@ -1,0 +1,33 @@
+"""Training: `fit` draws pairs of frames, trains a network on them and keeps checkpoints and curves in a run.
+
+Importing this package loads no torch; each name is loaded when it is first used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from siamloc.data.pairs import PairSampler, PairSettings
+from siamloc.lazy import lazy
+from siamloc.models.registry import Optimizer
+from siamloc.runs import Run
+from siamloc.training.settings import Training
+
+if TYPE_CHECKING:
+    from siamloc.training.batches import PairAugmentation, PairDataModule
+    from siamloc.training.fitting import fit
+
+__all__ = [
+    "Optimizer",
+    "PairAugmentation",
+    "PairDataModule",
+    "PairSampler",
+    "PairSettings",
+    "Run",
+    "Training",
+    "fit",
+]
+
+_HOMES = {"PairAugmentation": "batches", "PairDataModule": "batches", "fit": "fitting"}
+
+__getattr__, __dir__ = lazy(__name__, _HOMES)

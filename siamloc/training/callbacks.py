@@ -1,0 +1,126 @@
+"""What a training keeps: checkpoints that are whole or not there, and the curves that travel in them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import StorageError
+from siamloc.files import atomic_path, write_text
+from siamloc.runs import Run
+
+ensure_torchvision()
+from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
+from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
+from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint  # noqa: E402
+
+_SAID = ("train/loss", "train/accuracy", "val/loss", "val/accuracy")
+_SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter failed")
+
+
+class AtomicCheckpoints(TorchCheckpointIO):
+    """Write a checkpoint under a temporary name and rename it, so that a killed run leaves the one before."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
+        """Save a checkpoint of the trainer.
+
+        Raises:
+            StorageError: the disk is full or refuses; the checkpoint before stays as it was.
+        """
+        with atomic_path(path) as temporary:
+            try:
+                torch.save(checkpoint, temporary)
+            except RuntimeError as error:
+                # torch writes past Python, and reports a short write only by where the file does not end.
+                if not any(sign in str(error) for sign in _SHORT_WRITE):
+                    raise
+                raise StorageError(
+                    f"the checkpoint {path} could not be written whole: free some space on the disk or write elsewhere"
+                ) from error
+
+
+def checkpoint_callbacks(folder: Path, *, validated: bool) -> list[Callback]:
+    """Make the callbacks that keep `last.ckpt` after every epoch and `best.ckpt` by the validation loss."""
+    last = ModelCheckpoint(
+        dirpath=folder,
+        filename="last",
+        monitor=None,
+        save_top_k=1,
+        save_on_train_epoch_end=True,
+        enable_version_counter=False,
+    )
+    if not validated:
+        return [last]
+    best = ModelCheckpoint(
+        dirpath=folder,
+        filename="best",
+        monitor="val/loss",
+        mode="min",
+        save_top_k=1,
+        save_on_train_epoch_end=False,
+        enable_version_counter=False,
+    )
+    return [best, last]
+
+
+class Curves(Checkpoint):
+    """Write a row per epoch of everything that is logged per epoch into a CSV file, and a line to the screen.
+
+    The rows are kept in the checkpoint, so that the file of a resumed run is the file of a run that never stopped. It
+    counts as a checkpoint callback because those come last: after the module has logged its epoch.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._rows: list[dict[str, float]] = []
+        self._start = (0.0, 0)
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Note when and where the training begins, and which file TensorBoard's logger has opened."""
+        self._start = (time.monotonic(), trainer.current_epoch)
+        if trainer.is_global_zero:
+            before = set(self._run.tensorboard.glob("events.*"))
+            for logger in trainer.loggers:
+                _ = logger.experiment  # opens its file
+            self._run.record_written(sorted(set(self._run.tensorboard.glob("events.*")) - before))
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Take down the epoch's figures."""
+        if trainer.sanity_checking:
+            return
+        values = {key: float(value) for key, value in trainer.callback_metrics.items() if "/" in key}
+        self._rows.append({"epoch": trainer.current_epoch, "step": trainer.global_step, **values})
+        if trainer.is_global_zero:
+            self._write()
+            self._say(trainer, values)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Give the checkpoint the rows so far."""
+        return {"rows": self._rows}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take over the rows of a checkpoint."""
+        self._rows = list(state_dict["rows"])
+
+    def _say(self, trainer: Trainer, values: dict[str, float]) -> None:
+        start, first = self._start
+        done, total = trainer.current_epoch + 1, trainer.max_epochs or 0
+        left = (time.monotonic() - start) / (done - first) * (total - done)
+        figures = ", ".join(f"{name} {values[name]:.4f}" for name in _SAID if name in values)
+        say = print if trainer.progress_bar_callback is None else trainer.progress_bar_callback.print
+        say(f"epoch {done} of {total}: {figures}, {left:.0f} s left", file=sys.stderr)
+
+    def _write(self) -> None:
+        names = sorted({name for row in self._rows for name in row} - {"epoch", "step"})
+        text = io.StringIO()
+        writer = csv.DictWriter(text, ["epoch", "step", *names], restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self._rows)
+        write_text(self._run.metrics, text.getvalue())

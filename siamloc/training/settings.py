@@ -1,0 +1,40 @@
+"""The settings of a training, typed once: keywords of `fit` and defaults of the command line. Loads no torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from siamloc.data.pairs import PairSettings
+from siamloc.models.registry import Optimizer
+from siamloc.settings import Count, Natural, Positive, Settings
+
+
+@dataclass(frozen=True)
+class Training(Settings):
+    """How a network is trained.
+
+    Attributes:
+        epochs: how often `pairs.epoch_pairs` pairs are drawn and learned from.
+        batch_size: pairs in a step.
+        seed: of the pairs and of their augmentation; that of the first weights belongs to `siamloc.models.build`.
+        workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
+        pairs: which pairs of frames, with which labels.
+        optimizer: how the weights are updated.
+        margin: of the contrastive loss; a loss of your own has its own.
+        augment_where: "cpu": pictures are changed where batches are gathered; "gpu": after they have come to the
+            device.
+
+    Example:
+        >>> Training(epochs=2, optimizer={"name": "adam"}).optimizer.name
+        'adam'
+    """
+
+    epochs: Count = 30
+    batch_size: Count = 16
+    seed: Natural = 0
+    workers: Natural = 0
+    pairs: PairSettings = field(default_factory=PairSettings)
+    optimizer: Optimizer = field(default_factory=Optimizer)
+    margin: Positive = 2.0
+    augment_where: Literal["cpu", "gpu"] = "cpu"

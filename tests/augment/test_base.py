@@ -1,0 +1,64 @@
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+import augment
+from augment.base import Range, spread
+
+
+@given(st.floats(-100, 100, width=32), st.floats(0, 100, width=32), st.integers(0, 999))
+def test_values_lie_in_the_range(low, length, seed):
+    uniform = torch.rand(50, 1, generator=torch.Generator().manual_seed(seed))
+    values = spread(uniform, {"a": Range(low, low + length)})["a"]
+    assert values.shape == (50,)
+    assert bool((values >= low - 1e-4).all())
+    assert bool((values <= low + length + 1e-4).all())
+
+
+@given(st.integers(-50, 50), st.integers(0, 6))
+def test_whole_numbers_come_evenly_with_both_ends(low, length):
+    uniform = ((torch.arange(7000) + 0.5) / 7000)[:, None]
+    values = spread(uniform, {"a": Range(low, low + length, whole=True)})["a"]
+    assert values.dtype == torch.int64
+    found, counts = values.unique(return_counts=True)
+    assert found.tolist() == list(range(low, low + length + 1))
+    assert int(counts.max() - counts.min()) <= 2
+
+
+def test_the_largest_uniform_number_stays_inside():
+    almost_one = torch.full((1, 1), 1 - 2**-24)
+    for high in (63, 511, 2**21 - 1):
+        assert int(spread(almost_one, {"a": Range(0, high, whole=True)})["a"]) == high
+    assert int(spread(almost_one, {"a": Range(2**20, 2**21 - 1, whole=True)})["a"]) == 2**21 - 1
+
+
+def test_logarithmic_ranges_have_their_geometric_middle_in_the_middle():
+    values = spread(torch.tensor([[0.0], [0.5]]), {"a": Range(0.5, 2.0, log=True)})["a"]
+    assert values.tolist() == pytest.approx([0.5, 1.0])
+
+
+def test_a_number_is_a_range_of_one_value():
+    assert (augment.effect("contrast", factor=1.3).ranges["factor"].low) == 1.3
+
+
+@pytest.mark.parametrize(
+    ("name", "params", "message"),
+    [
+        ("bulb", {"radius": (40, 15)}, "radius of bulb is out of order: 40 must not exceed 15"),
+        ("bulb", {"intensity": 300}, r"intensity of bulb must lie in \[0, 255\], got 300"),
+        ("gamma", {"gamma": 0}, r"gamma of gamma must lie in \[0.05, 20\], got 0"),
+        ("gamma", {"gamma": "high"}, r"gamma of gamma must be a number or a pair .low, high., got 'high'"),
+        ("gamma", {"gamma": (1, 2, 3)}, "must be a number or a pair"),
+        ("gamma", {"gamma": True}, "must be a number or a pair"),
+        ("gamma", {"gamma": float("nan")}, "gamma of gamma must be finite"),
+        ("brighten", {"amount": 3.5}, "amount of brighten must be a whole number or a pair of them, got 3.5"),
+        ("occlude", {"share": (0, 1.5)}, r"share of occlude must lie in \[0, 1\]"),
+        ("blur", {"size": 4}, "size of blur must be an odd number of pixels, got 4"),
+        ("blur", {"size": True}, "size of blur must be an odd number of pixels, got True"),
+        ("blur", {"circular": 1}, "circular of blur must be true or false, got 1"),
+    ],
+)
+def test_ranges_that_make_no_sense(name, params, message):
+    with pytest.raises(augment.AugmentError, match=message):
+        augment.effect(name, **params)

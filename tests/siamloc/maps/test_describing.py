@@ -1,0 +1,123 @@
+"""From images to a map and back: what `build` keeps, and what hierarchical search finds for frames of a library."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import analytic
+from analytic import Description
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import CoarseLayer, HierarchicalSearch, VisualMap, build, describe, headings, match
+from tests.drawn import ROOMS, draw_panorama
+
+SIZE = (32, 128)
+THETAS = (0.0, 1.0, -2.0, 3.0, 0.5, -0.5)
+
+
+class Small(nn.Module):
+    """A network of one's own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = nn.Linear(3 * SIZE[0], 4)
+
+    def forward(self, panoramas: torch.Tensor) -> torch.Tensor:
+        return self.layer(panoramas.mean(dim=3).flatten(1))
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drive")
+    for number, theta in enumerate(THETAS):
+        drawn = draw_panorama(0.3 * number, -0.2, theta, ROOMS[number // 3], size=SIZE)
+        assert cv2.imwrite(str(folder / f"{number}.png"), drawn)
+    (folder / "broken.png").write_bytes(b"no image")
+    names = [*map(str, range(6)), "broken"]
+    frames = FrameTable(
+        path=[str(folder / f"{name}.png") for name in names],
+        x=0.3 * np.arange(7),
+        y=np.zeros(7),
+        theta=[*THETAS, 0.0],
+        sequence=["monday"] * 7,
+        unit="steps",
+        source={"kind": "manifest", "manifest": "robot.csv"},
+    )
+    return frames, PanoramaLibrary(frames, folder / "cache", image_size=SIZE)
+
+
+def test_a_network_of_ones_own_makes_a_map_with_headings(images, tmp_path):
+    frames, library = images
+    network = Small()
+    known = build(network, library, frames, heading="hog", progress=False)
+    assert len(known) == 6  # one image cannot be read
+    assert (known.unit, known.made["sequences"], known.made["frames"]) == ("steps", ["monday"], 6)
+    assert known.made["data"]["manifest"] == "robot.csv"
+    assert known.made["data"]["image_size"] == list(SIZE)
+    assert known.identity["images"] == library.preprocessing.parameters()
+    known.save(tmp_path / "map.npz")
+    loaded = VisualMap.load(tmp_path / "map.npz", known.descriptor)
+    assert loaded.unit == "steps"
+    seen = Description.concatenate(list(describe(loaded, library, known.frames)))
+    found = match(loaded, seen)
+    assert found.indices[:, 0].tolist() == list(range(6))
+    np.testing.assert_allclose(headings(loaded, seen, found)[:, 0], THETAS, atol=1e-6)
+    with pytest.raises(ConfigError, match="described by something else"):
+        VisualMap.load(tmp_path / "map.npz", analytic.descriptor("hog"))
+
+
+def test_panoramas_of_another_size_are_refused(images, tmp_path):
+    frames, library = images
+    known = build("hog", library, frames, progress=False)
+    other = PanoramaLibrary(frames, tmp_path, image_size=(32, 64))
+    with pytest.raises(ConfigError, match=r"images\.width is 128 in the map, 64 here"):
+        describe(known, other, known.frames)
+
+
+@pytest.mark.parametrize("by", ["representatives", "vote"])
+def test_hierarchical_search_of_frames_is_ranking_and_search(images, by):
+    frames, library = images
+    known = build("hog", library, frames, progress=False)
+    coarse = build("thumbnail", library, frames, progress=False)
+    layer = CoarseLayer.of_labels(coarse, [0, 0, 0, 1, 1, 1])
+    search = HierarchicalSearch(known, layer, coarse=coarse, by=by, candidates=1, neighbours=2)
+    found = search.find(library, known.frames.take([4, 1]), 2)
+    fine, ranked = known.description.take([4, 1]), search.rank(coarse.description.take([4, 1]))
+    expected = search.search(fine, ranked, 2)
+    np.testing.assert_array_equal(found.found.indices, expected.found.indices)
+    np.testing.assert_array_equal(found.found.distances, expected.found.distances)
+    assert found.found.indices[:, 0].tolist() == [4, 1]
+    assert found.node.tolist() == [1, 0]
+    assert (found.nodes_compared == (2 if by == "representatives" else 6)).all()
+
+
+def test_what_cannot_be_built(images, tmp_path):
+    frames, library = images
+    with pytest.raises(ConfigError, match="unknown descriptor 'hgo': did you mean 'hog'"):
+        build("hgo", library, frames)
+    with pytest.raises(ConfigError, match="briefgist compares whole images after turning them"):
+        build(analytic.descriptor("briefgist", rows=8), library, frames, heading="hog")
+    flat = PanoramaLibrary(frames, tmp_path, image_size=SIZE, circular=False)
+    with pytest.raises(ConfigError, match="heading=hog needs columns that are a full turn"):
+        build("thumbnail", flat, frames, heading="hog")
+    with pytest.raises(DataError, match="none of the images of the 1 map frames could be read"):
+        build("hog", library, frames.take([6]))
+
+
+def test_ranking_settings_that_make_no_sense(images):
+    frames, library = images
+    known = build(analytic.descriptor("briefgist", rows=8), library, frames, progress=False)
+    layer = CoarseLayer.of_labels(known, [0, 0, 0, 1, 1, 1])
+    with pytest.raises(ConfigError, match="compared after turning, and their means stand for nothing"):
+        HierarchicalSearch(known, layer)
+    with pytest.raises(ConfigError, match="by representatives or vote, got 'votes'"):
+        HierarchicalSearch(known, layer, by="votes")
+    with pytest.raises(ConfigError, match="candidate nodes >= 1, got 0"):
+        HierarchicalSearch(known, layer, by="vote", candidates=0)
+    with pytest.raises(DataError, match="frames in the same order"):
+        HierarchicalSearch(known, layer, coarse=known.take([1, 0, 2, 3, 4, 5]), by="vote")

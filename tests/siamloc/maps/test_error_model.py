@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.maps import Retrieval
+from siamloc.maps.error_model import SCORES, ErrorModel, ratio_score
+from tests.oracles import calibration as oracle
+
+MODEL = ErrorModel("ratio", 1.0, 5, (0.2, 0.5, 0.9), (0.1, 0.4, 3.0), 50)
+
+
+def retrieval(rng, n: int, m: int = 30, k: int = 10) -> Retrieval:
+    return Retrieval(np.argsort(rng.random((n, m)), axis=1)[:, :k], np.sort(rng.random((n, k)), axis=1))
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), radius=st.floats(0, 4))
+def test_the_ratio_equals_the_loop(seed: int, radius: float) -> None:
+    rng = np.random.default_rng(seed)
+    xy, found = rng.uniform(0, 3, (30, 2)), retrieval(rng, 6)
+    expected = [
+        oracle.ratio(*row, xy, radius) for row in zip(found.indices.tolist(), found.distances.tolist(), strict=True)
+    ]
+    np.testing.assert_allclose(ratio_score(found, xy, radius), expected, rtol=1e-14)
+
+
+def test_scores_of_small_examples() -> None:
+    xy = np.array([[0.0, 0], [0, 0.5], [0, 3]])  # equal x, different y
+    found = Retrieval(np.array([[0, 1, 2]]), np.array([[0.2, 0.3, 0.4]]))
+    assert SCORES["ratio"](found, xy, 1.0).tolist() == [0.5]
+    assert SCORES["distance"](found, xy, 1.0).tolist() == [0.2]
+    assert SCORES["spread"](found, xy, 1.0).tolist() == [3.5 / 3]
+    padded = Retrieval(np.array([[0, 1, 0]]), np.array([[0.2, 0.3, np.inf]]))
+    assert SCORES["ratio"](padded, xy, 1.0).tolist() == [0.2 / 0.3]
+    assert SCORES["spread"](padded, xy, 1.0).tolist() == [0.25]
+    alike = Retrieval(np.array([[0, 2]]), np.array([[0.0, 0.0]]))
+    assert SCORES["ratio"](alike, xy, 1.0).tolist() == [1]
+
+
+def test_the_fit_is_the_isotonic_regression_of_group_means() -> None:
+    rng = np.random.default_rng(0)
+    xy, found = rng.uniform(0, 9, (30, 2)), retrieval(rng, 260)
+    score = ratio_score(found, xy, 1.0)
+    error = score**2 + 0.5 * rng.random(260)
+    model = ErrorModel.fit(found, xy, error, neighbours=10)
+    groups = np.array_split(np.argsort(score, kind="stable"), 10)
+    np.testing.assert_allclose(model.knots, [score[rows].mean() for rows in groups])
+    expected = oracle.isotonic([error[rows].mean() for rows in groups], [len(rows) for rows in groups])
+    np.testing.assert_allclose(model.errors, expected)
+    assert (model.queries, model.neighbours) == (260, 10)
+    predicted = model.predict(found, xy)
+    order = np.argsort(score)
+    assert (np.diff(predicted[order]) >= 0).all()
+    assert predicted.min() == model.errors[0]
+    assert predicted.max() == model.errors[-1]
+    # The mean is kept up to what the corners of the function cut off.
+    assert abs(predicted.mean() - error.mean()) < 0.02
+
+
+def test_a_score_that_tells_nothing_gives_the_mean_error_everywhere() -> None:
+    rng = np.random.default_rng(1)
+    found = Retrieval(np.zeros((40, 1), dtype=int), np.full((40, 1), 0.5))
+    error = rng.random(40)
+    model = ErrorModel.fit(found, [[0.0, 0.0]], error)
+    np.testing.assert_allclose(model.predict(found, [[0.0, 0.0]]), error.mean())
+    falling = Retrieval(np.tile([0, 1], (50, 1)), np.column_stack([np.linspace(0, 1, 50), np.ones(50)]))
+    falls = ErrorModel.fit(falling, [[0.0, 0], [5, 0]], np.linspace(1, 0, 50))
+    np.testing.assert_allclose(falls.errors, 0.5)
+
+
+def test_the_prediction_interpolates_and_is_constant_beyond() -> None:
+    xy = np.array([[0.0, 0], [9, 0]])
+    found = Retrieval(np.tile([0, 1], (4, 1)), np.array([[0.0, 1], [0.35, 1], [0.5, 1], [1, 1]]))
+    np.testing.assert_allclose(MODEL.predict(found, xy), [0.1, 0.25, 0.4, 3.0])
+
+
+def test_the_answer_does_not_depend_on_the_other_queries() -> None:
+    rng = np.random.default_rng(2)
+    xy, found = rng.uniform(0, 9, (30, 2)), retrieval(rng, 50)
+    rows = np.array([40, 3, 3])
+    part = Retrieval(found.indices[rows], found.distances[rows])
+    np.testing.assert_array_equal(MODEL.predict(part, xy), MODEL.predict(found, xy)[rows])
+    # Neighbours that the model does not look at change nothing.
+    fewer = Retrieval(found.indices[:, :5], found.distances[:, :5])
+    np.testing.assert_array_equal(MODEL.predict(fewer, xy), MODEL.predict(found, xy))
+
+
+def test_the_file_holds_plain_numbers_and_gives_the_model_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    model = ErrorModel.fit(retrieval(rng, 90), rng.uniform(0, 9, (30, 2)), rng.random(90), "spread", 0.7, 4)
+    model.save(tmp_path / "error.json")
+    assert ErrorModel.load(tmp_path / "error.json") == model
+    assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
+
+
+def test_the_first_version_has_neither_threshold_nor_map() -> None:
+    older = {key: value for key, value in MODEL.as_dict().items() if key not in ("lost_above", "map_digest")}
+    model = ErrorModel.from_dict({**older, "version": 1})
+    assert model == MODEL
+    assert (model.lost_above, model.map_digest) == (None, "")
+
+
+def test_lost_is_an_expected_error_above_the_threshold() -> None:
+    model = replace(MODEL, lost_above=0.5, map_digest="abc")
+    assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
+    assert model.lost([0.4, 0.5, 0.51]).tolist() == [False, False, True]
+    with pytest.raises(ConfigError, match=r"no threshold of being lost: learn it again with task\.lost_above"):
+        MODEL.lost([1.0])
+    for threshold in (0.0, -1.0, float("inf"), float("nan")):
+        with pytest.raises(ConfigError, match="threshold of being lost must be a positive error"):
+            replace(MODEL, lost_above=threshold)
+
+
+def test_the_prediction_needs_numpy_only() -> None:
+    code = (
+        "import sys, numpy as np\n"
+        "from siamloc.maps.search import Retrieval\n"
+        "from siamloc.maps.error_model import ErrorModel\n"
+        f"model = ErrorModel.from_dict({MODEL.as_dict()!r})\n"
+        "found = Retrieval(np.array([[0, 1]]), np.array([[0.35, 1.0]]))\n"
+        "print(model.predict(found, [[0.0, 0.0], [9.0, 0.0]])[0])\n"
+        "print([name for name in ('scipy', 'sklearn', 'torch', 'pandas') if name in sys.modules])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split("\n")
+    assert float(said[0]) == pytest.approx(0.25)
+    assert said[1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"format": "other"}, "this is not an error model"),
+        ([], "this is not an error model"),
+        ({**MODEL.as_dict(), "version": 3}, "format version 3, this siamloc reads up to 2"),
+        ({**MODEL.as_dict(), "version": "1"}, "format version 1"),
+        ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),
+        ({**MODEL.as_dict(), "errors": [3, 2, 1]}, "not a whole error model"),
+        ({**MODEL.as_dict(), "knots": None}, "not a whole error model"),
+        ({**MODEL.as_dict(), "score": "luck"}, "not a whole error model .unknown score 'luck'"),
+        ({**MODEL.as_dict(), "more": 1}, "not a whole error model"),
+    ],
+)
+def test_files_that_are_no_error_model(values, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        ErrorModel.from_dict(values, "this")
+
+
+def test_errors(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    xy, found = rng.uniform(0, 9, (30, 2)), retrieval(rng, 20)
+    with pytest.raises(FormatError, match="does not exist"):
+        ErrorModel.load(tmp_path / "error.json")
+    with pytest.raises(ConfigError, match="unknown score 'ration': did you mean 'ratio'"):
+        ErrorModel.fit(found, xy, np.zeros(20), "ration")
+    with pytest.raises(ConfigError, match=r"radius >= 0 and neighbours >= 1, got -1\.0 and 10"):
+        ErrorModel.fit(found, xy, np.zeros(20), radius=-1)
+    with pytest.raises(ConfigError, match=r"neighbours >= 1, got 1\.0 and 0"):
+        ErrorModel.fit(found, xy, np.zeros(20), neighbours=0)
+    with pytest.raises(DataError, match="20 validation queries need as many errors"):
+        ErrorModel.fit(found, xy, np.zeros(19))
+    with pytest.raises(DataError, match="finite and >= 0"):
+        ErrorModel.fit(found, xy, np.full(20, np.nan))
+    few = Retrieval(found.indices[:9], found.distances[:9])
+    with pytest.raises(DataError, match="at least 10 validation queries, got 9"):
+        ErrorModel.fit(few, xy, np.zeros(9))
+    with pytest.raises(DataError, match=r"map positions \(m, 2\), all known"):
+        MODEL.predict(found, np.full((30, 2), np.nan))
+    with pytest.raises(DataError, match=r"needs 5 neighbours a query, got shape \(20, 2\)"):
+        MODEL.predict(Retrieval(found.indices[:, :2], found.distances[:, :2]), xy)

@@ -1,0 +1,40 @@
+"""The kinds of things: each one builds, and nothing sticks far out of its box."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from siamloc.simulate.items import KINDS, add_items
+from siamloc.simulate.layout import Building, Item
+from siamloc.simulate.mesh import MeshBuilder, QuadMesh
+from siamloc.simulate.parse import OPTIONS
+from siamloc.simulate.prints import print_textures
+from siamloc.simulate.textures import base_textures
+
+
+@pytest.fixture(scope="module")
+def textures() -> dict[str, tuple[int, tuple[float, float] | None]]:
+    drawn = base_textures(np.random.default_rng(0)) | print_textures(np.random.default_rng(0))
+    return {name: (number, texture.tile) for number, (name, texture) in enumerate(drawn.items())}
+
+
+def built(textures: dict, building: Building, kind: str, **options: object) -> QuadMesh:
+    builder = MeshBuilder(textures)
+    item = Item(kind, 0.0, 0.0, 90.0, KINDS[kind].size, 0.0, "kitchen", options)
+    add_items(builder, building, [item])
+    return builder.build()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_builds_within_its_size(textures: dict, mini: Building, kind: str) -> None:
+    mesh = built(textures, mini, kind)
+    assert len(mesh)
+    width, depth, _ = KINDS[kind].size
+    assert (np.abs(mesh.corners[..., :2]) < np.array([width, depth]) / 2 + 0.5).all()
+    assert set(KINDS[kind].options) <= set(OPTIONS)
+
+
+@pytest.mark.parametrize("wood", ["oak", "plastic", "cork", "walnut"])
+def test_every_wood_that_a_file_may_name_is_a_texture(textures: dict, wood: str) -> None:
+    assert (not OPTIONS["wood"](wood)) == (wood in textures)
