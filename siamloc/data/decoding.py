@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -80,8 +80,7 @@ class Preprocessing:
             raise ConfigError(f"image_size is {height} x {width}, but the view has {view.height} x {view.width} pixels")
         if camera is not None and not (dataclasses.is_dataclass(camera) and hasattr(camera, "sampling")):
             raise ConfigError(f"a camera must be a dataclass with a method `sampling`, got {camera!r}")
-        found: OmnidirectionalCamera | None = camera
-        return cls(view, found)
+        return cls(view, cast("OmnidirectionalCamera | None", camera))
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Preprocessing:
