@@ -164,7 +164,7 @@ class Effect(ABC):
         return self.values(torch.rand(shape, generator=generator, device=generator.device).cpu(), height, width)
 
     def values(self, uniform: Tensor, height: int, width: int) -> Params:
-        """Return the parameters that uniform numbers stand for, a row (B, number of spans) for each frame."""
+        """Turn uniform numbers in [0, 1), (B, number of spans), into the parameters of B frames."""
         return self.complete(spread(uniform, self.spans(height, width)), len(uniform), height, width)
 
     def at(self, strength: float, batch: Tensor) -> Params:
@@ -236,7 +236,7 @@ class Effect(ABC):
         return self._spans[key]
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """Return what is drawn besides the ranges that users set: where, and in which form. Nothing by default."""
+        """Return what is drawn in addition to the ranges that users set, such as a place. Nothing by default."""
         return {}
 
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:

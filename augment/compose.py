@@ -58,6 +58,9 @@ class Policy(Effect):
         name: of the policy.
         circular: False turns wrap-around off in all effects that do not say otherwise.
 
+    Attributes:
+        config: the policy in plain values; `policy_from_config` makes the same policy from them.
+
     Raises:
         AugmentError: an unknown effect, parameter or key, or a probability outside [0, 1].
 
@@ -78,6 +81,7 @@ class Policy(Effect):
         self.name = name  # type: ignore[misc]
         slots = iter(range(1 << 20))
         self.tree = _step(tree, circular, slots, name)
+        self.config: dict[str, Any] = {"name": name, "circular": circular, **tree}
         self.slots: tuple[Step, ...] = tuple(step for step in _walk(self.tree) if step.effect is not None)
         self._inner = [step for step in _walk(self.tree) if step.probability < 1]
         self._choices = [step for step in _walk(self.tree) if step.kind == "one_of"]

@@ -72,7 +72,7 @@ def expand(
         seed: of all parameters.
         circular: whether columns wrap around.
         resume: continue what an earlier call with the same sources, outputs and seed left unfinished; pictures in its
-            table stay, temporary files of its own are removed.
+            table stay, and the temporary files it left are removed.
         threads: pictures in work at once.
         on_error: "skip" reports a source that cannot be read and goes on; "raise" stops.
         progress: called with (items, total, what), yields the items; for a bar.
@@ -95,7 +95,7 @@ def expand(
         16
     """
     folder, sources = Path(folder), [Path(image) for image in images]
-    targets = [[Path(output) for output in row] for row in outputs]
+    targets = [[output if isinstance(output, Path) else Path(output) for output in row] for row in outputs]
     depth = _checked_depth(sources, targets, folder, on_error)
     if seed < 0:
         raise AugmentError(f"seed must be 0 or more, got {seed}")
@@ -167,7 +167,14 @@ def headings(
 
 
 def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
-    """Return the picture (1, 3, H, W) that a row of the table describes, made from its source (1, 3, H, W)."""
+    """Make the picture (1, 3, H, W) that a row of the table describes from its source (1, 3, H, W).
+
+    Example:
+        >>> values = {"0.brighten.on": True, "0.brighten.amount": 40, "heading": 0.0}
+        >>> row = {"variant": "7", "parameters": json.dumps(values)}
+        >>> replay(row, torch.full((1, 3, 32, 128), 100, dtype=torch.uint8)).unique()
+        tensor([140], dtype=torch.uint8)
+    """
     variant = variants(int(row["variant"]) + 1, circular)[-1]
     return variant.policy.apply(picture, {key: [value] for key, value in json.loads(row["parameters"]).items()})
 

@@ -61,8 +61,9 @@ def prepare(
     """Make the folder ready and return the rows of the pictures that an earlier call finished, by picture."""
     wanted = json.loads(json.dumps({"schema": VERSION, **options, "frames": len(sources)}))  # as it will be read again
     settings = folder / SETTINGS
-    names = _names_by_folder(folder, targets)
-    if folder.exists() and any(not _is_temporary(entry, names[folder]) for entry in _entries(folder)):
+    entries = _entries(folder) if folder.exists() else []
+    names = _names_by_folder(folder, targets) if entries else {}
+    if any(not _is_temporary(entry, names[folder]) for entry in entries):
         if not resume:
             raise AugmentError(f"{folder} is not empty: choose another folder, or go on with resume=true")
         if not settings.is_file():
@@ -104,7 +105,7 @@ def _names_by_folder(folder: Path, targets: list[list[Path]]) -> Mapping[Path, s
 
 
 def _is_temporary(entry: os.DirEntry[str], names: set[str]) -> bool:
-    """Say whether a file is what a killed run left of one of these files of its own."""
+    """Return True for a file that a killed run left behind while it wrote one of these names."""
     found = _TEMPORARY.fullmatch(entry.name)
     return found is not None and found[1] in names and entry.is_file(follow_symlinks=False)
 

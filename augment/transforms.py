@@ -128,7 +128,7 @@ class Augment(v2.Transform):
 
 
 def _is_picture(item: Any) -> bool:
-    """Tell pictures from masks, boxes and other marks in a picture."""
+    """Return True for a picture, False for masks, boxes and other marks in one."""
     return not isinstance(item, tv_tensors.TVTensor) or isinstance(item, tv_tensors.Image | tv_tensors.Video)
 
 

@@ -1,7 +1,8 @@
 """Every analytic descriptor on the standard benchmark: error by lighting, heading, size and time.
 
-Each row is what `siamloc evaluate descriptor=NAME data=freiburg_sim task=absolute` gives: a map of every fifth frame of
-one cloudy run, and all frames of three other runs as queries.
+A map of every fifth frame of one cloudy run, and all frames of three other runs as queries. This command gives a row:
+
+    siamloc evaluate descriptor=NAME data=freiburg_sim task=absolute
 
     siamloc simulate camera=panorama out=data
     OMP_NUM_THREADS=2 python -m benchmarks.baselines --data data/freiburg_like
@@ -9,32 +10,37 @@ one cloudy run, and all frames of three other runs as queries.
 
 from __future__ import annotations
 
-import json
-import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-import analytic
-import siamloc.cli
+import siamloc
+from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
+from benchmarks.building import LIGHTINGS, MAP, QUERIES, Building, by_lighting
 from benchmarks.report import Report, medians, parser
-from siamloc.cli.steps import descriptor_options
-from siamloc.data.decoding import read_image
 
-NAMES = ("hog", "gist", "wisurf", "briefgist", "fs", "radon_fourier", "radon_poc", "hog_mapping", "gist_mapping")
-LIGHTINGS = ("cloudy", "night", "sunny")
+# The configurations of the mapping experiments ([I] 6.1, [T] 4.5.1), as conf/descriptor has them.
+MAPPING: dict[str, dict[str, Any]] = {
+    "hog_mapping": {"name": "hog", "rows": 16, "bins": 16, "step": 2, "orientation_bins": 16},
+    "gist_mapping": {
+        "name": "gist",
+        "blocks": 16,
+        "orientations": 16,
+        "step": 2,
+        "orientation_filters": 16,
+        "orientation_levels": 1,
+    },
+}
+NAMES = (*DESCRIPTORS, *MAPPING, "thumbnail")
 
 
 def main() -> None:
     """Evaluate, print a table and write it."""
     arguments = parser(__doc__)
     arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
-    arguments.add_argument("--names", nargs="+", default=[*NAMES, "thumbnail"])
+    arguments.add_argument("--names", nargs="+", default=list(NAMES))
     options = arguments.parse_args()
-    report = Report("baselines", options.out)
-    with tempfile.TemporaryDirectory() as folder:
-        rows = [row(name, options.data, Path(folder)) for name in options.names]
+    report, building = Report("baselines", options.out), Building(options.data)
+    rows = [row(name, building) for name in options.names]
     print("| descriptor | cloudy | night | sunny | heading | bytes | ms per image |\n|---|---|---|---|---|---|---|")
     for one in rows:
         errors = " | ".join(f"{one['mean_m'][lighting]:.2f}" for lighting in LIGHTINGS)
@@ -43,33 +49,32 @@ def main() -> None:
     report.write({"rows": rows})
 
 
-def row(name: str, data: Path, folder: Path) -> dict[str, Any]:
+def named(name: str) -> Descriptor:
+    """Return a descriptor by the name of its configuration."""
+    options = dict(MAPPING.get(name, {"name": name}))
+    kind = options.pop("name")
+    return Thumbnail() if kind == "thumbnail" else descriptor(kind, **options)
+
+
+def row(name: str, building: Building) -> dict[str, Any]:
     """Return the figures of one descriptor."""
-    run = folder / name
-    words = [f"descriptor={name}", "data=freiburg_sim", f"data.root={data}", "task=absolute", f"run={run}"]
-    if siamloc.cli.main(["evaluate", *words, "task.baselines=[]", "task.plots=false"]) != 0:
-        raise SystemExit(f"siamloc evaluate {' '.join(words)} failed")
-    results = json.loads((run / "evaluation" / name / "results.json").read_text(encoding="utf-8"))
-    absolute = results["measures"]["absolute"]
-    heading = absolute["overall"].get("heading_error")
+    known = siamloc.maps.build(named(name), building.images, building.drives(MAP, every=5))
+    result = siamloc.evaluation.localization(known, building.images, building.drives(QUERIES), names=("absolute",))
+    heading = result.measures.get("heading_error")
     return {
         "name": name,
-        "mean_m": {lighting: absolute["lighting"][lighting]["error"]["mean"] for lighting in LIGHTINGS},
-        "floor_m": absolute["overall"]["floor"]["mean"],
+        "mean_m": by_lighting(result.parts["absolute"]),
+        "floor_m": result.measures["floor"]["mean"],
         "heading_median_deg": heading["median"] if heading else None,
         "heading_p95_deg": heading["p95"] if heading else None,
-        "queries": absolute["overall"]["queries"],
-        **cost(name, next(data.glob("**/omni_cam/*.jpeg"))),
+        "queries": result.measures["queries"],
+        **cost(name, building),
     }
 
 
-def cost(name: str, image: Path) -> dict[str, float]:
+def cost(name: str, building: Building) -> dict[str, float]:
     """Return bytes of a description and milliseconds for one panorama."""
-    options = descriptor_options(name)
-    options.pop("label", None)
-    kind = options.pop("name")
-    made = analytic.Thumbnail(**options) if kind == "thumbnail" else analytic.descriptor(kind, **options)
-    panorama = np.ascontiguousarray(read_image(image).transpose(2, 0, 1))
+    made, panorama = named(name), building.images.batch([0])[0]
     found = made.describe(panorama)
     size = found.position.nbytes
     if found.orientation is not None and not made.aligned:

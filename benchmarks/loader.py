@@ -24,7 +24,7 @@ import torch
 from PIL import Image
 
 from benchmarks.report import Report, parser, seconds
-from siamloc.data import FrameTable, PanoramaStore
+from siamloc.data import FrameTable, PanoramaLibrary
 
 HEIGHT, WIDTH = 128, 512
 TARGET_RATE = 3000.0
@@ -40,10 +40,10 @@ def main() -> None:
             results.append(_measure(Path(temporary), rows, columns, options))
             _print(results[-1], options)
     for result in results:
-        store = result["loaders"]["store"]
+        library = result["loaders"]["library"]
         report.target(
             f"{TARGET_RATE:,.0f} panoramas/s and {TARGET_RATIO:.0f} x PIL from JPEG {result['jpeg_size']}",
-            store["panoramas_per_s"] >= TARGET_RATE and store["times_pil"] >= TARGET_RATIO,
+            library["panoramas_per_s"] >= TARGET_RATE and library["times_pil"] >= TARGET_RATIO,
         )
     settings = {name: value for name, value in vars(options).items() if name != "out"}
     report.write({"panorama": [3, HEIGHT, WIDTH], "settings": settings, "results": results})
@@ -76,18 +76,19 @@ def _measure(folder: Path, rows: int, columns: int, options: argparse.Namespace)
     paths = _draw(folder / f"{columns}x{rows}", options.images, rows, columns)
     frames = FrameTable(path=paths)
     start = time.perf_counter()
-    store = PanoramaStore.open_or_build(frames, folder / "cache", image_size=(HEIGHT, WIDTH))
+    library = PanoramaLibrary(frames, folder / "cache", image_size=(HEIGHT, WIDTH))
     build_s = time.perf_counter() - start
     rng = np.random.default_rng(0)
-    wanted = rng.integers(0, len(store), (options.batches, options.batch))
+    wanted = rng.integers(0, len(library), (options.batches, options.batch))
     few = wanted[: max(1, options.batches // 20)]
-    out = np.empty((options.batch, 3, HEIGHT, WIDTH), np.uint8)
     loaders = {
         "PIL, file by file": (few, lambda batch: _decoded_by_pil(paths, batch)),
-        "store": (wanted, store.batch),
-        "store, into one array": (wanted, lambda batch: store.batch(batch, out=out)),
-        "store, torch uint8": (wanted, lambda batch: torch.from_numpy(store.batch(batch))),
-        "store, torch float in [0, 1]": (wanted, lambda batch: torch.from_numpy(store.batch(batch)).float().div_(255)),
+        "library": (wanted, library.batch),
+        "library, torch uint8": (wanted, lambda batch: torch.from_numpy(library.batch(batch))),
+        "library, torch float in [0, 1]": (
+            wanted,
+            lambda batch: torch.from_numpy(library.batch(batch)).float().div_(255),
+        ),
     }
     works = {name: partial(_load_all, load, batches) for name, (batches, load) in loaders.items()}
     times = seconds(works, options.repeats)
@@ -95,7 +96,7 @@ def _measure(folder: Path, rows: int, columns: int, options: argparse.Namespace)
     reference = statistics.median(rates["PIL, file by file"])
     return {
         "jpeg_size": f"{columns}x{rows}",
-        "build_panoramas_per_s": len(store) / build_s,
+        "build_panoramas_per_s": len(library) / build_s,
         "loaders": {
             name: {
                 "panoramas_per_s": statistics.median(values),
@@ -137,7 +138,7 @@ def _load_all(load: Callable[[np.ndarray], object], batches: np.ndarray) -> None
 
 def _print(result: dict[str, Any], options: argparse.Namespace) -> None:
     print(f"\nJPEG {result['jpeg_size']} -> 3 x {HEIGHT} x {WIDTH}, batches of {options.batch}")
-    print(f"building the store: {result['build_panoramas_per_s']:,.0f} panoramas/s")
+    print(f"building the library: {result['build_panoramas_per_s']:,.0f} panoramas/s")
     print(f"{'loader':<30} {'panoramas/s':>12} {'slowest':>10} {'fastest':>10} {'x PIL':>8}")
     for name, figures in result["loaders"].items():
         numbers = [figures[key] for key in ("panoramas_per_s", "slowest", "fastest")]

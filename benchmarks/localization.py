@@ -3,7 +3,6 @@
 HOG, gist and a trained network, each by the same protocol (`freiburg_sim`, map and queries from different drives). The
 network is that of `experiment=freiburg_sim` with `pairs.scale=4`, a second one for rooms has `pairs=room`; they are
 trained into the folder of `--runs` unless they are there. The filter's settings are chosen on the validation drives.
-Every row is what one `siamloc evaluate` gives; the commands are written with the figures.
 
 Targets: hierarchical search over nodes loses at most 10 % in mean error while it compares at most 25 % of the
 descriptors; the sequence filter reduces the 95 % error at night and in the sun.
@@ -14,26 +13,47 @@ descriptors; the sequence filter reduces the 95 % error at night and in the sun.
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
-import siamloc.cli
+import siamloc
+from benchmarks.baselines import named
+from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, VALIDATION, Building
 from benchmarks.report import Report, parser
+from siamloc.maps import VisualMap
 
-LIGHTINGS = ("cloudy", "night", "sunny")
 METHODS = {"HOG": "hog_mapping", "gist": "gist_mapping", "network": "network"}
-# What is searched first, by its name in the table: the words that build and rank it, and the descriptor it is built of.
-LAYERS = {
-    "40 clusters of HOG": (["build=spectral", "build.nodes=40", "task.candidates=3"], "hog_mapping"),
-    "nodes of HOG": (["build=incremental_sparse", "task.candidates=3"], "hog_mapping"),
-    "nodes of HOG, published thresholds": (["build=incremental", "task.candidates=3"], "hog_mapping"),
-    "the room network's room": (["build=rooms", "task.candidates=1"], "rooms"),
-    "the room network's vote": (["build=rooms", "task.candidates=1", "task.coarse.by=vote"], "rooms"),
+SPARSE = {
+    "omega": 1.0,
+    "x_start": 1.0,
+    "merge": "never",
+    "held_out": 0.5,
+    "first_node": 8,
+    "smallest_node": 4,
+    "checked_unassigned": 6,
+    "checked_window": 8,
+    "forced_unassigned": 9,
+    "forced_window": 10,
+    "node_changes": 5,
+    "changes_window": 10,
+    "window": 12,
+}
+"""The incremental mapper for frames 15 cm apart, as conf/build/incremental_sparse.yaml has it."""
+# What is searched first, by its name in the table: how nodes are built, by which descriptor, and how they are ranked.
+LAYERS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
+    "40 clusters of HOG": ({"way": "spectral", "nodes": 40}, "hog_mapping", {"candidates": 3}),
+    "nodes of HOG": ({"way": "incremental", **SPARSE}, "hog_mapping", {"candidates": 3}),
+    "nodes of HOG, published thresholds": ({"way": "incremental"}, "hog_mapping", {"candidates": 3}),
+    "the room network's room": ({"way": "rooms"}, "rooms", {"candidates": 1}),
+    "the room network's vote": ({"way": "rooms"}, "rooms", {"candidates": 1, "coarse": {"by": "vote"}}),
 }
 MOST_LOSS, MOST_COMPARED = 0.10, 0.25
-TRAINED = {"network": ["pairs.scale=4"], "rooms": ["pairs=room"]}
+TRAINED: dict[str, dict[str, Any]] = {
+    "network": {"label": "distance", "same_room_share": 0.4, "epoch_pairs": 640, "scale": 4.0},
+    "rooms": {"label": "room", "same_room_share": 0.5, "epoch_pairs": 640},
+}
+SIZE = (64, 256)  # of the networks' panoramas
 
 
 def main() -> None:
@@ -44,8 +64,6 @@ def main() -> None:
     options = arguments.parse_args()
     report = Report("localization", options.out)
     bench = Bench(options.data, options.runs)
-    for name, words in TRAINED.items():
-        bench.train(name, words)
     sparse = [bench.absolute(method, 5) for method in METHODS]
     dense = [bench.absolute(method, 1) for method in METHODS]
     hierarchical = [bench.hierarchical(method, layer) for layer in LAYERS for method in METHODS if fits(method, layer)]
@@ -60,7 +78,7 @@ def fits(method: str, layer: str) -> bool:
 
 
 class Bench:
-    """Runs commands and reads what they wrote.
+    """The building at both sizes, its networks and its maps, each made once.
 
     Args:
         data: folder of the rendered building.
@@ -68,52 +86,46 @@ class Bench:
     """
 
     def __init__(self, data: Path, runs: Path) -> None:
-        self.data, self.runs = data, runs
-
-    def train(self, name: str, words: list[str]) -> None:
-        """Train a network, unless its run is finished."""
-        if not (self.runs / name / "run.json").is_file():
-            self._siamloc(
-                "train", "experiment=freiburg_sim", *words, f"data.root={self.data}", f"run={self.runs / name}"
-            )
+        self._runs = runs
+        self._large, self._small = Building(data), Building(data, SIZE)
+        self._networks = {name: self._trained(name) for name in TRAINED}
+        self._maps: dict[tuple[str, int, bool], VisualMap] = {}
 
     def absolute(self, method: str, every: int) -> dict[str, Any]:
         """Return the figures of a search in the whole map, of single frames and filtered."""
-        words = [
-            *self._of(method, every),
-            "task=absolute",
-            "task.filter=true",
-            "task.filter_tune=true",
-            "task.baselines=[]",
-            "task.plots=false",
-        ]
-        command, results = self._evaluate(method, METHODS[method], words)
-        measures = results["measures"]
+        building = self._building(method == "network")
+        result = siamloc.evaluation.localization(
+            self._map(METHODS[method], every, method == "network"),
+            building.images,
+            building.drives(QUERIES),
+            validation=building.drives(VALIDATION),
+            names=("absolute",),
+            filter=True,
+            filter_tune=True,
+        )
         return {
             "method": method,
             "every": every,
-            "command": command,
-            "map_frames": measures["absolute"]["map_frames"],
-            "single": figures(measures["absolute"]),
-            "filtered": figures(measures["absolute_filtered"]),
+            "map_frames": result.measures["map_frames"],
+            "single": figures(result.parts["absolute"]),
+            "filtered": figures(result.parts["absolute_filtered"]),
         }
 
     def hierarchical(self, method: str, layer: str) -> dict[str, Any]:
         """Return the figures of a search in the best nodes only."""
-        ranked, coarse = LAYERS[layer]
-        described = str(self.runs / coarse) if coarse in TRAINED else coarse
-        words = [*self._of(method, 1), "task=hierarchical", *ranked, f"task.coarse.descriptor={described}"]
-        vote = ["vote"] if "task.coarse.by=vote" in ranked else []
-        parts = [METHODS[method], f"network-{coarse}" if coarse in TRAINED else coarse]
-        parts = list(dict.fromkeys([*parts, ranked[0].removeprefix("build="), *vote]))
-        command, results = self._evaluate(method, f"hierarchical-{'-'.join(parts)}", [*words, "task.plots=false"])
-        measures = results["measures"]["hierarchical"]
-        overall = measures["overall"]
+        way, coarse, ranking = LAYERS[layer]
+        small = method == "network"
+        building, known = self._building(small), self._map(METHODS[method], 1, small)
+        ranks = known if coarse == METHODS[method] else self._map(coarse, 1, small)
+        built = siamloc.maps.group(ranks, **way)
+        result = siamloc.evaluation.hierarchical(
+            known, building.images, building.drives(QUERIES), built, coarse_map=ranks, **ranking
+        )
+        overall = result.measures
         return {
             "method": method,
             "layer": layer,
-            "command": command,
-            "single": figures(measures),
+            "single": figures(result.parts["hierarchical"]),
             "coarse_accuracy": overall["coarse"]["accuracy"],
             "given_right": overall["given_right"]["error"]["mean"],
             "given_wrong": overall["given_wrong"]["error"]["mean"],
@@ -121,27 +133,28 @@ class Bench:
             "absolute": overall["absolute"]["error"]["mean"],
             "loss": overall["loss"],
             "compared": overall["comparisons"]["share"],
-            "nodes": results["denominators"]["nodes"],
+            "nodes": result.denominators["nodes"],
         }
 
-    def _of(self, method: str, every: int) -> list[str]:
-        run = "network" if method == "network" else METHODS[method]
-        words = [f"run={self.runs / run}", f"protocol.map.every={every}"]
-        if method == "network":
-            return words
-        return [*words, f"descriptor={METHODS[method]}", "data=freiburg_sim", f"data.root={self.data}"]
+    def _building(self, small: bool) -> Building:
+        return self._small if small else self._large
 
-    def _evaluate(self, method: str, folder: str, words: list[str]) -> tuple[str, dict[str, Any]]:
-        command = self._siamloc("evaluate", *words)
-        run = self.runs / ("network" if method == "network" else METHODS[method])
-        path = run / "evaluation" / folder / "results.json"
-        return command, json.loads(path.read_text(encoding="utf-8"))
+    def _trained(self, name: str) -> Any:
+        """Return a trained network; it is trained unless its run is there."""
+        run = siamloc.training.Run(self._runs / name)
+        if run.record.is_file():
+            return siamloc.models.load(run)
+        network, building = siamloc.models.build("alexnet", "fc500_500_5", SIZE), self._small
+        train, validation = building.drives(TRAIN), building.drives(VALIDATION)
+        pairs = TRAINED[name]
+        siamloc.training.fit(network, building.images, train, run=run, validation=validation, epochs=25, pairs=pairs)
+        return network
 
-    @staticmethod
-    def _siamloc(*words: str) -> str:
-        if siamloc.cli.main(list(words)) != 0:
-            raise SystemExit(f"siamloc {' '.join(words)} failed")
-        return f"siamloc {' '.join(words)}"
+    def _map(self, name: str, every: int, small: bool) -> VisualMap:
+        if (name, every, small) not in self._maps:
+            building, by = self._building(small), self._networks.get(name) or named(name)
+            self._maps[name, every, small] = siamloc.maps.build(by, building.images, building.drives(MAP, every))
+        return self._maps[name, every, small]
 
 
 def figures(measures: dict[str, Any]) -> dict[str, dict[str, float]]:

@@ -1,7 +1,7 @@
-"""Policies by name, and policies of one's own, from YAML files.
+"""Policies by name, or from a YAML file.
 
-The policies that come with the package are the YAML files in this folder. A file holds a tree of effects as `Policy`
-takes it, in which a step may also be another policy of the package:
+The policies that come with the package are the YAML files in this folder. A file contains a tree of effects, as in
+`Policy`, in which a step may also be another policy of the package:
 
     circular: true            # optional, like `name` and `rotate`
     all_of:
@@ -38,8 +38,8 @@ def policy(name: str | Path, *, circular: bool | None = None, rotate: float | No
             occlusion together), or a file that ends in .yaml or .yml.
         circular: False for cameras whose columns do not wrap around; nothing is rotated then. If None, as the file
             says, otherwise True.
-        rotate: probability of the rotation among the outermost steps, which is added at the end if there is none. If
-            None, as the policy says: one half in "thesis", none in "lighting", 1 in "strong".
+        rotate: probability of the rotation among the outermost steps; a rotation is added at the end if there is
+            none. If None, as the policy says: one half in "thesis", none in "lighting", 1 in "strong".
 
     Raises:
         AugmentError: an unknown name, a file that is missing or invalid, or a probability outside [0, 1].
@@ -103,7 +103,7 @@ def policy_from_config(config: Mapping[str, Any]) -> Policy:
 
 
 def _read(path: Path) -> Tree:
-    """Return what a policy's file holds."""
+    """Return the contents of a policy's file."""
     try:
         described = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -111,7 +111,7 @@ def _read(path: Path) -> Tree:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise AugmentError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(described, dict):
-        raise AugmentError(f"{path} must hold a mapping with one of {', '.join(_ROOTS)}, got {described!r}")
+        raise AugmentError(f"{path} must contain a mapping with one of {', '.join(_ROOTS)}, got {described!r}")
     return described
 
 

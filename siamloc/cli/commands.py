@@ -123,8 +123,8 @@ def evaluate(config: DictConfig) -> None:
     if (len(names) != 1 and set(names) != {"absolute", "room_retrieval"}) or len(known) != len(names):
         raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
     run = run_of(config)
-    result = result_of(config, run)
-    folder = run.evaluation(result.name)
+    name, result = result_of(config, run)
+    folder = run.evaluation(name)
     pictures = result.save(folder, pictures=config.task.plots)
     run.record_written(files_in(folder))
     print(f"data: {config.data.name}")

@@ -33,8 +33,8 @@ from siamloc.runs import Run
 TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "robustness", "buildings")
 
 
-def result_of(config: DictConfig, run: Run) -> Result:
-    """Return what the configured task measures."""
+def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
+    """Return what the configured task measures, and what its folder is called."""
     names = list(config.task.names)
     if names == ["mapping"]:
         return _mapping(config, run)
@@ -47,12 +47,12 @@ def result_of(config: DictConfig, run: Run) -> Result:
     return _localization(config, run)
 
 
-def _localization(config: DictConfig, run: Run) -> Result:
+def _localization(config: DictConfig, run: Run) -> tuple[str, Result]:
     settings = Localization.of(_own(config, Localization))
     learned = settings.error_model or settings.filter_tune
     known, images, roles = _known(config, run, "query", *(["validation"] if learned else []))
     label = label_of(config.descriptor)
-    return evaluation.localization(
+    result = evaluation.localization(
         known,
         images,
         roles["query"],
@@ -63,9 +63,10 @@ def _localization(config: DictConfig, run: Run) -> Result:
         seed=config.seed,
         settings=settings,
     )
+    return label, result
 
 
-def _robustness(config: DictConfig, run: Run) -> Result:
+def _robustness(config: DictConfig, run: Run) -> tuple[str, Result]:
     known, images, roles = _known(config, run, "query")
     label = label_of(config.descriptor)
     result = evaluation.robustness(
@@ -78,10 +79,10 @@ def _robustness(config: DictConfig, run: Run) -> Result:
         seed=config.seed,
         settings=Robustness.of(plain(config.task.robustness)),
     )
-    return replace(result, name=f"robustness-{label}")
+    return f"robustness-{label}", result
 
 
-def _hierarchical(config: DictConfig, run: Run) -> Result:
+def _hierarchical(config: DictConfig, run: Run) -> tuple[str, Result]:
     known, images, roles = _known(config, run, "query")
     known = known.placed()
     label, other = label_of(config.descriptor), config.task.coarse.descriptor
@@ -105,19 +106,19 @@ def _hierarchical(config: DictConfig, run: Run) -> Result:
         name=name,
         settings=Hierarchical.of(settings),
     )
-    return replace(result, name=f"hierarchical-{name}")
+    return f"hierarchical-{name}", result
 
 
-def _mapping(config: DictConfig, run: Run) -> Result:
+def _mapping(config: DictConfig, run: Run) -> tuple[str, Result]:
     known, _, _ = _known(config, run)
     label = label_of(config.descriptor)
     built, folder = _layer(config, run, known, label)
     name = f"{label_of(config.build)} over {label}"
     result = evaluation.mapping(known, built, name=name, settings=MapMeasures.of(_own(config, MapMeasures)))
-    return replace(result, name=f"mapping-{label}-{label_of(config.build)}", layer=folder)
+    return f"mapping-{label}-{label_of(config.build)}", replace(result, layer=folder)
 
 
-def _buildings(config: DictConfig, run: Run) -> Result:
+def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
     label, named = label_of(config.descriptor), config.task.maps
     if named is None:
         known, images, roles = _known(config, run, "query")
@@ -141,7 +142,7 @@ def _buildings(config: DictConfig, run: Run) -> Result:
         protocol=_protocol(config),
         name=label,
     )
-    return replace(result, name=f"buildings-{label}")
+    return f"buildings-{label}", result
 
 
 def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, PanoramaLibrary, dict[str, FrameTable]]:

@@ -49,7 +49,7 @@ def _headings(frames: FrameTable) -> Iterator[str]:
     enough = len(heading) >= 10
     if enough and _agreement(heading - travel)[0] >= _FITS:
         return
-    if beyond.mean() > 0.25 if len(beyond) else False:
+    if beyond.sum() > len(theta) / 4:
         yield (
             f"theta looks like degrees: {beyond.sum()} of {len(theta)} headings lie beyond one turn, up to "
             f"{np.abs(theta).max():.4g}. Give radians (multiply by pi / 180)."
@@ -131,7 +131,7 @@ def _drives(frames: FrameTable) -> Iterator[str]:
                 f"the robot stands still in {_count(still, len(own))} of {drive}: these frames weigh on every mean. "
                 "Thin them out with spacing (protocol.map.spacing and so on)."
             )
-        if len(moves) > 10 and steps.max() > 30 * usual:
+        if len(moves) > 10 and steps.max() > 20 * usual:
             at = int(steps.argmax()) + 1
             yield (
                 f"{drive} jumps by {steps.max():.3g} {frames.unit} at {known.path[at]}, where its usual step is "
@@ -141,7 +141,7 @@ def _drives(frames: FrameTable) -> Iterator[str]:
         if 0 < timed < len(own):
             yield f"{_count(len(own) - timed, len(own))} of {drive} have no time: the order is that of the table."
         gaps = np.diff(own.time) if timed == len(own) else np.zeros(0)
-        if len(gaps) > 10 and gaps.max() > max(30 * np.median(gaps), 10.0):
+        if len(gaps) > 10 and gaps.max() > max(20 * np.median(gaps), 10.0):
             at = int(gaps.argmax()) + 1
             yield (
                 f"{drive} pauses for {gaps.max():.0f} s before {own.path[at]}, where frames usually are "

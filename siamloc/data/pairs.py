@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.settings import Count, Positive, Settings, Share
+from siamloc.settings import Count, Positive, Settings, Share, checked
 
 
 @dataclass(frozen=True)
@@ -234,9 +234,8 @@ def _scales(
         DataError: a building whose rooms were each taken at one point, so that its largest distance is 0.
     """
     if scale is not None and not isinstance(scale, Mapping):
-        value = _positive(scale)
-        return value, np.full(len(frames), value)
-    scales = {str(building): _positive(value) for building, value in (scale or {}).items()}
+        return float(scale), np.full(len(frames), float(scale))
+    scales = {str(building): checked(value, Positive, "pairs.scale") for building, value in (scale or {}).items()}
     divisor = np.empty(len(frames))
     for building, rows in frames.rows_by("building").items():
         if building not in scales:
@@ -246,12 +245,6 @@ def _scales(
                 raise DataError(f"all frames of a room{where} were taken at one point, so distances have no scale")
         divisor[rows] = scales[building]
     return (scales if len(scales) > 1 else divisor[0].item()), divisor
-
-
-def _positive(scale: float) -> float:
-    if not 0 < float(scale) < np.inf:
-        raise ConfigError(f"the scale of distance labels (pairs.scale) must be a positive number, got {scale}")
-    return float(scale)
 
 
 def _diameter(points: NDArray[np.float64]) -> float:

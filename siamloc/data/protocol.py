@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.frames import FrameTable, concatenate, html_table
 from siamloc.errors import ConfigError, DataError
 from siamloc.settings import Count, Positive, Settings
 
@@ -50,6 +50,13 @@ class Role(Settings):
         if self.every is not None and self.spacing is not None:
             raise ConfigError("a role takes every k-th frame or frames at a spacing, not both: set one of them to null")
 
+    def __str__(self) -> str:
+        """Say what is selected: "sequences a, every 5"; the empty text where nothing is set."""
+        given = {name: value for name, value in self.plain().items() if value is not None}
+        return ", ".join(
+            f"{name} {' '.join(value) if isinstance(value, list) else value}" for name, value in given.items()
+        )
+
     def select(self, frames: FrameTable) -> FrameTable:
         """Return the role's frames, in the order of the table."""
         if self.sequences is not None:
@@ -65,7 +72,7 @@ class Role(Settings):
         return frames
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Protocol(Settings):
     """The roles of a data set, and which map frames a query may not be compared with.
 
@@ -122,6 +129,22 @@ class Protocol(Settings):
                 except ConfigError as error:
                     raise ConfigError(f"protocol.{name}: {error}") from error
         return super().of({**values, **roles})
+
+    def __repr__(self) -> str:
+        roles = [f"{name}: {words}" for name, words in self._roles_in_words()]
+        return f"Protocol({'; '.join([self.kind, *roles, *self._apart_in_words()])})"
+
+    def _repr_html_(self) -> str:
+        caption = "; ".join([f"protocol {self.kind}", *self._apart_in_words()])
+        return html_table(caption, ["role", "frames"], self._roles_in_words())
+
+    def _roles_in_words(self) -> list[tuple[str, str]]:
+        return [(name, words) for name in ROLES if (words := str(getattr(self, name)))]
+
+    def _apart_in_words(self) -> list[str]:
+        apart = {"apart_seconds": self.apart_seconds, "apart_metres": self.apart_metres}
+        distances = [f"{name} {value:g}" for name, value in apart.items() if value is not None]
+        return ["leave_one_out", *distances] if self.leave_one_out else distances
 
     @property
     def excludes(self) -> bool:

@@ -22,13 +22,14 @@ READERS: dict[str, Callable[..., FrameTable]] = {"cold": read_cold, "folder": re
 _PATHS = ("root", "places", "manifest")
 
 
-def read(kind: str, *, unit: str = "m", **where: Any) -> FrameTable:
+def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTable:
     """Read the frames of a data set.
 
     Args:
         kind: "cold" (`siamloc.data.cold.read_cold`), "manifest" (`siamloc.data.manifest.read_manifest`) or "folder"
             (`siamloc.data.folder.read_folder`).
         unit: what x and y count.
+        name: what results and runs call the data; that of the file or folder if empty.
         **where: what that reader takes, such as root=FOLDER.
 
     Returns:
@@ -60,7 +61,8 @@ def read(kind: str, *, unit: str = "m", **where: Any) -> FrameTable:
     source = {
         name: str(Path(value).expanduser().absolute()) if name in _PATHS else value for name, value in given.items()
     }
-    return replace(READERS[kind](**given), unit=unit, source={"kind": kind, **source})
+    named = name or next((Path(source[key]).stem for key in _PATHS if key in source), kind)
+    return replace(READERS[kind](**given), unit=unit, source={"kind": kind, "name": named, **source})
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ class DataSettings(Settings):
     def read(self) -> FrameTable:
         """Read the frames. See `siamloc.data.read`."""
         where = {name: getattr(self, name) for name in (*_PATHS, "camera") if getattr(self, name) is not None}
-        return read(self.kind, unit=self.unit, on_error=self.on_error, **where)
+        return read(self.kind, unit=self.unit, name=self.name, on_error=self.on_error, **where)
 
     def library(
         self, frames: FrameTable, unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None

@@ -160,9 +160,8 @@ class SiameseModule(LightningModule):
 
 
 def name_of(thing: object) -> str:
-    """Name a function, or the class of an object, with its module."""
-    named = thing if hasattr(thing, "__qualname__") else type(thing)
-    return f"{named.__module__}.{named.__qualname__}"  # type: ignore[attr-defined]
+    """Name a function, or the class of an object, wherever it is defined."""
+    return str(getattr(thing, "__qualname__", type(thing).__qualname__))
 
 
 def pair_picture(

@@ -136,12 +136,13 @@ class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
 
     Args:
         batches: in an epoch.
-        moving: whether epochs differ; validation has the pairs of epoch 0 in every epoch.
+        epoch: to begin with; None for validation, which has the pairs of epoch 0 in every epoch.
     """
 
-    def __init__(self, batches: Sized, *, moving: bool) -> None:
+    def __init__(self, batches: Sized, epoch: int | None = 0) -> None:
         super().__init__(batches, num_replicas=1, rank=0, shuffle=False)  # type: ignore[arg-type]
-        self._moving = moving
+        self._moving = epoch is not None
+        self.set_epoch(epoch or 0)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:  # type: ignore[override]
         epoch = self.epoch if self._moving else 0
@@ -203,11 +204,13 @@ class PairDataModule(LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        return self._loader(self.sampler, self._augmentation, moving=True)
+        # A trainer that resumes asks for the first batches before it calls `set_epoch`, with this number.
+        epoch = 0 if self.trainer is None else self.trainer.fit_loop.epoch_progress.current.processed
+        return self._loader(self.sampler, self._augmentation, epoch)
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation batches; an empty list where there are no validation frames."""
-        return [] if self.validation_sampler is None else self._loader(self.validation_sampler, None, moving=False)
+        return [] if self.validation_sampler is None else self._loader(self.validation_sampler, None, None)
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
         """Apply the augmentation that was put off until the batch is on the device."""
@@ -217,13 +220,15 @@ class PairDataModule(LightningDataModule):
             batch["first"], batch["second"] = self._augmentation.effect.apply(images, params).chunk(2)
         return batch
 
-    def _loader(self, sampler: PairSampler, augmentation: PairAugmentation | None, *, moving: bool) -> DataLoader[Any]:
+    def _loader(
+        self, sampler: PairSampler, augmentation: PairAugmentation | None, epoch: int | None
+    ) -> DataLoader[Any]:
         rank, world_size = (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
         batches = PairBatches(self._library, sampler, self._batch_size, augmentation, rank, world_size)
         return DataLoader(
             batches,
             batch_size=None,
-            sampler=EpochSampler(batches, moving=moving),
+            sampler=EpochSampler(batches, epoch),
             num_workers=self._workers,
             persistent_workers=self._workers > 0,
             generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator

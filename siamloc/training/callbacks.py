@@ -81,15 +81,13 @@ class Curves(Checkpoint):
         self._run = run
         self._rows: list[dict[str, float]] = []
         self._start = (0.0, 0)
+        self._events_before = set(run.tensorboard.glob("events.*"))
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Note when and where the training begins, and which file TensorBoard's logger has opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
         if trainer.is_global_zero:
-            before = set(self._run.tensorboard.glob("events.*"))
-            for logger in trainer.loggers:
-                _ = logger.experiment  # opens its file
-            self._run.record_written(sorted(set(self._run.tensorboard.glob("events.*")) - before))
+            self._run.record_written(set(self._run.tensorboard.glob("events.*")) - self._events_before)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Take down the epoch's figures."""

@@ -132,7 +132,7 @@ def fit(
     _check_network(network, images)
     content = module.content()
     used = {
-        "data": {"name": _name_of(train), **train.source, "unit": train.unit, **images.settings()},
+        "data": {**train.source, "unit": train.unit, **images.settings()},
         "protocol": dict(protocol) if protocol is not None else _protocol(train, validated),
         "model": content["model"],
         "loss": content["loss"],
@@ -143,6 +143,8 @@ def fit(
     last = run.checkpoints / "last.ckpt"
     if resume and first:
         _check_same_training(run, plain(used), settings.epochs)
+    if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
+        network.train()
     with _quiet():
         lightning = _trainer(run, settings, trainer, validated=validated is not None)
         if first:
@@ -381,12 +383,6 @@ def _frames_key(frames: FrameTable) -> dict[str, Any]:
     """Count frames and hash what they are, wherever their files lie."""
     columns = [frames.sequence, [Path(path).name for path in frames.path.tolist()], frames.xy, frames.place]
     return {"count": len(frames), "key": content_key(columns)}
-
-
-def _name_of(frames: FrameTable) -> str:
-    """Name a data set by the file or folder that it was read from."""
-    where = next((frames.source[key] for key in ("manifest", "root", "places") if key in frames.source), "")
-    return Path(str(where)).stem
 
 
 def _listed(value: Any) -> list[Any]:

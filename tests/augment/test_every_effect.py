@@ -1,4 +1,4 @@
-"""What every effect and every policy has to hold."""
+"""What is true of every effect and every policy."""
 
 import json
 

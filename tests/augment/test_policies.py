@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import pytest
@@ -161,6 +162,15 @@ def test_a_policy_of_ones_own_is_a_file(tmp_path):
     assert augment.policy(CONFIGS[0].with_name("thesis.yaml"), rotate=0.2).name == "thesis"
 
 
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_a_policy_can_be_stored_as_plain_values(path):
+    policy, batch = augment.policy(path, rotate=0.3, circular=False), panoramas(8)
+    stored = json.loads(json.dumps(policy.config))
+    again = augment.policy_from_config(stored)
+    assert (again.name, again.circular, again.config) == (policy.name, False, stored)
+    assert torch.equal(policy(batch, generator()), again(batch, generator()))
+
+
 def test_rotate_sets_the_probability_of_the_rotation_that_is_there():
     tree = {"all_of": [{"effect": "rotate", "degrees": 90, "probability": 0.5}, {"effect": "blur"}]}
     assert labels(augment.policy_from_config({**tree, "rotate": 0})) == {"blur"}
@@ -180,8 +190,8 @@ def test_a_policy_may_be_a_step_of_another():
     ("text", "message"),
     [
         ("all_of: [\n", r"my.yaml is not valid YAML: while parsing .* line 2, column 1"),
-        ("- effect: blur\n", r"my.yaml must hold a mapping with one of all_of, .*, got \[\{'effect': 'blur'\}\]"),
-        ("", "my.yaml must hold a mapping with one of all_of, .*, got None"),
+        ("- effect: blur\n", r"my.yaml must contain a mapping with one of all_of, .*, got \[\{'effect': 'blur'\}\]"),
+        ("", "my.yaml must contain a mapping with one of all_of, .*, got None"),
         ("name: my.yaml\n", "my.yaml describes no policy: it needs one of all_of, one_of, effect, policy"),
         ("all_of: blur\n", "my.yaml: all_of in policy my must be a list of steps, got 'blur'"),
         ("all_of: blur\nrotate: 1\n", "my.yaml: all_of in policy my must be a list of steps, got 'blur'"),

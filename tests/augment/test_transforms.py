@@ -1,5 +1,8 @@
 import copy
 import pickle
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +19,8 @@ from tests.augment.pictures import generator, panoramas
 ensure_torchvision()
 from torchvision import tv_tensors  # noqa: E402
 from torchvision.transforms import v2  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
 
 
 def build(name="thesis", seed=0):
@@ -94,6 +99,12 @@ def test_in_compose_and_in_sequential():
     assert torch.equal(module.eval()(batch), batch)
     assert list(module.state_dict()) == []
     assert "Augment(Policy('thesis', 25 slots), seed=0)" in repr(nn.Sequential(build()))
+
+
+def test_policies_need_no_torchvision():
+    code = "import sys, augment; augment.policy('strong'); print('torch' in sys.modules, 'torchvision' in sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert loaded.stdout.split() == ["True", "False"]
 
 
 def test_gradients_reach_the_picture():

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from siamloc.errors import FormatError, StorageError, hint
-from siamloc.files import atomic_path, content_key, file_hash, plain, read_json, write_json, write_text
+from siamloc.files import atomic_folder, atomic_path, content_key, file_hash, plain, read_json, write_json, write_text
 
 
 def write_half(path):
@@ -93,3 +93,30 @@ def test_file_hash_is_sha256(tmp_path):
 def test_nearest_names_the_valid_ones():
     assert hint("vgg61", ["alexnet", "vgg16"]) == "did you mean 'vgg16'? valid: alexnet, vgg16"
     assert hint("zzz", ["alexnet"]) == "valid: alexnet"
+
+
+def test_a_folder_appears_whole_and_replaces_the_older_one(tmp_path):
+    target = tmp_path / "store"
+    for word in ("first", "second"):
+        with atomic_folder(target) as temporary:
+            (temporary / f"{word}.txt").write_text(word)
+            assert not (target / f"{word}.txt").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["store"]
+    assert [path.name for path in target.iterdir()] == ["second.txt"]
+    assert target.stat().st_mode & 0o777 == 0o777 & ~umask()
+
+
+def test_a_folder_that_fails_leaves_the_older_one_as_it_was(tmp_path):
+    target = tmp_path / "store"
+    with atomic_folder(target) as temporary:
+        (temporary / "first.txt").write_text("first")
+    with pytest.raises(ZeroDivisionError), atomic_folder(target) as temporary:
+        (temporary / "second.txt").write_text(str(1 / 0))
+    assert [path.name for path in tmp_path.iterdir()] == ["store"]
+    assert [path.name for path in target.iterdir()] == ["first.txt"]
+
+
+def umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -23,11 +23,15 @@ def table(n: int = 6) -> FrameTable:
     )
 
 
+def numbers(frames: FrameTable) -> list[int]:
+    """The rows of the first table that a selection shows, from its file names."""
+    return [int(path.split(".")[0]) for path in frames.path.tolist()]
+
+
 def test_columns_that_are_left_out_are_filled():
     frames = FrameTable(path=["a", "b"])
     assert np.isnan([frames.x, frames.y, frames.theta, frames.time]).all()
     assert [column.tolist() for column in (frames.room, frames.lighting, frames.building)] == [["", ""]] * 3
-    assert frames.index.tolist() == [0, 1]
     assert not frames.has_position.any()
 
 
@@ -64,18 +68,18 @@ def test_rows_and_from_rows_are_inverse():
 
 def test_take_by_positions_mask_and_slice():
     frames = table()
-    assert frames.take([4, 0, 4]).index.tolist() == [4, 0, 4]
-    assert frames.take(frames.room == "b").index.tolist() == [1, 4]
-    assert frames.take(slice(1, None, 2)).index.tolist() == [1, 3, 5]
+    assert numbers(frames.take([4, 0, 4])) == [4, 0, 4]
+    assert numbers(frames.take(frames.room == "b")) == [1, 4]
+    assert numbers(frames.take(slice(1, None, 2))) == [1, 3, 5]
     assert len(frames.take([])) == 0
-    assert frames.take(slice(2, 4)).take([1]).index.tolist() == [3]
+    assert numbers(frames.take(slice(2, 4)).take([1])) == [3]
 
 
 def test_select_by_labels_and_patterns():
     frames = table()
-    assert frames.select(room="a").index.tolist() == [0, 3]
-    assert frames.select(room=["a", "b"], sequence="*_night?").index.tolist() == [1, 3]
-    assert frames.select(building="").index.tolist() == [3, 4, 5]
+    assert numbers(frames.select(room="a")) == [0, 3]
+    assert numbers(frames.select(room=["a", "b"], sequence="*_night?")) == [1, 3]
+    assert numbers(frames.select(building="")) == [3, 4, 5]
     with pytest.raises(ConfigError, match="no frame has sequence 'seq2_cloudy2'; did you mean 'seq2_cloudy1'"):
         frames.select(sequence="seq2_cloudy2")
     with pytest.raises(ConfigError, match="cannot be selected by 'rooms'; did you mean 'room'"):
@@ -83,12 +87,12 @@ def test_select_by_labels_and_patterns():
 
 
 def test_selecting_where_there_are_no_labels_says_so():
-    frames = FrameTable(path=["a.png", "b.png"], sequence=["one", ""])
+    frames = FrameTable(path=["0.png", "1.png"], sequence=["one", ""])
     with pytest.raises(ConfigError, match=r"^no frame has a room label, so 'kitchen' cannot be selected$"):
         frames.select(room="kitchen")
     with pytest.raises(ConfigError, match=r"^no frame has sequence 'two'; valid: one$"):
         frames.select(sequence="two")
-    assert frames.select(room="").index.tolist() == [0, 1]
+    assert numbers(frames.select(room="")) == [0, 1]
 
 
 @given(st.lists(st.sampled_from("abc"), max_size=30), st.integers(1, 7))
@@ -100,7 +104,7 @@ def test_every_k_agrees_with_counting(sequences, k):
         if seen.get(sequence, 0) % k == 0:
             expected.append(row)
         seen[sequence] = seen.get(sequence, 0) + 1
-    assert frames.every(k).index.tolist() == expected
+    assert numbers(frames.every(k)) == expected
 
 
 @pytest.mark.parametrize("k", [0, -1, 1.5])
@@ -127,7 +131,7 @@ def test_spacing_agrees_with_walking_along(steps, metres):
         if sequence not in last or math.dist(last[sequence], (x, y)) >= metres:
             expected.append(row)
             last[sequence] = (x, y)
-    assert frames.spaced(metres).index.tolist() == expected
+    assert numbers(frames.spaced(metres)) == expected
 
 
 def test_spacing_errors():
@@ -147,17 +151,65 @@ def test_places_tell_buildings_apart():
     assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
 
 
-def test_concatenating_counts_the_index_anew():
+def test_concatenating_keeps_the_order():
     joined = concatenate([table().take([5, 1]), FrameTable(path=["a longer name"], room=["a longer room"])])
     assert joined.path.tolist() == ["5.jpg", "1.jpg", "a longer name"]
     assert joined.room.tolist() == ["", "b", "a longer room"]
-    assert joined.index.tolist() == [0, 1, 2]
     assert len(concatenate([])) == 0
 
 
+def test_unit_and_source_are_kept_and_do_not_count_for_equality():
+    source = {"kind": "manifest", "manifest": "/robot.csv"}
+    frames = table().with_columns(unit="px", source=source)
+    assert frames == table()
+    for part in (
+        frames.select(room="a"),
+        frames.take([1]),
+        frames.every(2),
+        frames.spaced(1.0),
+        frames.with_columns(x=np.zeros(6)),
+        concatenate([frames, frames.take([0])]),
+    ):
+        assert (part.unit, part.source) == ("px", source)
+    assert concatenate([frames, frames.with_columns(source={})]).source == {}
+    with pytest.raises(DataError, match="positions count in px and m cannot be joined"):
+        concatenate([frames, table()])
+
+
+def test_a_large_table_shows_itself_in_one_line():
+    n = 5000
+    frames = FrameTable(
+        path=[f"{i}.jpg" for i in range(n)],
+        x=np.where(np.arange(n) < 10, 0.0, np.nan),
+        y=np.zeros(n),
+        sequence=[f"drive{i % 40}" for i in range(n)],
+        room=["<office>"] * n,
+    )
+    text = repr(frames)
+    assert text == str(frames)
+    assert "\n" not in text
+    assert len(text) < 400
+    assert text.startswith("FrameTable(5000 frames; sequences: drive0 125, drive1 125, ")
+    assert text.endswith("and 28 more; rooms: <office>; lightings: none; positions: 10 of 5000, in m)")
+    page = frames._repr_html_()
+    assert page.count("<tr>") == 41
+    assert "&lt;office&gt;" in page
+    assert "<office>" not in page
+
+
+def test_a_frame_is_known_by_its_sequence_and_its_absolute_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert FrameTable(path=["a/../b.jpg"], sequence=["one"]).identities() == [("one", str(tmp_path / "b.jpg"))]
+
+
 def test_describe_names_what_there_is():
-    assert table().describe() == ("6 frames; sequences: seq2_cloudy1 3, seq2_night1 3; rooms: a, b; lightings: none")
-    assert FrameTable(path=["a"]).describe() == "1 frames; sequences: (unnamed) 1; rooms: none; lightings: none"
+    assert table().describe() == (
+        "6 frames; sequences: seq2_cloudy1 3, seq2_night1 3; rooms: a, b; lightings: none; positions: all, in m"
+    )
+    assert (
+        FrameTable(path=["a"]).describe()
+        == "1 frames; sequences: (unnamed) 1; rooms: none; lightings: none; positions: none"
+    )
 
 
 def test_image_files_are_those_with_an_images_suffix(tmp_path: Path):

@@ -1,16 +1,19 @@
 import re
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from siamloc.data.frames import FrameTable
-from siamloc.data.pairs import PairSampler, largest_same_room_distance
+from siamloc.data.pairs import PairSampler, PairSettings, largest_same_room_distance
 from siamloc.errors import ConfigError, DataError
+from siamloc.settings import fields_of
+
+
+def sampler_of(frames, label="auto", seed=0, **options):
+    return PairSampler(frames, PairSettings(label=label, **options), seed=seed)
 
 
 def table(rooms, seed=0, building=None):
@@ -43,7 +46,7 @@ room_lists = st.lists(st.sampled_from(["A", "B", "C", ""]), min_size=2, max_size
 )
 def test_pairs_are_two_different_frames_with_the_right_label(rooms, share, pairs, seed, balance):
     frames = table(rooms)
-    sampler = PairSampler(frames, "room", same_room_share=share, epoch_pairs=pairs, seed=seed, balance=balance)
+    sampler = sampler_of(frames, "room", same_room_share=share, epoch_pairs=pairs, seed=seed, balance=balance)
     drawn = sampler.epoch(3)
     assert len(drawn) == pairs
     assert (drawn.first != drawn.second).all()
@@ -59,7 +62,7 @@ def test_pairs_are_two_different_frames_with_the_right_label(rooms, share, pairs
     world_size=st.integers(1, 5),
 )
 def test_ranks_share_an_epoch_without_overlap(rooms, seed, epoch, world_size):
-    sampler = PairSampler(table(rooms), seed=seed, epoch_pairs=23)
+    sampler = sampler_of(table(rooms), seed=seed, epoch_pairs=23)
     whole = sampler.epoch(epoch)
     for rank in range(world_size):
         part = sampler.epoch(epoch, rank, world_size)
@@ -68,12 +71,12 @@ def test_ranks_share_an_epoch_without_overlap(rooms, seed, epoch, world_size):
 
 def test_an_epoch_depends_on_seed_and_number_only():
     frames = table(["A"] * 10 + ["B"] * 10)
-    sampler = PairSampler(frames, seed=0)
+    sampler = sampler_of(frames, seed=0)
     sampler.epoch(7)
     np.random.default_rng().random()
-    assert as_lists(sampler.epoch(1)) == as_lists(PairSampler(frames, seed=0).epoch(1))
+    assert as_lists(sampler.epoch(1)) == as_lists(sampler_of(frames, seed=0).epoch(1))
     assert as_lists(sampler.epoch(1)) != as_lists(sampler.epoch(2))
-    assert as_lists(sampler.epoch(1)) != as_lists(PairSampler(frames, seed=1).epoch(1))
+    assert as_lists(sampler.epoch(1)) != as_lists(sampler_of(frames, seed=1).epoch(1))
 
 
 def test_distance_labels_follow_the_thesis_example():
@@ -83,7 +86,7 @@ def test_distance_labels_follow_the_thesis_example():
         y=np.zeros(6),
         room=["CR", "CR", "CR", "KT", "LO", "LO"],
     )
-    pairs = PairSampler(frames, "distance", same_room_share=0.5, epoch_pairs=400, scale=18.99).epoch(0)
+    pairs = sampler_of(frames, "distance", same_room_share=0.5, epoch_pairs=400, scale=18.99).epoch(0)
     labels = {frozenset(p): y for *p, y in zip(pairs.first.tolist(), pairs.second.tolist(), pairs.label, strict=True)}
     assert labels[frozenset((0, 1))] == pytest.approx(0.017, abs=5e-4)
     assert labels[frozenset((0, 2))] == pytest.approx(0.675, abs=5e-4)
@@ -100,7 +103,7 @@ def test_scale_is_the_largest_same_room_distance_of_all_pairs():
         if frames.room[i] == frames.room[j]
     )
     assert largest_same_room_distance(frames) == pytest.approx(slow)
-    assert PairSampler(frames, "distance").epoch(0).label.max() <= 1
+    assert sampler_of(frames, "distance").epoch(0).label.max() <= 1
 
 
 @pytest.mark.parametrize("on_a_line", [True, False])
@@ -126,7 +129,7 @@ def two_buildings():
 
 def test_each_building_has_its_own_scale():
     frames = two_buildings()
-    sampler = PairSampler(frames, "distance", same_room_share=1, epoch_pairs=200)
+    sampler = sampler_of(frames, "distance", same_room_share=1, epoch_pairs=200)
     assert sampler.scale == {"large": 10, "small": 2}
     pairs = sampler.epoch(0)
     labels = {frozenset(p): y for *p, y in zip(pairs.first.tolist(), pairs.second.tolist(), pairs.label, strict=True)}
@@ -135,53 +138,53 @@ def test_each_building_has_its_own_scale():
 
 def test_another_sampler_takes_over_the_scale():
     frames = two_buildings()
-    sampler = PairSampler(frames, "distance", epoch_pairs=200)
-    again = PairSampler(frames.take([0, 2, 3, 5]), "distance", scale=sampler.scale, same_room_share=0, epoch_pairs=9)
+    sampler = sampler_of(frames, "distance", epoch_pairs=200)
+    again = sampler_of(frames.take([0, 2, 3, 5]), "distance", scale=sampler.scale, same_room_share=0, epoch_pairs=9)
     assert again.scale == {"large": 10, "small": 2}
     small = frames.select(building="small")
-    assert PairSampler(small, "distance").scale == 2
-    assert PairSampler(small, "distance", scale={"large": 10}).scale == {"large": 10, "small": 2}
-    one = PairSampler(frames, "distance", same_room_share=1, scale=4, epoch_pairs=200)
+    assert sampler_of(small, "distance").scale == 2
+    assert sampler_of(small, "distance", scale={"large": 10}).scale == {"large": 10, "small": 2}
+    one = sampler_of(frames, "distance", same_room_share=1, scale=4, epoch_pairs=200)
     assert one.scale == 4
     assert set(one.epoch(0).label.tolist()) == {1, 0.5, 0.25}
-    assert np.isnan(PairSampler(frames, "room").scale)
+    assert np.isnan(sampler_of(frames, "room").scale)
 
 
 @pytest.mark.parametrize("scale", [0, -1, float("nan"), float("inf"), {"large": 0}])
 def test_a_scale_is_positive(scale):
-    with pytest.raises(ConfigError, match=r"pairs\.scale\) must be a positive number"):
-        PairSampler(two_buildings(), "distance", scale=scale)
+    with pytest.raises(ConfigError, match=r"pairs\.scale must be a number above 0"):
+        sampler_of(two_buildings(), "distance", scale=scale)
 
 
 def test_a_building_at_one_point_is_named():
     frames = two_buildings().with_columns(x=[0, 10, 5, 1, 1, 1, 50])
     with pytest.raises(DataError, match="of a room of building small were taken at one point"):
-        PairSampler(frames, "distance")
+        sampler_of(frames, "distance")
 
 
-def test_messages_name_keys_of_the_configuration():
-    keys = set(yaml.safe_load((Path(__file__).parents[3] / "conf/pairs/default.yaml").read_text()))
+def test_messages_name_the_settings():
+    keys = set(fields_of(PairSettings))
     said = []
     for rooms, options in ((["A", "A"], {"same_room_share": 0.5}), (["A", "B"], {}), (["A", "B"], {"epoch_pairs": 0})):
         with pytest.raises(ConfigError) as raised:
-            PairSampler(table(rooms), **options)
+            sampler_of(table(rooms), **options)
         said += re.findall(r"pairs\.(\w+)", str(raised.value))
     assert set(said) == {"same_room_share", "label", "epoch_pairs"}
     assert set(said) <= keys
 
 
 def test_frames_without_label_are_one_room_and_buildings_stay_apart():
-    unlabelled = PairSampler(table([""] * 5))
+    unlabelled = sampler_of(table([""] * 5))
     assert (unlabelled.label, unlabelled.same_room_share) == ("distance", 1)
     assert unlabelled.epoch(0).same.all()
     frames = table(["CR", "CR", "CR", "CR"], building=["a", "a", "b", "b"])
-    drawn = PairSampler(frames, "room", epoch_pairs=50).epoch(0)
+    drawn = sampler_of(frames, "room", epoch_pairs=50).epoch(0)
     assert (drawn.same == (frames.building[drawn.first] == frames.building[drawn.second])).all()
 
 
 def test_every_pair_is_reachable_and_equally_likely():
     frames = table(["A", "A", "A", "B", "B"])
-    drawn = PairSampler(frames, "room", same_room_share=0, epoch_pairs=12000, seed=0).epoch(0)
+    drawn = sampler_of(frames, "room", same_room_share=0, epoch_pairs=12000, seed=0).epoch(0)
     counts = np.zeros((5, 5))
     np.add.at(counts, (drawn.first, drawn.second), 1)
     different = frames.room[:, None] != frames.room[None, :]
@@ -192,8 +195,8 @@ def test_every_pair_is_reachable_and_equally_likely():
 
 def test_balance_by_room_gives_each_room_its_turn():
     frames = table(["A"] * 90 + ["B"] * 10)
-    by_room = PairSampler(frames, "room", same_room_share=1, epoch_pairs=4000, balance="rooms").epoch(0)
-    by_frame = PairSampler(frames, "room", same_room_share=1, epoch_pairs=4000).epoch(0)
+    by_room = sampler_of(frames, "room", same_room_share=1, epoch_pairs=4000, balance="rooms").epoch(0)
+    by_frame = sampler_of(frames, "room", same_room_share=1, epoch_pairs=4000).epoch(0)
     assert (frames.room[by_room.first] == "B").mean() == pytest.approx(0.5, abs=0.03)
     assert (frames.room[by_frame.first] == "B").mean() == pytest.approx(0.1, abs=0.03)
 
@@ -201,26 +204,26 @@ def test_balance_by_room_gives_each_room_its_turn():
 @pytest.mark.parametrize(
     ("rooms", "options", "error", "says"),
     [
-        (["A", "A"], {"label": "rooom"}, ConfigError, "did you mean 'room'"),
-        (["A", "B"], {"balance": "room"}, ConfigError, "did you mean 'rooms'"),
+        (["A", "A"], {"label": "rooom"}, ConfigError, r"pairs\.label must be auto or room or distance, got 'rooom'"),
+        (["A", "B"], {"balance": "room"}, ConfigError, r"pairs\.balance must be frames or rooms"),
         (["A"], {}, DataError, "at least two frames, got 1"),
         (["A", "A"], {"same_room_share": 0.5}, ConfigError, "one room, A"),
         (["A", "B"], {"same_room_share": 0.5}, ConfigError, "one frame only"),
-        (["A", "A", "B"], {"same_room_share": 1.2}, ConfigError, r"\[0, 1\], got 1.2"),
-        (["A", "A", "B"], {"epoch_pairs": 0}, ConfigError, r"at least 1 pair \(pairs.epoch_pairs\), got 0"),
-        (["A", "A", "B"], {"seed": -1}, ConfigError, "not negative, got -1"),
+        (["A", "A", "B"], {"same_room_share": 1.2}, ConfigError, r"pairs\.same_room_share must be a number from 0 to 1, or null, got 1\.2"),
+        (["A", "A", "B"], {"epoch_pairs": 0}, ConfigError, r"pairs\.epoch_pairs must be a whole number from 1, or null, got 0"),
+        (["A", "A", "B"], {"seed": -1}, ConfigError, "whole number from 0, got -1"),
     ],
 )
 def test_impossible_requests_are_one_clear_sentence(rooms, options, error, says):
     with pytest.raises(error, match=says):
-        PairSampler(table(rooms), **options)
+        sampler_of(table(rooms), **options)
 
 
 def test_distance_needs_positions_that_differ():
     frames = table(["A", "A", "B", "B"])
     with pytest.raises(DataError, match="1 of 4 frames have no position"):
-        PairSampler(frames.with_columns(x=[0, np.nan, 1, 2]), "distance")
+        sampler_of(frames.with_columns(x=[0, np.nan, 1, 2]), "distance")
     with pytest.raises(DataError, match="at one point"):
-        PairSampler(frames.with_columns(x=[1, 1, 1, 1], y=[1, 1, 1, 1]), "distance")
+        sampler_of(frames.with_columns(x=[1, 1, 1, 1], y=[1, 1, 1, 1]), "distance")
     with pytest.raises(ConfigError, match="rank"):
-        PairSampler(frames).epoch(0, rank=2, world_size=2)
+        sampler_of(frames).epoch(0, rank=2, world_size=2)

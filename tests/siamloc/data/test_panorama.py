@@ -242,9 +242,9 @@ def test_what_lies_outside_the_image_is_black():
         (lambda: PanoramaView(top=-50), "-90 < bottom < top < 90"),
         (lambda: PanoramaView(top=90), "-90 < bottom < top < 90"),
         (lambda: HyperbolicMirror(eccentricity=1.0), "eccentricity above 1, got 1.0"),
-        (lambda: HyperbolicMirror(eccentricity=float("nan")), "eccentricity above 1"),
-        (lambda: HyperbolicMirror(fx=0), "must be positive"),
-        (lambda: HyperbolicMirror(focal_parameter=-1), "must be positive"),
+        (lambda: HyperbolicMirror(eccentricity=float("nan")), "eccentricity must be a number, got nan"),
+        (lambda: HyperbolicMirror(fx=0), "unwrap.fx must be a number above 0, got 0"),
+        (lambda: HyperbolicMirror(focal_parameter=-1), "unwrap.focal_parameter must be a number above 0"),
     ],
 )
 def test_impossible_geometry(make, message):

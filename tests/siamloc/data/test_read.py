@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import siamloc.data
+from siamloc.data import DataSettings
 from siamloc.errors import ConfigError, SiamlocError
 
 
@@ -20,29 +23,59 @@ def test_unknown_keyword_names_the_valid_ones(kind):
         siamloc.data.read(kind, on_eror="skip")
 
 
-def test_lacking_keyword_is_named():
-    with pytest.raises(ConfigError, match="need root="):
-        siamloc.data.read("folder")
-
-
-@pytest.mark.parametrize("kind", ["cold", "manifest"])
-def test_nothing_given_is_an_error(kind):
-    with pytest.raises(ConfigError, match="give either"):
+@pytest.mark.parametrize(("kind", "keyword"), [("folder", "root"), ("manifest", "manifest")])
+def test_a_missing_keyword_is_named(kind, keyword):
+    with pytest.raises(ConfigError, match=f"need {keyword}="):
         siamloc.data.read(kind)
+
+
+def test_cold_needs_a_folder_or_a_list():
+    with pytest.raises(ConfigError, match="give either"):
+        siamloc.data.read("cold")
 
 
 @pytest.mark.parametrize("kind", ["cold", "manifest", "folder"])
 def test_unknown_policy_names_the_nearest(kind, tmp_path):
-    where = {"path": tmp_path / "a.csv"} if kind == "manifest" else {"root": tmp_path}
+    where = {"manifest": tmp_path / "a.csv"} if kind == "manifest" else {"root": tmp_path}
     with pytest.raises(ConfigError, match="'rais' is not a policy; did you mean 'raise'"):
         siamloc.data.read(kind, on_error="rais", **where)
 
 
 @pytest.mark.parametrize("kind", ["cold", "manifest", "folder"])
 def test_missing_place_is_a_data_error(kind, tmp_path):
-    where = {"path": tmp_path / "none"} if kind == "manifest" else {"root": tmp_path / "none"}
+    where = {"manifest": tmp_path / "none"} if kind == "manifest" else {"root": tmp_path / "none"}
     with pytest.raises(SiamlocError, match="none"):
         siamloc.data.read(kind, **where)
+
+
+@pytest.mark.parametrize("kind", ["manifest", "folder", "cold"])
+def test_the_source_reads_the_same_frames_from_anywhere(kind, tmp_path, monkeypatch):
+    name = "t1_x2_y3_a0.jpeg"
+    for folder in ("train/kitchen", "seq2_cloudy1/omni_cam"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / name).write_bytes(b"image")
+    (tmp_path / "robot.csv").write_text(f"image,x\ntrain/kitchen/{name},1\n")
+    where = {"manifest": "robot.csv"} if kind == "manifest" else {"root": Path()}
+    monkeypatch.chdir(tmp_path)
+    frames = siamloc.data.read(kind, unit="px", on_error="skip", **where)
+    assert frames.unit == "px"
+    assert json.loads(json.dumps(frames.source)) == frames.source
+    monkeypatch.chdir("/")
+    again = siamloc.data.read(**frames.source)
+    assert [Path(path).name for path in again.path.tolist()] == [Path(path).name for path in frames.path.tolist()]
+    assert again.source == frames.source
+    settings = DataSettings.of({**frames.source, "unit": "px", "image_size": [4, 8], "circular": False})
+    assert settings.read() == again
+    assert DataSettings.of(settings.plain()) == settings
+
+
+def test_data_settings_name_what_is_wrong():
+    with pytest.raises(ConfigError, match=r"data\.kind must be cold or folder or manifest, got 'colt'"):
+        DataSettings(kind="colt")
+    with pytest.raises(ConfigError, match=r"unknown key data\.mainfest: did you mean 'manifest'"):
+        DataSettings.of({"kind": "manifest", "mainfest": "a.csv"})
+    with pytest.raises(ConfigError, match="are not described by 'root'"):
+        DataSettings(kind="manifest", manifest="a.csv", root="b").read()
 
 
 def test_importing_the_package_loads_no_heavy_library():

@@ -1,239 +1,181 @@
+"""Stores on disk: what they hold, and builds that are interrupted, that race, or that meet a full disk."""
+
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
 import pickle
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from siamloc.data import PanoramaStore
-from siamloc.data.frames import FrameTable
+from siamloc.data.decoding import Preprocessing
 from siamloc.data.panorama import PanoramaView, PolarRing
-from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.data.store import Store, _header, open_store
+from siamloc.errors import DataError, FormatError, StorageError
 
-SIZE = (8, 16)
+IMAGES = 24
+SIZE = (4, 8)
+
+# A build that says when it has come to the 20th image and goes on when it is told to.
+BUILD = """
+import sys
+from pathlib import Path
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.store import open_store
+
+folder, pause = Path(sys.argv[1]), sys.argv[2] == "pause"
+decode, count = Preprocessing.panorama, 0
+
+def counted(self, path):
+    global count
+    count += 1
+    if pause and Path(path).name == "20.png":
+        print("half way", flush=True)
+        sys.stdin.readline()
+    return decode(self, path)
+
+Preprocessing.panorama = counted
+paths = sorted(str(path) for path in (folder / "images").iterdir())
+store = open_store(paths, folder / "cache", Preprocessing.checked((4, 8)), workers=1)
+print(store.folder.name, len(store.panoramas), count)
+"""
 
 
 @pytest.fixture
-def frames(tmp_path) -> FrameTable:
-    """Seven frames; the image of frame i is i * 30 in red, 255 - i * 30 in green, grey noise in blue."""
+def paths(tmp_path) -> list[str]:
+    """Images of one grey level each, their number."""
     (tmp_path / "images").mkdir()
-    paths = [tmp_path / "images" / f"{i}.png" for i in range(7)]
-    for i, path in enumerate(paths):
-        cv2.imwrite(str(path), picture(i))
-    return FrameTable(path=[str(path) for path in paths], room=list("aabbccc"), x=np.arange(7.0))
+    for i in range(IMAGES):
+        cv2.imwrite(str(tmp_path / "images" / f"{i:02}.png"), np.full((*SIZE, 3), i, np.uint8))
+    return sorted(str(path) for path in (tmp_path / "images").iterdir())
 
 
-def picture(i: int) -> np.ndarray:
-    image = np.zeros((*SIZE, 3), np.uint8)
-    image[..., 0] = np.random.default_rng(i).integers(0, 256, SIZE)
-    image[..., 1], image[..., 2] = 255 - i * 30, i * 30
-    return image
+def build(paths: list[str], tmp_path: Path, *, image_size=SIZE, unwrap=None, view=None, **options) -> Store:
+    preprocessing = Preprocessing.checked(image_size, unwrap, view)
+    return open_store(paths, tmp_path / "cache", preprocessing, **{"workers": 2, **options})
 
 
-def expected(*numbers: int) -> np.ndarray:
-    return np.stack([picture(i)[..., ::-1].transpose(2, 0, 1) for i in numbers])
+def start(tmp_path: Path, mode: str) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        [sys.executable, "-c", BUILD, str(tmp_path), mode], stdin=pipe, stdout=pipe, stderr=pipe, text=True
+    )
 
 
-def open_store(frames: FrameTable, tmp_path: Path, **options) -> PanoramaStore:
-    return PanoramaStore.open_or_build(frames, tmp_path / "cache", **{"image_size": SIZE, **options})
+def names(folder: Path) -> list[str]:
+    """What a folder holds, without the lock files, which stay."""
+    return sorted(path.name for path in folder.iterdir() if path.suffix != ".lock")
 
 
-def test_the_store_holds_the_panoramas_of_the_frames(frames, tmp_path):
-    store = open_store(frames, tmp_path)
-    assert len(store) == 7
-    assert store.frames == frames
+def assert_whole(store: Store) -> None:
+    np.testing.assert_array_equal(store.panoramas[:, 0, 0, 0], np.arange(IMAGES))
+    assert names(store.folder) == ["panoramas.npy", "store.json"]
+
+
+def test_a_store_holds_the_panoramas_of_the_images(paths, tmp_path):
+    store = build(paths, tmp_path)
+    assert store.panoramas.shape == (IMAGES, 3, *SIZE)
+    assert store.panoramas.dtype == np.uint8
+    assert not store.panoramas.flags.writeable
+    assert store.kept.tolist() == list(range(IMAGES))
     assert store.rejected == []
-    assert isinstance(store.panoramas, np.memmap)
-    assert store.panoramas.shape == (7, 3, *SIZE)
-    np.testing.assert_array_equal(store.panoramas, expected(*range(7)))
-    assert {path.name for path in (tmp_path / "cache").iterdir()} == {store.key}
-    assert {path.name for path in (tmp_path / "cache" / store.key).iterdir()} == {"panoramas.npy", "store.json"}
-    np.testing.assert_array_equal(np.load(tmp_path / "cache" / store.key / "panoramas.npy"), store.panoramas)
-    assert repr(store) == f"PanoramaStore(7 panoramas of 8 x 16, {tmp_path / 'cache' / store.key})"
+    assert_whole(store)
+    assert names(tmp_path / "cache") == [store.folder.name]
+    np.testing.assert_array_equal(np.load(store.folder / "panoramas.npy"), store.panoramas)
 
 
-@pytest.mark.parametrize("workers", [1, 2, 5])
-def test_the_number_of_workers_does_not_matter(frames, tmp_path, workers):
-    np.testing.assert_array_equal(open_store(frames, tmp_path, workers=workers).panoramas, expected(*range(7)))
+@pytest.mark.parametrize("workers", [1, 5])
+def test_the_number_of_workers_does_not_matter(paths, tmp_path, workers):
+    assert_whole(build(paths, tmp_path, workers=workers))
 
 
-def test_a_second_time_nothing_is_decoded(frames, tmp_path, monkeypatch):
-    first = open_store(frames, tmp_path)
+def test_a_second_time_nothing_is_decoded(paths, tmp_path, monkeypatch):
+    first = build(paths, tmp_path)
 
     def fail(*_):
         raise AssertionError("decoded again")
 
     monkeypatch.setattr("siamloc.data.decoding.Preprocessing.panorama", fail)
-    again = open_store(frames.with_columns(room=["other"] * 7, x=np.zeros(7)), tmp_path)
-    assert again.key == first.key
-    assert set(again.frames.room.tolist()) == {"other"}
+    again = build(paths, tmp_path)
+    assert again.folder == first.folder
     np.testing.assert_array_equal(again.panoramas, first.panoramas)
 
 
-def test_the_store_is_read_only(frames, tmp_path):
-    store = open_store(frames, tmp_path)
-    with pytest.raises(ValueError, match="read-only"):
-        store.panoramas[0] = 0
-
-
-@pytest.mark.parametrize("rows", [[3], [6, 0, 0, 6], [], list(range(7)), np.array([5, 2], np.int32)])
-def test_batches_agree_with_picking_one_by_one(frames, tmp_path, rows):
-    batch = open_store(frames, tmp_path).batch(rows)
-    assert batch.shape == (len(rows), 3, *SIZE)
-    assert batch.dtype == np.uint8
-    assert batch.flags.writeable
-    assert batch.flags.c_contiguous
-    for row, panorama in zip(rows, batch, strict=True):
-        np.testing.assert_array_equal(panorama, expected(int(row))[0])
-
-
-def test_large_batches_agree_too(frames, tmp_path):
-    rows = np.random.default_rng(0).integers(0, 7, 500)
-    np.testing.assert_array_equal(open_store(frames, tmp_path).batch(rows), expected(*range(7))[rows])
-
-
-def test_a_batch_can_be_put_where_one_wants(frames, tmp_path):
-    store = open_store(frames, tmp_path)
-    out = np.empty((2, 3, *SIZE), np.uint8)
-    assert store.batch([4, 1], out=out) is out
-    np.testing.assert_array_equal(out, expected(4, 1))
-    for wrong in (np.empty((3, 3, *SIZE), np.uint8), np.empty((2, 3, *SIZE), np.int16), out[:, ::-1]):
-        with pytest.raises(ValueError, match=r"out must be contiguous uint8 \(2, 3, 8, 16\)"):
-            store.batch([4, 1], out=wrong)
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ([0, 7], r"row 7 is outside the store, whose rows are 0 \.\.\. 6"),
-        ([-1], "row -1 is outside"),
-        ([0.5], "whole numbers"),
-        ([True] * 7, "whole numbers"),
-        (3, r"whole numbers \(B,\), got shape \(\)"),
-        ([[1]], r"got shape \(1, 1\)"),
-    ],
-)
-def test_rows_outside_the_store(frames, tmp_path, rows, message):
-    with pytest.raises(IndexError, match=message):
-        open_store(frames, tmp_path).batch(rows)
-
-
-def test_unreadable_images_are_left_out_and_reported_once(frames, tmp_path, caplog):
-    Path(frames.path[0]).write_bytes(b"")
-    Path(frames.path[3]).unlink()
+def test_unreadable_images_are_left_out_and_reported_once(paths, tmp_path, caplog):
+    Path(paths[0]).write_bytes(b"")
+    Path(paths[3]).unlink()
     with caplog.at_level(logging.WARNING, "siamloc"):
-        store = open_store(frames, tmp_path)
+        store = build(paths, tmp_path)
     assert len(caplog.records) == 1
-    assert f"2 of 7 images cannot be read, the first: {frames.path[0]} (the file is empty)" in caplog.text
+    assert f"2 of {IMAGES} images cannot be read, the first: {paths[0]} (the file is empty)" in caplog.text
     assert store.rejected == [
-        {"path": frames.path[0], "reason": "the file is empty"},
-        {"path": frames.path[3], "reason": "the file does not exist"},
+        {"path": paths[0], "reason": "the file is empty"},
+        {"path": paths[3], "reason": "the file does not exist"},
     ]
-    assert store.frames.index.tolist() == [1, 2, 4, 5, 6]
-    np.testing.assert_array_equal(store.panoramas, expected(1, 2, 4, 5, 6))
-    assert store.rows_of(frames.take([6, 2])).tolist() == [4, 1]
-    with pytest.raises(DataError, match=r"the first .*3\.png: the file does not exist; take the frames"):
-        store.rows_of(frames.take([1, 3]))
-    again = open_store(frames, tmp_path)
-    assert again.key == store.key
+    assert store.kept.tolist() == [1, 2, *range(4, IMAGES)]
+    np.testing.assert_array_equal(store.panoramas[:, 0, 0, 0], store.kept)
+    again = build(paths, tmp_path)
+    assert again.folder == store.folder
     assert again.rejected == store.rejected
 
 
-def test_the_strict_stop_at_an_unreadable_image(frames, tmp_path):
-    Path(frames.path[3]).write_bytes(b"no image")
+def test_the_strict_stop_at_an_unreadable_image(paths, tmp_path):
+    Path(paths[3]).write_bytes(b"no image")
     for _ in range(2):
-        with pytest.raises(DataError, match=r"3\.png cannot be read: .* no image"):
-            open_store(frames, tmp_path, on_error="raise")
-        assert list((tmp_path / "cache").iterdir()) == []
-    open_store(frames, tmp_path)
-    with pytest.raises(DataError, match=r"1 of 7 images cannot be read.*3\.png"):
-        open_store(frames, tmp_path, on_error="raise")
+        with pytest.raises(DataError, match=r"03\.png cannot be read: .* no image"):
+            build(paths, tmp_path, on_error="raise")
+        assert names(tmp_path / "cache") == []
+    build(paths, tmp_path)
+    with pytest.raises(DataError, match=rf"1 of {IMAGES} images cannot be read.*03\.png"):
+        build(paths, tmp_path, on_error="raise")
 
 
-def test_no_readable_image_is_an_error(frames, tmp_path):
-    for path in frames.path.tolist():
+def test_no_readable_image_is_an_error(paths, tmp_path):
+    for path in paths:
         Path(path).write_bytes(b"")
-    with pytest.raises(DataError, match=r"none of the 7 images can be read, the first: .*0\.png \(the file is empty\)"):
-        open_store(frames, tmp_path)
-    assert list((tmp_path / "cache").iterdir()) == []
+    with pytest.raises(DataError, match=rf"none of the {IMAGES} images can be read, the first: .*00\.png \(the"):
+        build(paths, tmp_path)
+    assert names(tmp_path / "cache") == []
 
 
-def test_no_frames_is_an_error(frames, tmp_path):
-    with pytest.raises(DataError, match="the table is empty"):
-        open_store(frames.take([]), tmp_path)
+def test_the_key_is_made_of_files_and_preprocessing_only(paths, tmp_path):
+    def key(some=paths, **options) -> str:
+        return build(some, tmp_path, **options).folder.name
 
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"workers": 0}, "at least one worker, got 0"),
-        ({"on_error": "ignore"}, "'ignore' is not a policy"),
-        ({"image_size": (0, 16)}, "at least 1 x 2 pixels"),
-    ],
-)
-def test_impossible_options(frames, tmp_path, options, message):
-    with pytest.raises(ConfigError, match=message):
-        open_store(frames, tmp_path, **options)
-
-
-def test_a_selection_of_the_frames_finds_its_rows(frames, tmp_path):
-    store = open_store(frames.take([6, 4, 2, 0]), tmp_path)
-    assert store.rows_of(frames.take([0, 6, 0])).tolist() == [3, 0, 3]
-    assert store.rows_of(frames.take([])).tolist() == []
-    np.testing.assert_array_equal(store.batch(store.rows_of(frames.select(room="b").take([0]))), expected(2))
-    with pytest.raises(DataError, match=r"1 of 2 frames are not in the store .*1\.png; take the frames from"):
-        store.rows_of(frames.take([0, 1]))
-
-
-def test_frames_of_another_table_are_not_mistaken(frames, tmp_path):
-    store = open_store(frames, tmp_path)
-    other = frames.with_columns(path=[f"/elsewhere{path}" for path in frames.path.tolist()])
-    with pytest.raises(DataError, match="7 of 7 frames are not in the store"):
-        store.rows_of(other)
-
-
-def test_the_key_is_made_of_files_and_preprocessing_only(frames, tmp_path):
     keys = {
-        "plain": open_store(frames, tmp_path).key,
-        "fewer": open_store(frames.take([0, 1]), tmp_path).key,
-        "order": open_store(frames.take([1, 0]), tmp_path).key,
-        "size": open_store(frames, tmp_path, image_size=(8, 8)).key,
-        "ring": open_store(frames, tmp_path, unwrap=PolarRing(inner=1)).key,
-        "inner": open_store(frames, tmp_path, unwrap=PolarRing(inner=2)).key,
-        "view": open_store(frames, tmp_path, unwrap=PolarRing(inner=2), view=PanoramaView(*SIZE, top=10)).key,
+        "plain": key(),
+        "fewer": key(paths[:2]),
+        "order": key([paths[1], paths[0]]),
+        "size": key(image_size=(8, 8)),
+        "ring": key(unwrap=PolarRing(inner=1, outer=2)),
+        "inner": key(unwrap=PolarRing(inner=0, outer=2)),
+        "view": key(unwrap=PolarRing(inner=1, outer=2), view=PanoramaView(*SIZE, top=10)),
     }
-    os.utime(frames.path[0], ns=(1, 1))
-    keys["time"] = open_store(frames, tmp_path).key
-    with Path(frames.path[0]).open("ab") as file:
+    os.utime(paths[0], ns=(1, 1))
+    keys["time"] = key()
+    with Path(paths[0]).open("ab") as file:
         file.write(b"\0")
-    os.utime(frames.path[0], ns=(1, 1))
-    keys["bytes"] = open_store(frames, tmp_path).key
+    os.utime(paths[0], ns=(1, 1))
+    keys["bytes"] = key()
     assert len(set(keys.values())) == len(keys)
-    assert open_store(frames.with_columns(theta=np.ones(7), sequence=["s"] * 7), tmp_path).key == keys["bytes"]
-    assert open_store(frames, tmp_path, workers=1, on_error="raise").key == keys["bytes"]
+    assert key(workers=1, on_error="raise") == keys["bytes"]
 
 
-def test_relative_and_absolute_names_of_a_file_are_one(frames, tmp_path, monkeypatch):
-    store = open_store(frames, tmp_path)
-    monkeypatch.chdir(tmp_path)
-    relative = frames.with_columns(path=[os.path.relpath(path) for path in frames.path.tolist()])
-    assert PanoramaStore.open_or_build(relative, "cache", image_size=SIZE).key == store.key
-
-
-def test_the_store_survives_pickling_without_its_bytes(frames, tmp_path):
-    Path(frames.path[3]).unlink()
-    store = open_store(frames, tmp_path, image_size=(128, 512))
-    data = pickle.dumps(store)
-    assert len(data) < store.panoramas.nbytes / 100
-    again = pickle.loads(data)
-    np.testing.assert_array_equal(again.batch([5, 0]), store.batch([5, 0]))
-    assert again.frames == store.frames
-    assert again.rejected == store.rejected
+def test_the_key_of_a_list_of_files_stays_what_it_was(tmp_path, monkeypatch):
+    """Otherwise every cache would be built again."""
+    monkeypatch.setattr("siamloc.data.store._build", lambda folder, *_: Store(folder, np.zeros(0), np.zeros(0), []))
+    monkeypatch.chdir("/")
+    plain = open_store(["/nowhere/a.png"], tmp_path, Preprocessing.checked((128, 512)))
+    ring = open_store(["nowhere/a.png"], tmp_path, Preprocessing.checked((128, 512), PolarRing(centre=(3.0, 4.0))))
+    assert (plain.folder.name, ring.folder.name) == ("5d2f937c80544ed2", "1ff2f52601b2443e")
 
 
 def cut(folder: Path) -> None:
@@ -254,44 +196,182 @@ def change(**values):
         cut,
         change(version=0),
         change(images=6),
-        change(image_size=[4, 16]),
+        change(image_size=[8, 16]),
         change(rejected=[{"row": 99, "path": "", "reason": ""}]),
         change(rejected=None),
         lambda folder: (folder / "store.json").write_text("{"),
         lambda folder: (folder / "store.json").write_text("[]"),
         lambda folder: (folder / "panoramas.npy").write_bytes(b""),
         lambda folder: (folder / "panoramas.npy").write_bytes(b"no array"),
-        lambda folder: np.save(folder / "panoramas.npy", np.zeros((7, 3, *SIZE), np.float32)),
+        lambda folder: np.save(folder / "panoramas.npy", np.zeros((IMAGES, 3, *SIZE), np.float32)),
     ],
 )
-def test_a_damaged_store_is_built_anew(frames, tmp_path, caplog, damage):
-    key = open_store(frames, tmp_path).key
+def test_a_damaged_store_is_built_again(paths, tmp_path, caplog, damage):
+    key = build(paths, tmp_path).folder.name
     damage(tmp_path / "cache" / key)
     with caplog.at_level(logging.WARNING, "siamloc"):
-        store = open_store(frames, tmp_path)
-    assert "damaged or cut short; it is built anew" in caplog.text
-    np.testing.assert_array_equal(store.panoramas, expected(*range(7)))
-    assert [path.name for path in (tmp_path / "cache").iterdir()] == [key]
+        store = build(paths, tmp_path)
+    assert "damaged or cut short; it is built again" in caplog.text
+    assert_whole(store)
+    assert names(tmp_path / "cache") == [key]
 
 
 @pytest.mark.parametrize("name", ["store.json", "panoramas.npy"])
-def test_a_store_with_a_file_missing_is_built_anew(frames, tmp_path, name):
-    key = open_store(frames, tmp_path).key
+def test_a_store_with_a_file_missing_is_built_again(paths, tmp_path, name):
+    key = build(paths, tmp_path).folder.name
     (tmp_path / "cache" / key / name).unlink()
-    np.testing.assert_array_equal(open_store(frames, tmp_path).panoramas, expected(*range(7)))
+    assert_whole(build(paths, tmp_path))
 
 
-def test_a_store_of_a_newer_version_is_refused(frames, tmp_path):
-    key = open_store(frames, tmp_path).key
+def test_a_store_of_a_newer_version_is_refused(paths, tmp_path):
+    key = build(paths, tmp_path).folder.name
     change(version=2)(tmp_path / "cache" / key)
     with pytest.raises(FormatError, match="has format version 2, this siamloc reads up to 1: update siamloc"):
-        open_store(frames, tmp_path)
+        build(paths, tmp_path)
     assert (tmp_path / "cache" / key / "panoramas.npy").exists()
 
 
-def test_a_store_that_vanished_cannot_be_unpickled(frames, tmp_path):
-    store = open_store(frames, tmp_path)
+def test_a_store_that_vanished_cannot_be_unpickled(paths, tmp_path):
+    store = build(paths, tmp_path)
     data = pickle.dumps(store)
     (store.folder / "store.json").unlink()
     with pytest.raises(DataError, match="gone or cut short"):
         pickle.loads(data)
+
+
+def test_a_killed_build_leaves_nothing_that_is_taken_for_a_store(paths, tmp_path):
+    with start(tmp_path, "pause") as process:
+        assert process.stdout.readline() == "half way\n"
+        process.send_signal(signal.SIGKILL)
+        process.wait(timeout=60)
+    left = names(tmp_path / "cache")
+    assert all(name.startswith(".") for name in left)
+    assert any(name.endswith(".tmp") for name in left), "the build was killed before it began to write"
+    store = build(paths, tmp_path)
+    assert_whole(store)
+    assert names(tmp_path / "cache") == [store.folder.name]
+
+
+def test_the_remains_of_a_killed_build_are_removed_by_the_build_of_another_store(paths, tmp_path):
+    with start(tmp_path, "pause") as process:
+        assert process.stdout.readline() == "half way\n"
+        process.kill()
+        process.wait(timeout=60)
+    store = build(paths[:1], tmp_path)
+    assert names(tmp_path / "cache") == [store.folder.name]
+
+
+def test_of_two_builds_at_once_the_second_waits_and_takes_the_first_ones_result(paths, tmp_path):
+    with start(tmp_path, "pause") as first:
+        try:
+            assert first.stdout.readline() == "half way\n"
+            with start(tmp_path, "wait") as second:
+                try:
+                    assert "another process is building the store" in second.stderr.readline()
+                    # A build of other paths leaves the work of the first alone.
+                    build(paths[:1], tmp_path)
+                    first_result, first_errors = first.communicate("go\n", timeout=60)
+                    second_result, second_errors = second.communicate(timeout=60)
+                finally:
+                    second.kill()
+        finally:
+            first.kill()
+    key = build(paths, tmp_path).folder.name
+    assert first_result.split() == [key, str(IMAGES), str(IMAGES)], first_errors
+    assert second_result.split() == [key, str(IMAGES), "0"], second_errors
+    assert_whole(build(paths, tmp_path))
+    assert not [name for name in names(tmp_path / "cache") if name.startswith(".")]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_refuses_before_anything_is_decoded(paths, tmp_path, monkeypatch, code):
+    def full(*_):
+        raise OSError(code, "full")
+
+    def fail(*_):
+        raise AssertionError("decoded all the same")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    monkeypatch.setattr("siamloc.data.decoding.Preprocessing.panorama", fail)
+    with pytest.raises(StorageError, match=r"no space left on the disk while writing .*: free some space"):
+        build(paths, tmp_path)
+    assert names(tmp_path / "cache") == []
+
+
+def test_a_disk_that_fills_up_half_way_leaves_no_remains(paths, tmp_path, monkeypatch):
+    written = []
+
+    def full(file, array):
+        if len(written) == 5:
+            raise OSError(errno.ENOSPC, "full")
+        written.append(file.write(array.tobytes()))
+
+    monkeypatch.setattr("siamloc.data.store._write_all", full)
+    with pytest.raises(StorageError, match="no space left on the disk"):
+        build(paths, tmp_path)
+    assert len(written) == 5
+    assert names(tmp_path / "cache") == []
+
+
+def test_disks_that_cannot_reserve_space_are_used_all_the_same(paths, tmp_path, monkeypatch):
+    def unsupported(*_):
+        raise OSError(errno.EOPNOTSUPP, "not here")
+
+    monkeypatch.setattr(os, "posix_fallocate", unsupported)
+    assert_whole(build(paths, tmp_path))
+
+
+def test_an_interrupted_build_leaves_no_remains(paths, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("siamloc.data.store._write_all", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        build(paths, tmp_path)
+    assert names(tmp_path / "cache") == []
+
+
+def test_a_cache_where_a_file_stands_is_an_error(paths, tmp_path):
+    (tmp_path / "cache").write_text("")
+    with pytest.raises(StorageError, match="a file stands where a folder is needed"):
+        build(paths, tmp_path)
+
+
+def test_a_cache_inside_a_file_is_missing_and_not_damaged(paths, tmp_path, caplog):
+    (tmp_path / "cache").write_text("")
+    with pytest.raises(StorageError, match="a file stands where a folder is needed"):
+        build(paths, tmp_path / "cache")
+    assert "damaged" not in caplog.text
+
+
+@pytest.mark.parametrize("on_error", ["skip", "raise"])
+def test_lists_that_come_without_images_are_told_from_damaged_images(tmp_path, on_error):
+    paths = [str(tmp_path / f"seq{i % 2}" / f"{i}.jpeg") for i in range(4)]
+    with pytest.raises(DataError) as raised:
+        build(paths, tmp_path, on_error=on_error)
+    assert str(raised.value) == (
+        f"the images' folder {tmp_path / 'seq0'} does not exist (nor do 1 others): these lists come without images; "
+        "add the images, or name the folder that holds them"
+    )
+    assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize("shape", [(1, 3, 4, 8), (10**6, 3, 128, 512), (10**12, 3, 10**5, 10**5)])
+def test_the_header_is_numpys_whatever_the_shape(tmp_path, shape):
+    header = _header(shape)
+    assert len(header) == len(_header((1, 3, 4, 8)))
+    with (tmp_path / "header").open("wb+") as file:
+        file.write(header)
+        file.seek(0)
+        assert np.lib.format.read_magic(file) == (1, 0)
+        assert np.lib.format.read_array_header_1_0(file) == (shape, False, np.dtype("u1"))
+        assert file.tell() == len(header)
+
+
+def test_a_file_system_without_locks_is_refused_with_a_way_out(paths, tmp_path, monkeypatch):
+    def unsupported(*_):
+        raise OSError(errno.ENOLCK, "no locks")
+
+    monkeypatch.setattr("fcntl.flock", unsupported)
+    with pytest.raises(StorageError, match=r"the file system of .*cache has no locks: keep panoramas elsewhere"):
+        build(paths, tmp_path)

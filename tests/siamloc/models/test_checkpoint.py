@@ -11,8 +11,9 @@ import torch
 from torch.utils.data import DataLoader
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import FormatError
-from siamloc.models import SiameseModule, build, read_hyperparameters
+from siamloc.errors import ConfigError, FormatError
+from siamloc.models import ContrastiveLoss, Optimizer, SiameseModule, as_descriptor, build, load
+from siamloc.runs import Run
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
@@ -24,7 +25,8 @@ SIZE = (32, 64)
 def trained(tmp_path_factory):
     """A module trained for one step, and its checkpoint."""
     path = tmp_path_factory.mktemp("checkpoint") / "last.ckpt"
-    module = SiameseModule("vgg11_bn", "fc500_100_10", SIZE, margin=1.5, momentum=0.5, seed=7)
+    network = build("vgg11_bn", "fc500_100_10", SIZE, seed=7)
+    module = SiameseModule(network, ContrastiveLoss(1.5), Optimizer(momentum=0.5))
     images = torch.randint(0, 256, (2, 3, 3, *SIZE), dtype=torch.uint8)
     batch = {"first": images[0], "second": images[1], "label": torch.ones(3), "same": torch.zeros(3, dtype=torch.bool)}
     trainer = Trainer(
@@ -46,46 +48,85 @@ def altered(path, target, **changes):
     return target
 
 
-def test_a_loaded_module_describes_like_the_trained_one(trained):
+def about(path):
+    return torch.load(path, weights_only=True)["siamloc"]
+
+
+def test_a_loaded_network_describes_like_the_trained_one(trained):
     module, path = trained
-    loaded = SiameseModule.load(path)
+    loaded = load(path)
     images = np.random.default_rng(0).random((3, 3, *SIZE), dtype=np.float32)
-    np.testing.assert_array_equal(loaded.describe(images).position, module.describe(images).position)
-    assert loaded.identity == module.identity
-    assert dict(loaded.hparams) == dict(module.hparams)
+    described, expected = (as_descriptor(one).describe(images).position for one in (loaded, module.network))
+    np.testing.assert_array_equal(described, expected)
+    assert as_descriptor(loaded).identity == module.identity
+    assert loaded.settings == module.network.settings
     assert not loaded.training
-    assert loaded.loss.margin == 1.5
+    assert as_descriptor(loaded).margin == 1.5
 
 
-def test_hyperparameters_are_plain_values(trained):
+def test_what_was_trained_stands_in_plain_values(trained):
     _, path = trained
-    assert read_hyperparameters(path) == {
-        "branch": "vgg11_bn",
-        "head": "fc500_100_10",
-        "image_size": (32, 64),
-        "weights": None,
-        "margin": 1.5,
-        "optimizer": "sgd",
-        "learning_rate": 0.001,
-        "momentum": 0.5,
-        "weight_decay": 0.0,
-        "seed": 7,
+    assert about(path) == {
+        "format": 2,
+        "model": {
+            "branch": "vgg11_bn",
+            "head": "fc500_100_10",
+            "image_size": [32, 64],
+            "weights": None,
+            "seed": 7,
+        },
+        "loss": {"class": "ContrastiveLoss", "margin": 1.5},
+        "optimizer": {"name": "sgd", "learning_rate": 0.001, "momentum": 0.5, "weight_decay": 0.0},
     }
-
-
-def test_lightning_loads_the_checkpoint_as_well(trained):
-    module, path = trained
-    loaded = SiameseModule.load_from_checkpoint(path, map_location="cpu", weights_only=True)
-    assert loaded.identity == module.identity
 
 
 def test_loading_downloads_and_reads_nothing_else(trained, tmp_path):
     module, path = trained
     for weights in ("imagenet", "/nowhere/weights.pth"):
-        hyperparameters = read_hyperparameters(path) | {"weights": weights}
-        loaded = SiameseModule.load(altered(path, tmp_path / "a.ckpt", hyper_parameters=hyperparameters))
+        changed = {**about(path), "model": {**about(path)["model"], "weights": weights}}
+        loaded = load(altered(path, tmp_path / "a.ckpt", siamloc=changed))
         assert loaded.identity == module.identity
-        assert loaded.hparams["weights"] == weights
+        assert loaded.settings["weights"] == weights
+
+
+def test_the_untrained_network_can_be_had_again(trained):
+    _, path = trained
+    assert load(path, which="untrained").identity == build("vgg11_bn", "fc500_100_10", SIZE, seed=7).identity
+
+
+def test_a_run_gives_its_best_checkpoint_or_the_last(trained, tmp_path):
+    module, path = trained
+    run = Run(tmp_path / "run")
+    run.checkpoints.mkdir(parents=True)
+    (run.checkpoints / "last.ckpt").write_bytes(path.read_bytes())
+    for source in (run, run.folder, str(run.folder)):
+        assert load(source).identity == module.identity
+    (run.checkpoints / "best.ckpt").write_text("broken")
+    assert load(run, which="last").identity == module.identity
+    with pytest.raises(FormatError, match=r"best\.ckpt"):
+        load(run)
+    with pytest.raises(ConfigError, match="must be best or last, got 'first'"):
+        load(run, which="first")
+    with pytest.raises(ConfigError, match="holds no checkpoint"):
+        load(tmp_path)
+
+
+def test_a_module_of_ones_own_is_filled(trained, tmp_path):
+    _, path = trained
+    own, empty = (torch.nn.Sequential(torch.nn.Flatten(), torch.nn.LazyLinear(2)) for _ in range(2))
+    for one in (own, empty):
+        one(torch.zeros(1, 3, *SIZE))
+    content = {"format": 2, "model": {"class": "Sequential"}, "loss": {"class": "loss"}}
+    state = {f"network.{name}": tensor for name, tensor in own.state_dict().items()}
+    file = altered(path, tmp_path / "own.ckpt", siamloc=content, state_dict=state)
+    assert as_descriptor(load(file, network=empty)).identity == as_descriptor(own).identity
+    assert as_descriptor(empty).margin is None
+    with pytest.raises(ConfigError, match=r"module of your own, Sequential: make one and give it as network=\.\.\."):
+        load(file)
+    with pytest.raises(ConfigError, match="untrained"):
+        load(file, which="untrained")
+    with pytest.raises(FormatError, match="another architecture than Sequential: missing"):
+        load(file, network=build("simple1", "fc500_500_5", SIZE))
 
 
 def test_training_can_start_from_a_checkpoint(trained):
@@ -100,8 +141,7 @@ class Attack:
 
 
 @pytest.mark.parametrize("damage", ["missing", "cut", "empty", "text", "attack"])
-@pytest.mark.parametrize("read", [SiameseModule.load, read_hyperparameters])
-def test_damaged_files_are_refused_in_one_sentence(trained, tmp_path, monkeypatch, damage, read):
+def test_damaged_files_are_refused_in_one_sentence(trained, tmp_path, monkeypatch, damage):
     _, path = trained
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "model.ckpt"
@@ -112,9 +152,9 @@ def test_damaged_files_are_refused_in_one_sentence(trained, tmp_path, monkeypatc
     elif damage == "text":
         file.write_text("a checkpoint, they said")
     elif damage == "attack":
-        file.write_bytes(pickle.dumps({"state_dict": Attack(), "hyper_parameters": {}}))
+        file.write_bytes(pickle.dumps({"state_dict": Attack(), "siamloc": {}}))
     with pytest.raises(FormatError, match=r"model\.ckpt (does not exist|cannot be read)") as info:
-        read(file)
+        load(file)
     assert "\n" not in str(info.value)
     assert not (tmp_path / "attack").exists()
 
@@ -123,28 +163,30 @@ def test_other_files_of_torch_are_no_checkpoints(trained, tmp_path):
     module, path = trained
     torch.save(module.network.state_dict(), tmp_path / "weights.pth")
     with pytest.raises(FormatError, match="no checkpoint of a siamese network"):
-        SiameseModule.load(tmp_path / "weights.pth")
+        load(tmp_path / "weights.pth")
     with pytest.raises(FormatError, match="no checkpoint of a siamese network"):
-        SiameseModule.load(altered(path, tmp_path / "a.ckpt", hyper_parameters=None))
+        load(altered(path, tmp_path / "a.ckpt", siamloc=None))
 
 
-def test_a_newer_format_is_refused(trained, tmp_path):
+def test_other_formats_are_refused(trained, tmp_path):
     _, path = trained
-    with pytest.raises(FormatError, match=r"has format 99, this version of siamloc reads up to 1: update siamloc"):
-        SiameseModule.load(altered(path, tmp_path / "a.ckpt", siamloc_format=99))
+    with pytest.raises(FormatError, match=r"has format 99, this version of siamloc reads up to 2: update siamloc"):
+        load(altered(path, tmp_path / "a.ckpt", siamloc=about(path) | {"format": 99}))
+    with pytest.raises(FormatError, match=r"written by siamloc 0\.1, whose runs are no longer read: train again"):
+        load(altered(path, tmp_path / "a.ckpt", siamloc=None, siamloc_format=1))
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"branch": "vgg13_bn"}, r"another architecture than its hyper-parameters say \(vgg13_bn \+ fc500_100_10\)"),
+        ({"branch": "vgg13_bn"}, r"another architecture than vgg13_bn \+ fc500_100_10"),
         ({"head": "fc500_500_5"}, "another architecture.*of another shape"),
         ({"branch": "resnet50"}, "names a network that cannot be made: unknown branch 'resnet50'"),
         ({"flavour": 3}, "names a network that cannot be made: .*flavour"),
     ],
 )
-def test_weights_that_do_not_fit_the_hyperparameters_are_refused(trained, tmp_path, changes, message):
+def test_weights_that_do_not_fit_the_network_are_refused(trained, tmp_path, changes, message):
     _, path = trained
-    hyperparameters = read_hyperparameters(path) | changes
+    changed = {**about(path), "model": about(path)["model"] | changes}
     with pytest.raises(FormatError, match=message):
-        SiameseModule.load(altered(path, tmp_path / "a.ckpt", hyper_parameters=hyperparameters))
+        load(altered(path, tmp_path / "a.ckpt", siamloc=changed))

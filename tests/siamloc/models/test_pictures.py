@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from siamloc.models.pictures import pair_picture
+from siamloc.models.siamese import pair_picture
 
 
 def test_shows_every_image_unaltered_with_a_caption_of_its_own():

@@ -1,18 +1,16 @@
-"""The Lightning module: steps, logs, optimizers, and describing."""
+"""The Lightning module: steps, logs, optimizers."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from analytic import Description, Descriptor
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
-from siamloc.models import ContrastiveLoss, SiameseModule
+from siamloc.models import ContrastiveLoss, Optimizer, SiameseModule, as_descriptor, build
 from tests.oracles.contrastive import pair_statistics
 
 ensure_torchvision()
@@ -21,10 +19,11 @@ from lightning.pytorch.callbacks import ModelCheckpoint  # noqa: E402
 from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 
 SIZE = (32, 64)
+KEYS = ("first", "second")
 
 
-def make(branch="simple1", **options):
-    return SiameseModule(branch, "fc500_500_5", SIZE, **options)
+def make(branch="simple1", loss=None, **options):
+    return SiameseModule(build(branch, "fc500_500_5", SIZE), loss, Optimizer(**options))
 
 
 def draw_pairs(count=8, seed=0, same=None):
@@ -97,7 +96,7 @@ def test_validation_figures_are_pooled_over_unequal_batches():
     training = trainer()
     training.validate(module, loader(*batches), verbose=False)
     descriptors = [
-        torch.from_numpy(module.describe(torch.cat([batch[key] for batch in batches])).position)
+        torch.from_numpy(as_descriptor(module).describe(torch.cat([batch[key] for batch in batches])).position)
         for key in ("first", "second")
     ]
     expected = pair_statistics(*as_lists(batches, descriptors), 2.0)
@@ -112,7 +111,7 @@ def test_an_epoch_without_same_room_pairs_logs_no_nan():
     assert all(math.isfinite(value) for value in training.callback_metrics.values())
 
 
-def test_figures_start_anew_in_every_epoch():
+def test_figures_start_again_in_every_epoch():
     module, training = make(), trainer()
     for batch in (draw_pairs(4, same=True), draw_pairs(4, same=False)):
         training.validate(module, loader(batch), verbose=False)
@@ -146,13 +145,20 @@ def test_a_tensorboard_logger_gets_one_picture_of_pairs_per_epoch(tmp_path):
     ("optimizer", "kind"), [("sgd", torch.optim.SGD), ("adam", torch.optim.Adam), ("adamw", torch.optim.AdamW)]
 )
 def test_optimizers(optimizer, kind):
-    module = make(optimizer=optimizer, learning_rate=0.02, momentum=0.7, weight_decay=0.01)
+    module = make(name=optimizer, learning_rate=0.02, momentum=0.7, weight_decay=0.01)
     made = module.configure_optimizers()
     assert type(made) is kind
     group = made.param_groups[0]
     assert (group["lr"], group["weight_decay"]) == (0.02, 0.01)
     assert (group["momentum"] if optimizer == "sgd" else group["betas"][0]) == 0.7
     assert {id(p) for p in group["params"]} == {id(p) for p in module.network.parameters()}
+
+
+def test_parameters_of_a_loss_are_trained():
+    loss = torch.nn.PairwiseDistance()
+    loss.register_parameter("weight", torch.nn.Parameter(torch.ones(1)))
+    (group,) = make(loss=loss).configure_optimizers().param_groups
+    assert any(parameter is loss.weight for parameter in group["params"])
 
 
 def test_defaults_are_those_of_the_thesis():
@@ -164,19 +170,41 @@ def test_defaults_are_those_of_the_thesis():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"optimizer": "sdg"}, r"unknown optimizer 'sdg': did you mean 'sgd'\?"),
-        ({"learning_rate": 0}, "learning_rate must be positive"),
-        ({"learning_rate": float("nan")}, "learning_rate must be positive"),
-        ({"momentum": 1}, r"momentum must be in \[0, 1\)"),
-        ({"momentum": -0.1}, r"momentum must be in \[0, 1\)"),
-        ({"weight_decay": -1}, "weight_decay must not be negative"),
-        ({"margin": 0}, "margin must be positive"),
-        ({"branch": "simple3"}, "unknown branch 'simple3'"),
+        ({"name": "sdg"}, "optimizer.name must be sgd or adam or adamw, got 'sdg'"),
+        ({"learning_rate": 0}, "optimizer.learning_rate must be a number above 0"),
+        ({"learning_rate": float("nan")}, "optimizer.learning_rate must be a number above 0"),
+        ({"momentum": 1}, "optimizer.momentum must be a number from 0 to below 1"),
+        ({"momentum": -0.1}, "optimizer.momentum must be a number from 0 to below 1"),
+        ({"weight_decay": -1}, "optimizer.weight_decay must be a number from 0"),
     ],
 )
-def test_hyperparameters_out_of_range_are_refused(options, message):
+def test_settings_out_of_range_are_refused(options, message):
     with pytest.raises(ConfigError, match=message):
-        make(**options)
+        Optimizer(**options)
+
+
+def triplet_like(d0, d1, y):
+    return ((d0 - d1).abs().sum(1) * (1 - 2 * y)).mean()
+
+
+def test_any_function_is_a_loss():
+    module, batch = make(loss=triplet_like), draw_pairs()
+    training = trainer()
+    training.fit(module, loader(batch), loader(draw_pairs(seed=1)))
+    d0, d1 = (torch.from_numpy(as_descriptor(module).describe(draw_pairs(seed=1)[key]).position) for key in KEYS)
+    logged = training.callback_metrics
+    assert logged["val/loss"].item() == pytest.approx(
+        triplet_like(d0, d1, draw_pairs(seed=1)["label"]).item(), abs=1e-3
+    )
+    assert "val/accuracy" not in logged
+    assert module.content()["loss"] == {"class": "triplet_like"}
+
+
+def test_a_loss_for_each_pair_and_features_for_each_pixel_are_refused():
+    with pytest.raises(DataError, match=r"must give one number, got shape \(8,\)"):
+        make(loss=lambda d0, d1, y: (d0 - d1).norm(dim=1)).training_step(draw_pairs(), 0)
+    with pytest.raises(DataError, match=r"one descriptor per image, shape \(16, D\), got shape \(16, 3, 32, 64\)"):
+        SiameseModule(torch.nn.Identity()).training_step(draw_pairs(), 0)
 
 
 def test_a_batch_with_missing_columns_is_refused():
@@ -193,91 +221,12 @@ def test_labels_with_a_second_axis_are_refused():
         make().training_step(batch, 0)
 
 
-def test_it_is_a_descriptor():
-    module = make()
-    assert isinstance(module, Descriptor)
-    assert (module.name, module.default_distance) == ("siamese", "euclidean")
-    assert module.identity == module.network.identity
-    images = draw_pairs()["first"]
-    described = module.describe(images)
-    assert isinstance(described, Description)
-    assert described.orientation is None
-    assert described.position.dtype == np.float32
-    assert described.position.shape == (len(images), 5)
-    apart = module.pairwise(described, described)
-    assert apart[1, 2] == pytest.approx(np.linalg.norm(described.position[1] - described.position[2]), rel=1e-5)
-
-
-@pytest.mark.parametrize("branch", ["simple1", "vgg11_bn"])
-def test_a_description_depends_on_no_other_image_of_the_batch(branch):
-    module, images = make(branch), draw_pairs(5)["first"]
-    together = module.describe(images).position
-    singles = np.concatenate([module.describe(image).position for image in images])
-    np.testing.assert_allclose(together, singles, rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(together, module.describe(images, chunk=2).position, rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(together, module.describe(images.flip(0)).position[::-1], rtol=1e-4, atol=1e-5)
-
-
-def test_arrays_tensors_bytes_and_floating_point_are_described_alike():
-    module, images = make(), draw_pairs(3)["first"]
-    expected = module.describe(images).position
-    for same in (images.numpy(), images.float() / 255, images.numpy() / 255.0, (images / 255).numpy()):
-        np.testing.assert_allclose(module.describe(same).position, expected, atol=1e-5)
-    np.testing.assert_allclose(module.describe(images[0].numpy()).position, expected[:1], atol=1e-5)
-
-
-def test_grey_images_are_repeated_over_the_channels():
-    module, grey = make(), draw_pairs(2)["first"][:, 0]
-    expected = module.describe(grey[:, None].repeat(1, 3, 1, 1)).position
-    np.testing.assert_array_equal(module.describe(grey).position, expected)
-    np.testing.assert_allclose(module.describe(grey[0]).position, expected[:1], atol=1e-5)
-
-
-def test_describing_restores_the_mode_of_every_part():
-    module = make("vgg11_bn").train()
-    frozen = module.network.branch.features[1].eval()
-    statistics = module.network.branch.features[5].running_mean.clone()
-    module.describe(draw_pairs(2)["first"])
-    assert not frozen.training
-    assert all(part.training for part in module.modules() if part is not frozen)
-    assert torch.equal(module.network.branch.features[5].running_mean, statistics)
-    with pytest.raises(DataError):
-        module.describe(np.zeros((2, 3, 5, 5), np.uint8))
-    assert module.network.training
-    module.training_step(draw_pairs(2), 1).backward()
-    assert module.network.head.layers[1].weight.grad is not None
-
-
-def test_describing_is_in_full_precision_under_autocast():
-    module, images = make(), draw_pairs(3)["first"]
-    expected = module.describe(images).position
-    with torch.autocast("cpu", dtype=torch.bfloat16):
-        np.testing.assert_array_equal(module.describe(images).position, expected)
-
-
-@pytest.mark.parametrize(
-    ("images", "message"),
-    [
-        (np.zeros((2, 4, *SIZE), np.uint8), "images must have shape"),
-        (np.zeros((0, 3, *SIZE), np.uint8), "images must have shape"),
-        (np.zeros((2, 3, 64, 32), np.uint8), r"shape \(B, 3, 32, 64\)"),
-        (np.zeros((2, 3, *SIZE), np.int64), "uint8 or floating point"),
-        (np.full((2, 3, *SIZE), 200.0), r"must lie in \[0, 1\]"),
-        (np.full((2, 3, *SIZE), -0.5), r"must lie in \[0, 1\]"),
-        (np.full((2, 3, *SIZE), np.nan), r"must lie in \[0, 1\]"),
-    ],
-)
-def test_images_that_cannot_be_described_are_refused(images, message):
-    with pytest.raises(DataError, match=message):
-        make().describe(images)
-
-
 @pytest.mark.parametrize("stage", ["train", "val"])
 def test_a_training_that_diverges_is_stopped_before_its_epoch_is_saved(stage):
     module = make(learning_rate=0.5)
     descriptors = torch.zeros(4, 5)
-    losses = torch.tensor([1.0, float("nan")])
-    getattr(module, f"{stage}_statistics").update(descriptors, torch.ones(2), losses, torch.tensor([True, False]))
+    loss = torch.tensor(float("nan"))
+    getattr(module, f"{stage}_statistics").update(descriptors, torch.ones(2), loss, torch.tensor([True, False]))
     end = module.on_train_epoch_end if stage == "train" else module.on_validation_epoch_end
     with pytest.raises(ConfigError, match=f"diverged: {stage}/loss of epoch 1 is nan; .* than 0.5"):
         end()

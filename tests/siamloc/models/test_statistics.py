@@ -18,7 +18,7 @@ MARGIN = 2.0
 
 def add(statistics, d0, d1, label, same):
     distance = pair_distance(d0, d1)
-    loss = ContrastiveLoss(MARGIN).of_distance(distance, label)
+    loss = ContrastiveLoss(MARGIN)(d0, d1, label)
     statistics.update(torch.cat([d0, d1]), distance, loss, same)
 
 
@@ -38,7 +38,7 @@ def draw(pairs, dimensions, seed, same_share=0.5):
 )
 def test_agrees_with_loops_over_all_pairs_whatever_the_batches(batches, dimensions, same_share, seed):
     columns = draw(sum(batches), dimensions, seed, same_share)
-    statistics = PairStatistics(dimensions, MARGIN)
+    statistics = PairStatistics(MARGIN)
     for part in zip(*(column.split(batches) for column in columns), strict=True):
         add(statistics, *part)
     expected = pair_statistics(*(column.tolist() for column in columns), MARGIN)
@@ -47,7 +47,7 @@ def test_agrees_with_loops_over_all_pairs_whatever_the_batches(batches, dimensio
 
 
 def test_a_batch_without_same_room_pairs_adds_no_nan():
-    statistics = PairStatistics(2, MARGIN)
+    statistics = PairStatistics(MARGIN)
     d0, d1 = torch.zeros(2, 2), torch.tensor([[3.0, 4.0], [0.0, 0.1]])
     add(statistics, d0, d1, torch.ones(2), torch.tensor([False, False]))
     assert {name for name in statistics.compute() if name.endswith("same")} == set()
@@ -61,7 +61,7 @@ def test_a_batch_without_same_room_pairs_adds_no_nan():
 
 @pytest.mark.parametrize("same", [True, False])
 def test_there_is_no_overall_accuracy_of_pairs_of_one_kind(same):
-    statistics = PairStatistics(1, MARGIN)
+    statistics = PairStatistics(MARGIN)
     add(statistics, torch.zeros(2, 1), torch.tensor([[0.1], [1.5]]), torch.zeros(2), torch.tensor([same, same]))
     computed = statistics.compute()
     assert "accuracy" not in computed
@@ -71,14 +71,14 @@ def test_there_is_no_overall_accuracy_of_pairs_of_one_kind(same):
 
 
 def test_half_the_margin_already_counts_as_different():
-    statistics = PairStatistics(1, MARGIN)
+    statistics = PairStatistics(MARGIN)
     d1 = torch.tensor([[0.999], [1.0], [7.0]])
     add(statistics, torch.zeros(3, 1), d1, torch.zeros(3), torch.tensor([True, True, True]))
     assert statistics.compute()["accuracy_same"] == pytest.approx(1 / 3)
 
 
 def test_a_collapsed_network_has_no_spread_even_far_from_zero():
-    statistics = PairStatistics(3, MARGIN)
+    statistics = PairStatistics(MARGIN)
     same_for_all = torch.full((50, 3), 12345.678)
     for _ in range(20):
         add(statistics, same_for_all, same_for_all, torch.ones(50), torch.zeros(50, dtype=torch.bool))
@@ -86,15 +86,21 @@ def test_a_collapsed_network_has_no_spread_even_far_from_zero():
 
 
 def test_reset_forgets_everything():
-    statistics = PairStatistics(4, MARGIN)
+    statistics = PairStatistics(MARGIN)
     add(statistics, *draw(5, 4, 0))
     statistics.reset()
     later = draw(3, 4, 1)
     add(statistics, *later)
-    fresh = PairStatistics(4, MARGIN)
+    fresh = PairStatistics(MARGIN)
     add(fresh, *later)
     assert statistics.compute() == fresh.compute()
 
 
+def test_a_loss_without_a_margin_has_no_accuracies():
+    statistics = PairStatistics(None)
+    add(statistics, *draw(5, 4, 0))
+    assert set(statistics.compute()) == {"loss", "distance_same", "distance_different", "spread"}
+
+
 def test_it_adds_nothing_to_a_state_dict():
-    assert PairStatistics(4, MARGIN).state_dict() == {}
+    assert PairStatistics(MARGIN).state_dict() == {}

@@ -4,13 +4,19 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from siamloc.data.datamodule import PairAugmentation, PairBatches, PairDataModule
 
 import augment
+from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.pairs import PairSampler
+from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.errors import ConfigError
+from siamloc.training.batches import PairAugmentation, PairBatches, PairDataModule
+
+ensure_torchvision()
+from lightning.pytorch import LightningModule, Trainer  # noqa: E402
+
+ROOM = PairSettings(label="room")
 
 
 @pytest.fixture(scope="module")
@@ -37,46 +43,76 @@ def grey(images):
     return (np.asarray(images)[:, 0, 0, 0] // 10).tolist()
 
 
-def test_a_library_gathers_from_all_sequences_in_the_order_asked(frames, library):
-    assert len(library) == 11
-    assert [item["path"] for item in library.rejected] == [frames.path[3]]
-    wanted = library.frames.take([10, 0, 5, 0])
-    assert grey(library.batch(wanted.index)) == [11, 0, 6, 0]
-    assert [grey(batch) for batch in library.batches(wanted, size=3)] == [[11, 0, 6], [0]]
-
-
-def test_a_selection_of_the_table_is_found_again_without_what_was_unreadable(frames, library):
-    found = library.select(frames.take([7, 3, 2]))
-    assert found.x.tolist() == [7, 2]
-    assert grey(library.batch(found.index)) == [7, 2]
+def sampled(frames, **settings):
+    return PairSampler(frames, PairSettings(label="room", **settings))
 
 
 def test_batches_hold_the_pairs_of_the_epoch(library):
-    frames = library.frames
-    pairs = PairSampler(frames, "room", epoch_pairs=7).epoch(0)
-    batches = PairBatches(library, frames, pairs, batch_size=3)
+    frames = library.frames.take(slice(None, None, -1))
+    sampler = sampled(frames, epoch_pairs=7)
+    batches = PairBatches(library, sampler, batch_size=3)
     assert len(batches) == 3
-    joined = [batches[number] for number in range(3)]
-    assert [len(batch["label"]) for batch in joined] == [3, 3, 1]
-    assert grey(torch.cat([batch["first"] for batch in joined])) == frames.x[pairs.first].tolist()
-    assert grey(torch.cat([batch["second"] for batch in joined])) == frames.x[pairs.second].tolist()
-    assert torch.cat([batch["label"] for batch in joined]).tolist() == pairs.label.tolist()
-    assert torch.cat([batch["same"] for batch in joined]).tolist() == pairs.same.tolist()
+    for epoch in (0, 2):
+        pairs = sampler.epoch(epoch)
+        joined = [batches[epoch, number] for number in range(3)]
+        assert [len(batch["label"]) for batch in joined] == [3, 3, 1]
+        assert grey(torch.cat([batch["first"] for batch in joined])) == frames.x[pairs.first].tolist()
+        assert grey(torch.cat([batch["second"] for batch in joined])) == frames.x[pairs.second].tolist()
+        assert torch.cat([batch["label"] for batch in joined]).tolist() == pairs.label.tolist()
+        assert torch.cat([batch["same"] for batch in joined]).tolist() == pairs.same.tolist()
     with pytest.raises(IndexError):
-        batches[3]
+        batches[0, 3]
+
+
+def test_fewer_pairs_than_processes_are_refused(library):
+    with pytest.raises(ConfigError, match="3 pairs are fewer than the 4 processes"):
+        PairBatches(library, sampled(library.frames, epoch_pairs=3), batch_size=1, world_size=4)
+
+
+class Seen(LightningModule):
+    """Notes the grey levels of the first images, epoch by epoch."""
+
+    def __init__(self):
+        super().__init__()
+        self.layer = torch.nn.Linear(1, 1)
+        self.epochs = {}
+        self.validated = []
+
+    def training_step(self, batch, batch_index):
+        self.epochs.setdefault(self.current_epoch, []).extend(grey(batch["first"].cpu()))
+        return self.layer(torch.ones(1, 1)).sum()
+
+    def validation_step(self, batch, batch_index):
+        self.validated.append(grey(batch["first"].cpu()))
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), lr=0.1)
+
+
+def plain_trainer(epochs):
+    quiet = dict.fromkeys(("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
+    return Trainer(max_epochs=epochs, accelerator="cpu", devices=1, num_sanity_val_steps=0, **quiet)
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_workers_do_not_change_the_draw(library, workers):
-    data = PairDataModule(library, library.frames, None, {"label": "room", "seed": 0}, batch_size=4, workers=workers)
-    seen = [grey(batch["first"]) for batch in data.train_dataloader()]
-    expected = library.frames.x[PairSampler(library.frames, "room", seed=0).epoch(0).first].tolist()
-    assert sum(seen, []) == expected  # noqa: RUF017
+@pytest.mark.filterwarnings("ignore:.*does not have many workers")
+def test_a_plain_trainer_draws_new_pairs_in_every_epoch_also_after_resuming(library, workers, tmp_path):
+    sampler, roles = sampled(library.frames), (library.frames, library.frames)
+    expected = {epoch: library.frames.x[sampler.epoch(epoch).first].tolist() for epoch in range(4)}
+    first, data = Seen(), PairDataModule(library, *roles, pairs=ROOM, batch_size=4, workers=workers)
+    trainer = plain_trainer(3)
+    trainer.fit(first, datamodule=data)
+    assert first.epochs == {epoch: expected[epoch] for epoch in range(3)}
+    assert first.validated[:3] == first.validated[3:6] == first.validated[6:], "validation has the same pairs each time"
+    trainer.save_checkpoint(tmp_path / "last.ckpt")
+    resumed, data = Seen(), PairDataModule(library, *roles, pairs=ROOM, batch_size=4, workers=workers)
+    plain_trainer(4).fit(resumed, datamodule=data, ckpt_path=tmp_path / "last.ckpt", weights_only=True)
+    assert resumed.epochs == {3: expected[3]}
 
 
 def test_validation_pairs_share_label_and_scale(library):
     train, validation = library.frames.take(slice(0, 6)), library.frames.take(slice(6, None))
-    data = PairDataModule(library, train, validation, {"label": "distance", "seed": 0}, batch_size=4)
+    data = PairDataModule(library, train, validation, pairs=PairSettings(label="distance"), batch_size=4)
     batch = next(iter(data.val_dataloader()))
     first, second = (torch.tensor(grey(batch[name])) for name in ("first", "second"))
     expected = torch.where(batch["same"], (first - second).abs() / data.sampler.scale, 1).clamp(max=1)
@@ -85,16 +121,15 @@ def test_validation_pairs_share_label_and_scale(library):
 
 def test_batch_size_must_be_positive(library):
     with pytest.raises(ConfigError, match="batch_size"):
-        PairDataModule(library, library.frames, None, {}, batch_size=0)
+        PairDataModule(library, library.frames, batch_size=0)
 
 
 def trained_on(library, where="cpu", rank=0, world_size=1, epoch=0, batch_size=4):
     """Return the first images of an epoch's augmented batches, in the order of the pairs."""
     augmentation = PairAugmentation(augment.policy("thesis"), where, seed=0)
-    data = PairDataModule(
-        library, library.frames, None, {"label": "room", "seed": 0}, batch_size, augmentation=augmentation
-    )
-    data.trainer = SimpleNamespace(current_epoch=epoch, global_rank=rank, world_size=world_size)
+    data = PairDataModule(library, library.frames, pairs=ROOM, batch_size=batch_size, augmentation=augmentation)
+    fit_loop = SimpleNamespace(epoch_progress=SimpleNamespace(current=SimpleNamespace(processed=epoch)))
+    data.trainer = SimpleNamespace(fit_loop=fit_loop, global_rank=rank, world_size=world_size)
     batches = [data.on_after_batch_transfer(batch, 0) for batch in data.train_dataloader()]
     assert all("change" not in batch for batch in batches)
     return torch.cat([batch["first"] for batch in batches]), torch.cat([batch["second"] for batch in batches])
@@ -113,9 +148,9 @@ def test_augmentation_follows_from_seed_epoch_and_pair_alone(library):
 
 def test_augmentation_changes_training_images_only(library):
     augmentation = PairAugmentation(augment.policy("thesis"))
-    pairs = {"label": "room", "seed": 0}
-    data = PairDataModule(library, library.frames, library.frames, pairs, batch_size=4, augmentation=augmentation)
-    plain = PairDataModule(library, library.frames, library.frames, pairs, batch_size=4)
+    options = {"pairs": ROOM, "batch_size": 4}
+    data = PairDataModule(library, library.frames, library.frames, augmentation=augmentation, **options)
+    plain = PairDataModule(library, library.frames, library.frames, **options)
     assert not torch.equal(next(iter(data.train_dataloader()))["first"], next(iter(plain.train_dataloader()))["first"])
     assert torch.equal(next(iter(data.val_dataloader()))["first"], next(iter(plain.val_dataloader()))["first"])
 

@@ -9,20 +9,20 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 import torch
 
 from siamloc.errors import StorageError
-from siamloc.models.training import AtomicCheckpoints, remove_leftovers
+from siamloc.runs import Run
+from siamloc.training.callbacks import AtomicCheckpoints
 
 # Writes a checkpoint and is stopped for ever where the whole file would get its name.
 KILLED = """
 import sys
 import time
 from siamloc import files
-from siamloc.models.training import AtomicCheckpoints
+from siamloc.training.callbacks import AtomicCheckpoints
 
 def wait(_):
     print("written", flush=True)
@@ -76,18 +76,17 @@ def test_other_failures_of_torch_keep_their_words(tmp_path, monkeypatch):
 
 
 def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path):
-    path = tmp_path / "last.ckpt"
+    run = Run(tmp_path / "run")
+    run.start({}, ["checkpoints/last.ckpt"])
+    path = run.checkpoints / "last.ckpt"
     with subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "written\n"
         process.send_signal(signal.SIGKILL)
         process.wait(timeout=60)
-    left = list(tmp_path.iterdir())
-    assert len(left) == 1
-    kept = {path, tmp_path / "best.ckpt", tmp_path / ".hidden", tmp_path / "notes.tmp.ckpt"}
+    assert len(list(run.checkpoints.iterdir())) == 1
+    kept = {path, *(run.checkpoints / name for name in (".hidden", "notes.tmp.ckpt", ".other.ckpt.abc.tmp.ckpt"))}
     for file in kept:
         file.touch()
-    assert remove_leftovers(tmp_path) == left
-    assert set(tmp_path.iterdir()) == kept
-    assert remove_leftovers(tmp_path) == []
-    assert remove_leftovers(Path(tmp_path, "missing")) == []
+    run.clear_temporaries()
+    assert set(run.checkpoints.iterdir()) == kept

@@ -1,0 +1,48 @@
+"""The standard benchmark from Python: the drives of the simulated building freiburg_like, and who does what.
+
+The roles are those of the protocol `freiburg_sim`: map and queries from different drives, three lightings.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import siamloc
+from siamloc.data import FrameTable, PanoramaLibrary
+
+LIGHTINGS = ("cloudy", "night", "sunny")
+TRAIN = ("*seq2_cloudy3", "*seq2_night1", "*seq2_sunny3")
+VALIDATION = ("*seq2_cloudy1", "*seq2_sunny1")
+MAP = ("*seq2_cloudy3",)
+QUERIES = ("*seq2_cloudy2", "*seq2_night2", "*seq2_sunny2")
+
+
+class Building:
+    """The rendered building with its panoramas at one size.
+
+    Args:
+        folder: what `siamloc simulate camera=panorama` rendered.
+        image_size: rows and columns.
+    """
+
+    def __init__(self, folder: Path, image_size: tuple[int, int] = (128, 512)) -> None:
+        self.frames = siamloc.data.read("cold", root=folder, name="freiburg_sim")
+        self.images = PanoramaLibrary(self.frames, image_size=image_size)
+
+    def drives(self, names: Sequence[str], every: int = 1) -> FrameTable:
+        """Return every k-th frame of some drives."""
+        return self.frames.select(sequence=list(names)).every(every)
+
+
+def mean_and_range(values: Sequence[float], digits: int = 2) -> str:
+    """Return the mean over seeds with the lowest and the highest, as text."""
+    mean = f"{statistics.mean(values):.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} ({min(values):.{digits}f} to {max(values):.{digits}f})"
+
+
+def by_lighting(absolute: dict[str, Any], measure: str = "error", figure: str = "mean") -> dict[str, float]:
+    """Return one figure of absolute localization under each lighting."""
+    return {name: absolute["lighting"][name][measure][figure] for name in LIGHTINGS}

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data import FrameTable, PanoramaLibrary, check
+
+
+def drive(n: int = 60, **columns) -> FrameTable:
+    """A drive along an eight, headings as they should be; there are no images."""
+    at = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    x, y = 3 * np.sin(at), 2 * np.sin(2 * at)
+    theta = np.arctan2(np.roll(y, -1) - y, np.roll(x, -1) - x)
+    given = {"path": [f"{i}.jpg" for i in range(n)], "x": x, "y": y, "theta": theta, "time": np.arange(n) * 0.5}
+    return FrameTable(**{**given, **columns})
+
+
+def test_nothing_is_said_about_data_as_they_should_be():
+    assert check(drive()) == []
+    assert check(drive(theta=drive().theta + 0.3, time=None)) == []
+    assert check(FrameTable(path=[])) == []
+
+
+def test_headings_that_count_full_turns_are_radians():
+    assert check(drive(theta=np.unwrap(drive().theta) + 4 * np.pi)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda frames: {"theta": np.degrees(frames.theta)}, "theta looks like degrees: .*multiply by pi / 180"),
+        (lambda frames: {"theta": np.degrees(frames.theta) % 360}, "theta looks like degrees"),
+        (lambda frames: {"theta": -frames.theta}, "if it runs clockwise.* Give -theta"),
+        (lambda frames: {"theta": np.pi / 2 - frames.theta}, "x and y are exchanged, as a compass bearing does"),
+        (lambda frames: {"x": frames.y, "y": frames.x}, "x and y are exchanged"),
+        (lambda frames: {"y": -frames.y}, "runs clockwise.*check the sign of y"),
+    ],
+)
+def test_headings_of_another_kind_are_recognized(change, says):
+    frames = drive()
+    (finding,) = check(frames.with_columns(**change(frames)))
+    assert re.search(says, finding)
+
+
+def test_degrees_of_a_robot_that_hardly_turns_are_recognized_by_its_way():
+    n = 100
+    theta = np.radians(5) * np.sin(np.arange(n) / 5)
+    xy = np.cumsum(np.stack([np.cos(theta), np.sin(theta)], axis=1), axis=0) - [1, 0]
+    frames = FrameTable(path=[f"{i}.jpg" for i in range(n)], x=xy[:, 0], y=xy[:, 1], theta=np.degrees(theta))
+    (finding,) = check(frames.with_columns(x=np.r_[0, xy[:-1, 0]], y=np.r_[0, xy[:-1, 1]]))
+    assert "if it counts degrees: give radians" in finding
+
+
+def test_without_positions_degrees_show_by_their_range():
+    findings = check(drive(x=None, y=None, theta=np.arange(60) * 6.0))
+    assert "theta looks like degrees" in findings[0]
+    assert findings[1] == (
+        "all 60 frames have no position: they can be located and, as map frames, recognized, but their errors cannot "
+        "be measured. Rooms and mapping by appearance need no positions."
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({"theta": np.r_[np.nan, drive().theta[1:]]}, "1 of 60 frames have a position but no heading"),
+        ({"room": ["A"] * 59 + [""]}, "1 of 60 frames have no room, while others do"),
+        ({"x": np.repeat(drive().x[::3], 3), "y": np.repeat(drive().y[::3], 3)}, "stands still in 40 of 60 frames"),
+        ({"x": drive().x + 100 * (np.arange(60) > 30)}, "jumps by 99.7 m at 31.jpg.*several drives share the name"),
+        ({"time": np.r_[np.nan, np.arange(59)]}, "1 of 60 frames of sequence .* have no time"),
+        ({"time": np.arange(60) + 300.0 * (np.arange(60) > 20)}, "pauses for 301 s before 21.jpg"),
+        ({"time": np.arange(60) // 2}, "30 of 60 frames of .* have the time of the frame before"),
+        ({"path": ["a.jpg"] + [f"{i}.jpg" for i in range(1, 59)] + ["a.jpg"]}, "1 of 60 frames show an image that"),
+    ],
+)
+def test_each_surprise_is_one_sentence(columns, says):
+    findings = [finding for finding in check(drive().with_columns(**columns)) if re.search(says, finding)]
+    assert len(findings) == 1
+    assert findings[0].endswith(".")
+
+
+def test_copies_of_images_are_found(tmp_path):
+    for name, value in (("a", 1), ("b", 2), ("c", 1), ("d", 3)):
+        cv2.imwrite(str(tmp_path / f"{name}.bmp"), np.full((8, 32, 3), value, np.uint8))
+    frames = FrameTable(path=[str(tmp_path / f"{name}.bmp") for name in "abcd"], sequence=["one", "one", "two", "two"])
+    copies = [finding for finding in check(frames) if "copies" in finding]
+    assert copies == [
+        f"1 images are copies of others, 1 of them of another sequence's, the first: {tmp_path / 'c.bmp'} of "
+        f"{tmp_path / 'a.bmp'}. A query with a copy in the map is found without any skill: remove them."
+    ]
+
+
+def test_shapes_of_images_are_compared_with_each_other_and_with_the_panoramas(tmp_path):
+    for number, size in enumerate([(48, 64), (48, 64), (16, 64)]):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((*size, 3), number, np.uint8))
+    frames = FrameTable(path=sorted(map(str, Path(tmp_path).iterdir())), x=[0, 1, 2], y=[0, 0, 0])
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32))
+    mixed, squeezed = check(frames, images)
+    assert "images have different shapes, among those looked at 64 x 48 px (2), 64 x 16 px (1)" in mixed
+    assert "images of 64 x 48 px (columns x rows) are brought to 32 x 8 without unwrapping" in squeezed
+    assert check(frames.take([2]), images) == []

@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+import json
+import logging
+import os
+import pickle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data import FrameTable, PanoramaLibrary, PolarRing
+from siamloc.errors import ConfigError, DataError
+
+SIZE = (8, 16)
+
+
+@pytest.fixture
+def frames(tmp_path) -> FrameTable:
+    """Eight frames of two interleaved drives; the image of frame i is i * 30 in red, 255 - i * 30 in green."""
+    (tmp_path / "images").mkdir()
+    paths = [tmp_path / "images" / f"{i}.png" for i in range(8)]
+    for i, path in enumerate(paths):
+        cv2.imwrite(str(path), picture(i))
+    return FrameTable(
+        path=[str(path) for path in paths], room=list("aabbcccc"), x=np.arange(8.0), sequence=["monday", "tuesday"] * 4
+    )
+
+
+def picture(i: int) -> np.ndarray:
+    image = np.zeros((*SIZE, 3), np.uint8)
+    image[..., 0] = np.random.default_rng(i).integers(0, 256, SIZE)
+    image[..., 1], image[..., 2] = 255 - i * 30, i * 30
+    return image
+
+
+def expected(*numbers: int) -> np.ndarray:
+    return np.stack([picture(i)[..., ::-1].transpose(2, 0, 1) for i in numbers])
+
+
+def open_library(frames: FrameTable, tmp_path: Path, **options) -> PanoramaLibrary:
+    return PanoramaLibrary(frames, tmp_path / "cache", **{"image_size": SIZE, **options})
+
+
+def test_the_library_holds_the_panoramas_of_the_frames_in_their_order(frames, tmp_path):
+    library = open_library(frames, tmp_path)
+    assert len(library) == 8
+    assert library.frames == frames
+    assert library.rejected == []
+    np.testing.assert_array_equal(library.batch(range(8)), expected(*range(8)))
+    assert len(list((tmp_path / "cache").glob("*/panoramas.npy"))) == 2
+
+
+def test_interleaved_drives_give_their_own_images(frames, tmp_path):
+    """The rows of a table whose drives alternate are not those of a table sorted by drive."""
+    library = open_library(frames, tmp_path)
+    for part, numbers in [
+        (frames.select(sequence="monday"), [0, 2, 4, 6]),
+        (frames.select(sequence="tuesday").every(2), [1, 5]),
+        (library.frames.take([7, 0, 7]), [7, 0, 7]),
+        (frames.select(sequence="monday").select(room="c").with_columns(x=[9, 9]), [4, 6]),
+    ]:
+        assert library.rows(part).tolist() == numbers
+        np.testing.assert_array_equal(np.concatenate(list(library.batches(part, size=3))), expected(*numbers))
+
+
+def test_a_table_read_again_in_another_order_finds_its_images(frames, tmp_path, monkeypatch):
+    library = open_library(frames, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    again = frames.take(np.arange(8)[::-1])
+    relative = again.with_columns(path=[os.path.relpath(path) for path in again.path.tolist()])
+    assert library.rows(relative).tolist() == [7, 6, 5, 4, 3, 2, 1, 0]
+    assert [batch.shape for batch in library.batches(frames.take([]))] == []
+
+
+def test_one_image_in_two_drives_is_two_frames(frames, tmp_path):
+    both = frames.with_columns(path=[frames.path[0]] * 8)
+    library = open_library(both.take([0, 1]), tmp_path)
+    assert library.rows(both.take([1, 0, 1])).tolist() == [1, 0, 1]
+    with pytest.raises(DataError, match=r"1 of 1 frames are not among those .*0\.png of sequence 'friday'"):
+        library.rows(both.take([0]).with_columns(sequence=["friday"]))
+
+
+def test_a_selection_is_decoded_alone(frames, tmp_path):
+    library = open_library(frames.take([6, 4, 3, 0]), tmp_path)
+    np.testing.assert_array_equal(library.batch([0, 1, 2, 3]), expected(6, 4, 3, 0))
+    with pytest.raises(DataError, match=r"1 of 2 frames are not among those .*1\.png of sequence 'tuesday'"):
+        library.rows(frames.take([0, 1]))
+    with pytest.raises(DataError, match="not among those that the library was made of"):
+        library.readable(frames.take([1]))
+
+
+def test_unreadable_images_are_left_out_and_named(frames, tmp_path, caplog):
+    Path(frames.path[0]).write_bytes(b"")
+    Path(frames.path[3]).unlink()
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        library = open_library(frames, tmp_path)
+    assert "1 of 4 images cannot be read, the first: " in caplog.text
+    assert library.rejected == [
+        {"path": frames.path[0], "reason": "the file is empty"},
+        {"path": frames.path[3], "reason": "the file does not exist"},
+    ]
+    assert library.frames == frames.take([1, 2, 4, 5, 6, 7])
+    assert library.readable(frames.take([7, 3, 2])) == frames.take([7, 2])
+    np.testing.assert_array_equal(library.batch(library.rows(frames.take([7, 2]))), expected(7, 2))
+    with pytest.raises(DataError, match=r"1 of 2 frames have no panorama, .*3\.png \(the file does not exist\): leave"):
+        library.rows(frames.take([1, 3]))
+
+
+@pytest.mark.parametrize("rows", [[3], [6, 0, 0, 7], [], list(range(8)), np.array([5, 2], np.int32)])
+def test_batches_agree_with_picking_one_by_one(frames, tmp_path, rows):
+    batch = open_library(frames, tmp_path).batch(rows)
+    assert batch.shape == (len(rows), 3, *SIZE)
+    assert batch.dtype == np.uint8
+    assert batch.flags.writeable
+    assert batch.flags.c_contiguous
+    for row, panorama in zip(rows, batch, strict=True):
+        np.testing.assert_array_equal(panorama, expected(int(row))[0])
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([0, 8], r"row 8 is outside the library, whose rows are 0 \.\.\. 7"),
+        ([-1], "row -1 is outside"),
+        ([0.5], "whole numbers"),
+        ([True] * 8, "whole numbers"),
+        (3, r"whole numbers \(B,\), got shape \(\)"),
+        ([[1]], r"got shape \(1, 1\)"),
+    ],
+)
+def test_rows_outside_the_library(frames, tmp_path, rows, message):
+    with pytest.raises(IndexError, match=message):
+        open_library(frames, tmp_path).batch(rows)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"workers": 0}, "at least one worker, got 0"),
+        ({"on_error": "ignore"}, "'ignore' is not a policy"),
+        ({"image_size": (0, 16)}, "at least 1 x 2 pixels"),
+        ({"unwrap": {"kind": "polar", "iner": 3}}, "unknown key unwrap.iner: did you mean 'inner'"),
+    ],
+)
+def test_impossible_options(frames, tmp_path, options, message):
+    with pytest.raises(ConfigError, match=message):
+        open_library(frames, tmp_path, **options)
+
+
+def test_no_frames_is_an_error(frames, tmp_path):
+    with pytest.raises(DataError, match="the table is empty"):
+        open_library(frames.take([]), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "unwrap",
+    [
+        None,
+        {"kind": "none"},
+        PolarRing(inner=1, outer=3),
+        {"kind": "polar", "inner": 1, "outer": 3, "centre": [8, 4]},
+        {"kind": "hyperbolic", "top": 20.0, "cx": 8.0},
+    ],
+)
+def test_the_settings_make_the_same_library_again(frames, tmp_path, unwrap):
+    library = open_library(frames, tmp_path, unwrap=unwrap, circular=False, on_error="raise")
+    settings = library.settings()
+    assert json.loads(json.dumps(settings)) == settings
+    again = PanoramaLibrary(frames, **settings)
+    assert again.settings() == settings
+    assert again.preprocessing == library.preprocessing
+    assert (again.circular, again.image_size) == (False, SIZE)
+    np.testing.assert_array_equal(again.batch([7]), library.batch([7]))
+
+
+def test_where_panoramas_are_kept_unless_told(frames, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("SIAMLOC_CACHE", raising=False)
+    PanoramaLibrary(frames.take([0]), image_size=SIZE)
+    assert list((tmp_path / ".siamloc" / "panoramas").glob("*/store.json"))
+    monkeypatch.setenv("SIAMLOC_CACHE", "elsewhere")
+    library = PanoramaLibrary(frames.take([0]), image_size=SIZE)
+    assert library.settings()["cache"] == str(tmp_path / "elsewhere")
+    assert list((tmp_path / "elsewhere").glob("*/store.json"))
+
+
+def test_the_library_survives_pickling_without_its_bytes(frames, tmp_path):
+    Path(frames.path[3]).unlink()
+    library = open_library(frames, tmp_path, image_size=(128, 512))
+    data = pickle.dumps(library)
+    assert len(data) < len(library) * 3 * 128 * 512 / 50
+    again = pickle.loads(data)
+    np.testing.assert_array_equal(again.batch([5, 0]), library.batch([5, 0]))
+    assert again.frames == library.frames
+    assert again.rejected == library.rejected
+
+
+def test_the_library_shows_itself_in_short(frames, tmp_path):
+    library = open_library(frames, tmp_path)
+    assert repr(library).startswith(f"PanoramaLibrary(8 panoramas of 8 x 16 px in {tmp_path / 'cache'}; 8 frames; ")
+    assert "\n" not in repr(library)
+    assert library._repr_html_().count("<tr>") == 3
+
+
+@pytest.mark.parametrize(
+    ("images", "unwrap", "advice"),
+    [("panorama", {"kind": "polar"}, "use unwrap=none"), ("omnidirectional", None, "use unwrap=hyperbolic, or sim")],
+)
+def test_simulated_images_are_not_unwrapped_by_mistake(frames, tmp_path, images, unwrap, advice):
+    (tmp_path / "camera.json").write_text(json.dumps({"images": images}))
+    with pytest.raises(ConfigError, match=f"simulated images of kind {images}, which .* does not fit: {advice}"):
+        open_library(frames, tmp_path, unwrap=unwrap)

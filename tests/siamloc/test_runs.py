@@ -1,0 +1,74 @@
+"""The record of a run: versions, and what may be removed."""
+
+from __future__ import annotations
+
+import pytest
+
+from siamloc.errors import ConfigError, FormatError
+from siamloc.files import read_json, write_json
+from siamloc.runs import Run
+
+
+@pytest.fixture
+def run(tmp_path):
+    run = Run(tmp_path / "run")
+    run.start({"training": {"epochs": 3}}, ["metrics.csv"])
+    return run
+
+
+def test_a_record_comes_back(run):
+    assert run.settings == {"training": {"epochs": 3}}
+    assert read_json(run.record)["written"] == ["metrics.csv"]
+    run.record_written(["map.npz", run.folder / "evaluation" / "a.csv", "map.npz"])
+    assert read_json(run.record)["written"] == ["evaluation/a.csv", "map.npz", "metrics.csv"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"version": 1}, r"written by siamloc 0\.1, whose runs are no longer read: train again"),
+        ({"version": 3}, "has version 3, this siamloc reads up to 2: update siamloc"),
+        ({"format": "other"}, "was not written by siamloc"),
+        ({"settings": None}, "is not whole"),
+    ],
+)
+def test_other_records_are_refused(run, changes, says):
+    record = {key: value for key, value in {**read_json(run.record), **changes}.items() if value is not None}
+    write_json(run.record, record)
+    with pytest.raises(FormatError, match=says):
+        run.load_record()
+
+
+def test_a_folder_without_a_record_is_no_run_and_nothing_is_noted_there(tmp_path):
+    run = Run(tmp_path)
+    run.record_written(["map.npz"])
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ConfigError, match="is not the folder of a run"):
+        run.load_record()
+
+
+@pytest.mark.parametrize("name", ["../other.txt", "/etc/hostname", ".", "evaluation"])
+def test_only_files_inside_the_run_are_noted(run, name):
+    (run.folder / "evaluation").mkdir()
+    with pytest.raises(ConfigError, match="is not a file inside the run"):
+        run.record_written([name])
+
+
+def test_clearing_never_leaves_the_folder(run, tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    for name in ("a.txt", "b.txt"):
+        (outside / name).touch()
+    (run.folder / "link").symlink_to(outside)
+    run.metrics.symlink_to(outside / "b.txt")
+    names = ["metrics.csv", "../outside/a.txt", "link/a.txt", str(outside / "a.txt")]
+    write_json(run.record, {**read_json(run.record), "written": names})
+    run.clear()
+    assert sorted(path.name for path in outside.iterdir()) == ["a.txt", "b.txt"]
+    assert not run.metrics.is_symlink()
+    assert run.record.is_file()
+
+
+def test_an_empty_name_is_refused():
+    with pytest.raises(ConfigError, match="a folder of its own"):
+        Run("")

@@ -1,0 +1,474 @@
+"""`fit`: what it leaves in a run, what it refuses, how it goes on, and networks and losses of one's own."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import augment
+from siamloc.data import FrameTable, PanoramaLibrary, read
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.files import read_json, write_json
+from siamloc.models import as_descriptor, build, load
+from siamloc.runs import Run
+from siamloc.training import PairSettings, Training, fit
+from tests.drawn import write_manifest
+
+SIZE = (32, 128)
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    """The manifest of a drawn flat."""
+    return write_manifest(tmp_path_factory.mktemp("flat"), {"cloudy1": "cloudy", "night1": "night"}, frames_per_room=4)
+
+
+@pytest.fixture(scope="module")
+def frames(flat):
+    return read("manifest", manifest=flat)
+
+
+@pytest.fixture(scope="module")
+def images(flat, frames):
+    return PanoramaLibrary(frames, flat.parent / "cache", image_size=SIZE)
+
+
+@pytest.fixture
+def day(frames):
+    return frames.select(sequence="cloudy1")
+
+
+@pytest.fixture
+def train(images, day, tmp_path):
+    """A call of `fit` that a test completes."""
+
+    def call(name="run", network=None, images=images, frames=day, **keywords):
+        network = build("simple1", "fc500_500_5", SIZE) if network is None else network
+        options = {"epochs": 1, "batch_size": 8, "trainer": {"accelerator": "cpu"}, **keywords}
+        return fit(network, images, frames, run=tmp_path / name, **options)
+
+    return call
+
+
+def curve(run):
+    with run.metrics.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def listing(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def test_a_run_holds_its_settings_and_what_was_written(train, frames, day, flat, capsys):
+    network = build("simple1", "fc500_500_5", SIZE)
+    night = frames.select(sequence="night1")
+    run = train(network=network, validation=night, epochs=2, pairs=PairSettings(label="room"))
+    record = read_json(run.record)
+    assert (record["format"], record["version"]) == ("siamloc-run", 2)
+    assert {*record["written"], "run.json"} == set(listing(run.folder))
+    settings = run.settings
+    assert Training.of(settings["training"]) == Training(epochs=2, batch_size=8, pairs=PairSettings(label="room"))
+    assert settings["data"]["manifest"] == str(flat)
+    assert settings["data"]["image_size"] == list(SIZE)
+    roles = {"train": {"sequences": ["cloudy1"]}, "validation": {"sequences": ["night1"]}}
+    assert settings["protocol"] == {"kind": "cross_run", **roles}
+    assert settings["model"] == network.settings
+    assert settings["loss"] == {"class": "ContrastiveLoss", "margin": 2.0}
+    assert settings["augment"] == {"name": "none"}
+    assert settings["frames"]["train"]["count"] == len(day)
+    assert as_descriptor(load(run)).identity == as_descriptor(network).identity
+    assert (as_descriptor(network).margin, network.training) == (2.0, False)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"training simple1 + fc500_500_5 on {len(day)} frames, 12 room pairs per epoch, epochs: 2" in said.err
+    assert "epoch 2 of 2: train/loss" in said.err
+    assert "GPU" not in said.err
+
+
+def test_the_best_weights_are_kept_not_the_last(train, frames):
+    network = build("simple1", "fc500_500_5", SIZE)
+    run = train(network=network, validation=frames.select(sequence="night1"), optimizer={"name": "adam"}, epochs=5)
+    best = int(np.argmin(run.curves()["val/loss"]))
+    assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == best
+    assert as_descriptor(load(run)).identity == as_descriptor(network).identity
+
+
+def test_one_seed_gives_one_curve(train):
+    a, b, c = (curve(train(name, seed=seed, epochs=2)) for name, seed in (("a", 0), ("b", 0), ("c", 1)))
+    assert a == b != c
+
+
+def test_a_resumed_run_is_the_run_that_never_stopped(train):
+    whole = train("whole", epochs=3)
+    part = train("part", epochs=1)
+    assert len(curve(part)) == 1
+    network = build("simple1", "fc500_500_5", SIZE)
+    again = train("part", network=network, epochs=3, resume=True)
+    assert curve(again) == curve(whole)
+    assert as_descriptor(network).identity == as_descriptor(load(whole)).identity
+    assert again.settings["training"]["epochs"] == 3
+    assert {*read_json(again.record)["written"], "run.json"} == set(listing(again.folder))
+
+
+@pytest.fixture(scope="module")
+def trained(images, frames, tmp_path_factory):
+    """A run of one epoch that tests only try to resume."""
+    network = build("simple1", "fc500_500_5", SIZE)
+    day, folder = frames.select(sequence="cloudy1"), tmp_path_factory.mktemp("trained") / "run"
+    return fit(network, images, day, run=folder, epochs=1, batch_size=8, trainer={"accelerator": "cpu"})
+
+
+@pytest.mark.parametrize(
+    ("other", "key"),
+    [
+        ({"seed": 7}, "training.seed=0"),
+        ({"batch_size": 4}, "training.batch_size=8"),
+        ({"optimizer": {"learning_rate": 5.0}}, "training.optimizer.learning_rate=0.001"),
+        ({"pairs": {"same_room_share": 0.3}}, "training.pairs.same_room_share=None"),
+        ({"margin": 1.0}, "loss.margin=2.0"),
+        ({"augmentation": "thesis"}, "augment.name=none"),
+        ({"protocol": {"kind": "same_run"}}, "protocol.kind=cross_run"),
+        ({"network": build("simple2", "fc500_500_5", SIZE)}, "model.branch=simple1"),
+    ],
+)
+def test_other_settings_are_not_resumed(train, trained, other, key):
+    with pytest.raises(ConfigError, match=f"was trained with {key} and cannot be resumed with"):
+        train(trained.folder, epochs=2, resume=True, **other)
+    assert len(curve(trained)) == 1
+
+
+def test_other_frames_are_not_resumed_and_fewer_epochs_neither(train, day):
+    train(epochs=2)
+    with pytest.raises(ConfigError, match=r"frames\.train\.count=12 and cannot be resumed with frames\.train\.count=6"):
+        train(frames=day.every(2), epochs=3, resume=True)
+    with pytest.raises(ConfigError, match="has 2 epochs already, more than epochs=1"):
+        train(epochs=1, resume=True)
+
+
+def test_a_run_is_written_over_only_when_told(train):
+    run = train()
+    before = curve(run)
+    with pytest.raises(ConfigError, match="holds a run already: go on with it by resume=true"):
+        train()
+    with pytest.raises(ConfigError, match="choose one"):
+        train(resume=True, overwrite=True)
+    assert curve(run) == before
+    assert curve(train(seed=3, overwrite=True)) != before
+
+
+def test_there_must_be_a_run_to_resume(train, tmp_path):
+    with pytest.raises(ConfigError, match="no run to resume"):
+        train(resume=True)
+    assert not (tmp_path / "run").exists()
+
+
+def test_files_that_siamloc_did_not_write_are_never_removed(train):
+    run = train()
+    theirs = ["notes.txt", "checkpoints/mine.ckpt", "bundle/robot.onnx", "evaluation/hog/results.json"]
+    theirs += ["tensorboard/other.txt", "map.npz", "layers/a/layer.npz"]
+    ours = ["locations.csv", "evaluation/network/queries.csv"]
+    for name in [*theirs, *ours]:
+        (run.folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (run.folder / name).write_text(name)
+    run.record_written([ours[0], run.folder / ours[1]])
+    events = list(run.tensorboard.glob("events*"))
+    train(overwrite=True, seed=1)
+    assert all((run.folder / name).read_text() == name for name in theirs)
+    assert not any((run.folder / name).exists() for name in [*ours, "evaluation/network"])
+    assert not any(path.exists() for path in events)
+
+
+@pytest.mark.parametrize("name", ["map.npz", "checkpoints/last.ckpt", "bundle/model.onnx", "photo.jpeg"])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_that_is_no_run_is_refused(train, tmp_path, name, overwrite):
+    mine = tmp_path / "mine" / name
+    mine.parent.mkdir(parents=True)
+    mine.write_text("precious")
+    with pytest.raises(ConfigError, match="mine is not a run and holds other files, such as"):
+        train("mine", overwrite=overwrite)
+    assert listing(tmp_path / "mine") == [name]
+    assert mine.read_text() == "precious"
+
+
+def test_the_current_folder_is_not_taken_for_a_run(images, day, tmp_path, monkeypatch):
+    (tmp_path / "data.csv").touch()
+    monkeypatch.chdir(tmp_path)
+    for name in ("", " "):
+        with pytest.raises(ConfigError, match="a run needs a folder of its own"):
+            fit(build("simple1", "fc500_500_5", SIZE), images, day, run=name)
+    with pytest.raises(ConfigError, match="holds other files"):
+        fit(build("simple1", "fc500_500_5", SIZE), images, day, run=".")
+    assert listing(tmp_path) == ["data.csv"]
+
+
+def test_a_file_in_the_way_is_not_replaced(train, tmp_path):
+    run = train()
+    record = read_json(run.record)
+    write_json(run.record, {**record, "written": [name for name in record["written"] if name != "metrics.csv"]})
+    with pytest.raises(ConfigError, match=r"metrics\.csv would be replaced, but siamloc did not write it"):
+        train(overwrite=True)
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="is a file"):
+        train("file")
+
+
+class Small(nn.Module):
+    """A network of one's own, with dropout."""
+
+    def __init__(self):
+        super().__init__()
+        torch.manual_seed(0)
+        self.layers = nn.Sequential(nn.AdaptiveAvgPool2d((4, 8)), nn.Flatten(), nn.Dropout(), nn.Linear(96, 3))
+
+    def forward(self, panorama):
+        return self.layers(panorama)
+
+
+class Squared(nn.Module):
+    """A loss of one's own, with a weight that is learned."""
+
+    def __init__(self):
+        super().__init__()
+        self.scale = nn.Parameter(torch.ones(()))
+
+    def forward(self, d0, d1, y):
+        return (self.scale * (d0 - d1).square().sum(1) - y).square().mean()
+
+
+def test_a_network_and_a_loss_of_ones_own_are_trained_resumed_and_loaded(train):
+    whole = train("whole", network=Small(), loss=Squared(), epochs=3)
+    network = Small()
+    train("part", network=Small(), loss=Squared(), epochs=1)
+    torch.manual_seed(99)
+    run = train("part", network=network, loss=Squared(), epochs=3, resume=True)
+    assert curve(run) == curve(whole)
+    assert run.settings["model"] == {"class": "Small"}
+    assert run.settings["loss"] == {"class": "Squared"}
+    assert "train/accuracy" not in run.curves()
+    assert as_descriptor(load(run, network=Small())).identity == as_descriptor(network).identity
+    with pytest.raises(ConfigError, match="a module of your own, Small"):
+        load(run)
+    with pytest.raises(ConfigError, match=r"loss\.class=Squared and cannot be resumed with loss\.class=Contrastive"):
+        train("part", network=Small(), epochs=4, resume=True)
+
+
+def test_the_random_state_stays_as_it_was(train):
+    torch.manual_seed(5)
+    before = torch.random.get_rng_state()
+    train()
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+def test_augmentation_by_name_by_plain_values_and_by_hand_is_the_same(train):
+    plain = curve(train("none"))
+    named = curve(train("named", augmentation="thesis"))
+    values = curve(train("values", augmentation={"name": "thesis"}, augment_where="gpu"))
+    made = train("made", augmentation=augment.policy("thesis"))
+    assert named == values == curve(made) != plain
+    assert made.settings["augment"]["name"] == "thesis"
+    assert curve(train("off", augmentation="none")) == plain
+    assert curve(train("effect", augmentation=augment.effect("exposure"))) != plain
+    with pytest.raises(ConfigError, match="augmentation is an effect or a policy"):
+        train("wrong", augmentation=3)
+
+
+def test_frames_without_position_are_left_out_for_distance_labels(train, frames, flat, day, caplog):
+    x = day.x.copy()
+    x[:2] = np.nan
+    holes = day.with_columns(x=x)
+    run = train("a", frames=holes, pairs={"label": "distance", "same_room_share": 0.5})
+    assert run.settings["frames"]["train"]["count"] == len(day) - 2
+    assert "2 of 12 training frames have no position, which distance labels need" in caplog.text
+    assert train("b", frames=holes, pairs={"label": "room"}).settings["frames"]["train"]["count"] == len(day)
+    strict = PanoramaLibrary(frames, flat.parent / "cache", image_size=SIZE, on_error="raise")
+    with pytest.raises(DataError, match="2 of 12 training frames have no position"):
+        train("c", images=strict, frames=holes, pairs={"label": "distance"})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "says"),
+    [
+        ({"epochs": 0}, ConfigError, "epochs must be a whole number from 1, got 0"),
+        ({"batch_size": 1.5}, ConfigError, "batch_size must be a whole number from 1"),
+        ({"seed": None}, ConfigError, "seed must be a whole number from 0, got None"),
+        ({"margin": 0}, ConfigError, "margin must be a number above 0"),
+        ({"augment_where": "tpu"}, ConfigError, "augment_where must be cpu or gpu"),
+        ({"epoch": 3}, ConfigError, r"fit has no setting 'epoch': did you mean 'epochs'\?"),
+        ({"pairs": {"same_room_share": 7}}, ConfigError, r"pairs\.same_room_share must be a number from 0 to 1"),
+        ({"trainer": {"accelerator": "quantum"}}, ConfigError, "the trainer cannot be set up"),
+        ({"trainer": {"precision": "bf"}}, ConfigError, "the trainer cannot be set up"),
+        ({"trainer": {"max_epochs": 2}}, ConfigError, r"trainer\.max_epochs is set by siamloc itself"),
+        ({"augmentation": "thesys"}, Exception, "did you mean 'thesis'"),
+        ({"network": build("simple1", "fc500_500_5", (32, 64))}, DataError, r"\(B, 3, 32, 64\), got \(1, 3, 32, 128"),
+        ({"network": nn.Linear(5, 2)}, DataError, "cannot take panoramas of 3 x 32 x 128: mat1 and mat2"),
+        ({"network": nn.Identity()}, DataError, r"descriptors of shape \(B, D\), got \(1, 3, 32, 128\) for one image"),
+        ({"frames": FrameTable(path=["a.png"])}, DataError, "make the library of all frames"),
+    ],
+)
+@pytest.mark.parametrize("start", ["empty", "overwrite"])
+def test_mistakes_are_found_before_the_folder_is_touched(train, tmp_path, wrong, error, says, start):
+    run = Run(tmp_path / "run")
+    if start == "overwrite":
+        run.start({}, ["metrics.csv"])
+        run.metrics.write_text("kept")
+    before = listing(tmp_path)
+    with pytest.raises(error, match=says):
+        train(overwrite=start == "overwrite", **wrong)
+    assert listing(tmp_path) == before
+
+
+def test_validation_frames_must_not_be_trained_on(train, frames):
+    with pytest.raises(ConfigError, match="12 validation frames are training frames too"):
+        train(validation=frames)
+
+
+def test_further_arguments_reach_the_trainer(train):
+    from lightning.pytorch import Callback
+
+    class Count(Callback):
+        steps = 0
+
+        def on_train_batch_end(self, *_):
+            self.steps += 1
+
+    count = Count()
+    train(trainer={"accelerator": "cpu", "limit_train_batches": 1, "callbacks": count}, epochs=2)
+    assert count.steps == 2
+
+
+def test_a_training_that_diverges_is_one_sentence(train):
+    with pytest.raises(ConfigError, match="the training diverged"):
+        train(optimizer={"learning_rate": 1e30}, epochs=3)
+
+
+def test_runs_show_themselves(train, tmp_path):
+    run = train(epochs=2)
+    assert repr(run).startswith(f"Run('{run.folder}': simple1 + fc500_500_5, 2 epochs, train/loss ")
+    assert run.curves()["epoch"].tolist() == [0, 1]
+    assert repr(Run(tmp_path / "none")).endswith("nothing trained yet)")
+    with pytest.raises(ConfigError, match="no epoch has been finished"):
+        Run(tmp_path / "none").curves()
+    run.metrics.write_text("epoch,train/loss\n0,many\n")
+    with pytest.raises(FormatError, match="not a table of training curves"):
+        run.curves()
+
+
+FIT = textwrap.dedent(
+    """
+    import sys
+    from siamloc.data import PanoramaLibrary, read
+    from siamloc.models import build
+    from siamloc.training import fit
+
+    def main(manifest, run, **options):
+        frames = read("manifest", manifest=manifest)
+        images = PanoramaLibrary(frames, manifest + ".cache", image_size=(32, 128))
+        day = frames.select(sequence="cloudy1")
+        network = build("simple1", "fc500_500_5", image_size=(32, 128))
+        return fit(network, images, day, run=run, **{"trainer": {"accelerator": "cpu"}, **options})
+
+    if __name__ == "__main__":
+        main(sys.argv[1], sys.argv[2], **eval(sys.argv[3]))
+    """
+)
+LONG = {"epochs": 6, "batch_size": 8, "pairs": {"epoch_pairs": 200}}
+
+
+@pytest.fixture
+def script(flat, tmp_path):
+    """A way to run `fit` in a process of its own."""
+    (tmp_path / "own.py").write_text(FIT)
+
+    def start(name, **options):
+        words = [sys.executable, str(tmp_path / "own.py"), str(flat), str(tmp_path / name), repr(options)]
+        return subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=os.environ)
+
+    return start
+
+
+def finished(process):
+    _, error = process.communicate(timeout=200)
+    assert process.returncode == 0, error
+    return error
+
+
+def wait_for_epochs(process, run, count):
+    deadline = time.monotonic() + 120
+    last = run.checkpoints / "last.ckpt"
+    while not run.metrics.is_file() or len(curve(run)) < count or not last.is_file():
+        assert process.poll() is None, "the run ended before it could be stopped"
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_where_its_last_checkpoint_was(script, tmp_path):
+    finished(script("whole", **LONG))
+    run = Run(tmp_path / "killed")
+    with script("killed", **LONG) as process:
+        wait_for_epochs(process, run, 2)
+        process.send_signal(signal.SIGKILL)
+    assert 2 <= len(curve(run)) < 6
+    finished(script("killed", resume=True, **LONG))
+    assert curve(run) == curve(Run(tmp_path / "whole"))
+    assert {*read_json(run.record)["written"], "run.json"} == set(listing(run.folder))
+
+
+@pytest.mark.slow
+def test_ctrl_c_stops_cleanly_and_says_how_to_go_on(script, tmp_path):
+    run = Run(tmp_path / "stopped")
+    with script("stopped", **LONG) as process:
+        wait_for_epochs(process, run, 2)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+    assert process.returncode in (-signal.SIGINT, 130)
+    done = len(curve(run))
+    assert f"stopped after {done} of 6 epochs: go on with resume=true, run={run.folder}" in error
+    assert torch.load(run.checkpoint("last"), weights_only=True)["epoch"] == done - 1
+    finished(script("stopped", resume=True, **LONG))
+    assert len(curve(run)) == 6
+
+
+@pytest.mark.slow
+def test_two_processes_train_on_what_one_would(script, tmp_path):
+    many = {"epochs": 2, "pairs": {"epoch_pairs": 48}}
+    trainer = {"accelerator": "cpu", "log_every_n_steps": 1}
+    finished(script("one", batch_size=8, trainer=trainer, **many))
+    said = finished(script("two", batch_size=4, trainer={**trainer, "devices": 2, "strategy": "ddp"}, **many))
+    assert said.count("epoch 2 of 2:") == 1, "one process speaks"
+    one, two = (curve(Run(tmp_path / name)) for name in ("one", "two"))
+    assert [row["step"] for row in one] == [row["step"] for row in two]
+    for a, b in zip(one, two, strict=True):
+        assert float(a["train/loss"]) == pytest.approx(float(b["train/loss"]), rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_figures_of_an_epoch_appear_in_a_terminal_too(flat, tmp_path):
+    pty = pytest.importorskip("pty")
+    (tmp_path / "own.py").write_text(FIT)
+    words = [sys.executable, str(tmp_path / "own.py"), str(flat), str(tmp_path / "run"), "{'epochs': 2}"]
+    ours, theirs = pty.openpty()
+    text = b""
+    with subprocess.Popen(words, stderr=theirs, stdout=theirs, env={**os.environ, "TERM": "xterm"}) as process:
+        os.close(theirs)
+        while True:
+            try:
+                part = os.read(ours, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            text += part
+    os.close(ours)
+    assert process.returncode == 0, text.decode()
+    assert "epoch 2 of 2: train/loss" in text.decode()
