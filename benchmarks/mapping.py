@@ -30,8 +30,7 @@ from analytic import Description, Descriptor
 from benchmarks.report import Report, parser
 from siamloc.data import read
 from siamloc.evaluation.layers import evaluate_mapping
-from siamloc.maps import VisualMap
-from siamloc.maps.layers import build_layer
+from siamloc.maps import VisualMap, group
 from siamloc.report import plots, sweeps
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -147,7 +146,8 @@ def measured(
     known: VisualMap, descriptor: Descriptor, what: str, options: dict[str, Any], seed: int = 0
 ) -> dict[str, Any]:
     """Build a layer and measure it."""
-    built = build_layer(known, descriptor, options, seed)
+    parameters = {key: value for key, value in options.items() if key != "name"}
+    built = group(known.with_descriptor(descriptor), options["name"], seed=seed, progress=False, **parameters)
     found = evaluate_mapping(known, built.layer, descriptor, RADIUS, GAP, built.seconds).measures()
     closures = found["closures"]
     share = found["unassigned"]["share"]

@@ -14,8 +14,7 @@ from analytic.mapper.closure import Similarity, prominences, similarity_curve
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
 from siamloc.evaluation.layers import evaluate_mapping
-from siamloc.maps import VisualMap
-from siamloc.maps.layers import build_layer
+from siamloc.maps import VisualMap, group
 from siamloc.report import decision_picture, decisions, growth, sweeps, topology
 from siamloc.report.node_colours import NO_NODE, POOL, contrast, ink, neighbouring, node_colours
 from siamloc.report.topology import NodePlan, nodes_on_plan, read_plan, spread_out
@@ -33,8 +32,8 @@ def mapped(folder: Path, **options: object) -> tuple[Path, Path]:
     room = np.where(x > np.median(x), "CR-A", "KT-A")
     paths = np.array([f"{i}.jpeg" for i in range(len(x))])
     frames = FrameTable(path=paths, x=x, y=y, theta=theta, room=room, sequence=np.full(len(x), "drive"))
-    known = VisualMap(found.position, frames, world.identity, orientation=found.orientation)
-    built = build_layer(known, world, options)
+    known = VisualMap(found.position, frames, world.identity, orientation=found.orientation, describes=world)
+    built = group(known, str(options.pop("name")), progress=False, **options)
     layer, target = folder / "layer", folder / "results"
     layer.mkdir(parents=True)
     if built.mapper is not None:
