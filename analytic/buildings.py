@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.clustering import checks, pairs
+from analytic.clustering import checks
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
 
@@ -74,7 +74,7 @@ def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str
             )
     apart = np.empty((len(asked), len(known)))
     rows = np.empty(apart.shape, dtype=np.int64)
-    for block in pairs.row_slices(len(asked), max(map(len, known))):
+    for block in checks.row_slices(len(asked), max(map(len, known))):
         for i, one in enumerate(known):
             distances = between(asked[block], one)
             rows[block, i] = distances.argmin(axis=1)

@@ -1,13 +1,13 @@
-"""The frames of a node that an image is compared with, in blocks of bounded size that fill up one after the other.
+"""The frames of a node: their position descriptors, those furthest from the centre, and those compared with images.
 
-A gallery is a value: adding a frame gives another gallery, and the first stays as it was. Both may share a block, whose
+All three are values: adding a frame gives another one, and the first stays as it was. Both may share a buffer, whose
 further rows the shorter one does not see.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +18,81 @@ from analytic.description import spectrum
 from analytic.descriptors.base import Description
 
 BLOCK = 128  # frames
+_GROWTH = 1.25  # of the room; memory counts more than the copies
+_RIM = 32  # frames of a new rim
+_MOST_RIM = 128  # frames of a rim, which every new frame joins, before a new one is taken
+_ROUNDING = 1e-9
 _FIRST = 16  # frames that a block has room for at first: room that is not used must weigh little
+
+
+@dataclass(frozen=True)
+class Rows:
+    """An array that grows by rows: the first `count` rows of a buffer (capacity, D)."""
+
+    buffer: NDArray[np.float64]
+    count: int
+
+    @staticmethod
+    def of(array: NDArray[np.float64]) -> Rows:
+        """Return the rows of an array (n, D)."""
+        return Rows(np.ascontiguousarray(array, dtype=np.float64), len(array))
+
+    @property
+    def array(self) -> NDArray[np.float64]:
+        """Return them as an array (n, D)."""
+        return self.buffer[: self.count]
+
+    def add(self, row: NDArray[np.float64]) -> Rows:
+        """Return them with one more (D,); of two made from these rows, only the later may be used."""
+        buffer = self.buffer
+        if self.count == len(buffer):
+            buffer = np.empty((max(16, int(self.count * _GROWTH)), buffer.shape[1]))
+            buffer[: self.count] = self.array
+        buffer[self.count] = row
+        return Rows(buffer, self.count + 1)
+
+
+@dataclass(frozen=True)
+class Rim:
+    """The frames of a node that may be the furthest from its centre, so that not every image needs a look at them all.
+
+    Once all distances to the centre have been computed, the furthest frames form the rim, and the rest lie within a
+    radius of that centre. When the centre has moved by s since, none of the rest is further from it than the radius
+    plus s. As long as a frame of the rim is, the furthest of the rim is the furthest of all; otherwise a new rim is
+    taken.
+
+    Attributes:
+        anchor: (D,) the centre when the rim was taken.
+        members: (k,) rows of these frames.
+        radius: about the anchor, within which all other frames lie.
+    """
+
+    anchor: NDArray[np.float64]
+    members: NDArray[np.int64]
+    radius: float
+
+    @staticmethod
+    def of(rows: NDArray[np.float64], squares: NDArray[np.float64], centre: NDArray[np.float64]) -> Rim:
+        """Return the rim of frames (n, D) whose squared lengths (n,) are known."""
+        if len(rows) <= _RIM:
+            return Rim(centre, np.arange(len(rows)), -np.inf)
+        apart = squares - 2 * (rows @ centre) + centre @ centre
+        order = np.argpartition(apart, -_RIM)
+        return Rim(centre, np.sort(order[-_RIM:]), float(np.sqrt(max(apart[order[:-_RIM]].max(), 0.0))))
+
+    def add(self, row: int) -> Rim:
+        """Return the rim with another frame."""
+        return replace(self, members=np.append(self.members, row))
+
+    def furthest(self, rows: NDArray[np.float64], centre: NDArray[np.float64]) -> float:
+        """Return the largest distance of its frames, of (n, D), to a centre (D,)."""
+        # Row by row, so that the value does not depend on which others are in the rim.
+        return float(np.sqrt(np.square(rows[self.members] - centre).sum(axis=1).max()))
+
+    def holds(self, furthest: float, centre: NDArray[np.float64]) -> bool:
+        """True if no frame outside the rim can be further from a centre (D,) than its furthest."""
+        reach = (self.radius + float(np.linalg.norm(centre - self.anchor))) * (1 + _ROUNDING)
+        return furthest >= reach and len(self.members) <= _MOST_RIM
 
 
 class _Buffers:
@@ -39,7 +113,7 @@ class _Buffers:
         self.transformed = min(self.transformed, row)
 
     def copy_row(self, row: int, other: _Buffers, source: int) -> None:
-        """Take over a row of other buffers, with its spectrum if that and those before it are there."""
+        """Copy a row of other buffers, with its spectrum if that and those before it have been computed."""
         self.position[row] = other.position[source]
         if self.orientation is not None and other.orientation is not None:
             self.orientation[row] = other.orientation[source]
@@ -65,7 +139,7 @@ class _Buffers:
 
 
 class _Block(Description):
-    """The first rows of the buffers as a description whose spectrum is not computed anew for each added frame."""
+    """The first rows of the buffers as a description whose spectrum is not computed again for each added frame."""
 
     @classmethod
     def of(cls, buffers: _Buffers, rows: int) -> _Block:
@@ -84,7 +158,7 @@ class _Block(Description):
 
 @dataclass(frozen=True)
 class Gallery:
-    """Frames by their number in the map, with their descriptions.
+    """The frames that images are compared with, in blocks of bounded size that fill up one after the other.
 
     Attributes:
         frames: (n,) in the order in which they came in.
@@ -98,7 +172,7 @@ class Gallery:
 
     @staticmethod
     def of(frames: Iterable[int], descriptions: Iterable[Description], limit: int | None = None) -> Gallery:
-        """Return the gallery of frames and as many descriptions of one frame each, in blocks of that many at most."""
+        """Return the gallery of frames and their descriptions, one frame each, in blocks of at most `limit` frames."""
         gallery = Gallery(np.empty(0, dtype=np.int64), (), min(limit or BLOCK, BLOCK))
         for frame, description in zip(frames, descriptions, strict=True):
             gallery = gallery.add(frame, description)
@@ -171,10 +245,10 @@ def _grown(buffers: _Buffers, like: Description, room: int) -> _Buffers:
 
 
 def spread(gallery: Gallery, frame: int, description: Description, limit: int) -> Gallery:
-    """Return a gallery of at most `limit` frames after another frame has come.
+    """Add a frame to a gallery of at most `limit` frames.
 
-    A full gallery takes the frame only if it is further from all others than the closest two are from each other; then
-    the later of those two goes. What stays covers the node as evenly as one look at each frame allows.
+    A full gallery takes the frame only if it is further from all others than the closest two are from each other; the
+    later of those two then goes. The frames that stay cover the node as evenly as one look at each frame allows.
     """
     if len(gallery) < limit:
         return gallery.add(frame, description)
@@ -186,7 +260,7 @@ def spread(gallery: Gallery, frame: int, description: Description, limit: int) -
 
 
 def thin(gallery: Gallery, limit: int | None) -> Gallery:
-    """Return the gallery after the later frame of its closest pair has gone until it has at most `limit` frames."""
+    """Take the later frame of the closest pair out of a gallery until it has at most `limit` frames."""
     while limit is not None and len(gallery) > limit:
         gallery = gallery.keep(np.delete(np.arange(len(gallery)), gallery.closest[1]))
     return gallery
