@@ -47,8 +47,7 @@ def homomorphic(
     images = with_channels(batch)
     with torch.inference_mode():
         grey = grey_tensor(unit_tensor(image_tensor(batch), "cpu"))
-        filtered = homomorphic_tensor(grey, circular=circular, cutoff=cutoff, low=low, high=high, clip=False)
-        gain = ((filtered + _BLACK) / (grey + _BLACK))[:, None].numpy()
+        gain = _gain(grey, circular=circular, cutoff=cutoff, low=low, high=high)[:, None].numpy()
     scale = 255 if images.dtype == np.uint8 else 1
     found = np.clip((images + _BLACK * scale) * gain - _BLACK * scale, 0, scale)
     if scale == 255:
@@ -84,6 +83,17 @@ def homomorphic_tensor(
     smooth = torch.fft.irfft2(torch.fft.rfft2(log) * transfer, s=log.shape[1:])
     filtered = torch.exp(smooth[:, :height, :width]) - _BLACK
     return filtered.clamp_(0, 1) if clip else filtered
+
+
+def homomorphic_colours(images: Tensor, *, circular: bool) -> Tensor:
+    """Return colour images (B, 3, H, W), float32 in [0, 1], after the filter; see `homomorphic`."""
+    gain = _gain(grey_tensor(images), circular=circular)[:, None]
+    return ((images + _BLACK) * gain).sub_(_BLACK).clamp_(0, 1)
+
+
+def _gain(grey: Tensor, **parameters: Any) -> Tensor:
+    """Return by what the filter multiplies each pixel of grey images (B, H, W)."""
+    return (homomorphic_tensor(grey, clip=False, **parameters) + _BLACK) / (grey + _BLACK)
 
 
 @lru_cache(maxsize=8)

@@ -22,7 +22,7 @@ from benchmarks.report import Report, medians, parser
 from siamloc.cli.steps import descriptor_options
 from siamloc.data.decoding import read_image
 
-NAMES = ("hog", "gist", "wisurf", "briefgist", "fs", "radon_fourier", "radon_poc", "hog_mapping", "gist_mapping")
+NAMES = ("hog", "gist", "wisurf", "briefgist", "fs", "radon_fourier", "radon_poc", "hsv", "hog_mapping", "gist_mapping")
 LIGHTINGS = ("cloudy", "night", "sunny")
 
 

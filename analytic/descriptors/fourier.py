@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.alignment import best_turns, euclidean, norm
+from analytic.alignment import best_turns, euclidean, norm, whitened
 from analytic.alignment import heading as angle
 from analytic.description import Alignment, Description
 from analytic.descriptors.base import ImageDescriptor, divisors_near
@@ -116,7 +116,11 @@ class FourierSignature(ImageDescriptor):
         turn = 2j * pi / self.turns * np.arange(len(rows[0]))[:, None]
 
         def turned(row: int) -> Callable[[int], NDArray[Any]]:
-            return cache(lambda step: queries.turnable[row] * np.exp(turn * step).astype(np.complex64))
+            @cache
+            def back(step: int) -> NDArray[Any]:
+                return queries.turnable[row] * np.exp(turn * step).astype(np.complex64)
+
+            return back
 
         product = self.turns * found.peak  # the inverse transform divides by the number of turns
         return found.step, euclidean(product, lengths, found.step, turned, references.turnable, _between_rows)
@@ -139,7 +143,8 @@ class FourierSignature(ImageDescriptor):
             best = step[part] = product.argmax(axis=2)
             peak = np.take_along_axis(product, best[..., None], axis=2)[..., 0].astype(np.float64)
             lengths = np.take_along_axis(_squares(query), best, axis=1) + _squares(known)[None]
-            distance[part] = euclidean(peak, lengths, best, lambda row, q=query: q[row].__getitem__, known)
+            at_turn = [phases.__getitem__ for phases in query]
+            distance[part] = euclidean(peak, lengths, best, at_turn.__getitem__, known)
         return step, distance
 
     def _check_parameters(self) -> None:
@@ -203,11 +208,8 @@ def _by_frequency(description: Description) -> NDArray[np.complex64]:
 
 
 def _white(description: Description) -> NDArray[np.complex64]:
-    """Return the coefficients (U, B, R) with magnitudes of 1, or of 0 where there is next to nothing."""
-    values = description.kept("rows", _by_frequency)
-    magnitude = np.abs(values)
-    least = _NOTHING * magnitude.max(axis=(0, 2), keepdims=True)
-    return np.divide(values, magnitude, out=np.zeros_like(values), where=magnitude > least)
+    """Return the phases of the coefficients (U, B, R)."""
+    return whitened(description.kept("rows", _by_frequency), _NOTHING)
 
 
 def _power(description: Description) -> NDArray[np.float64]:

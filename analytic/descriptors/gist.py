@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import ImageDescriptor, Part, divisors_near
+from analytic.descriptors.base import ImageDescriptor, Part, check_cells
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:
@@ -116,20 +116,7 @@ class Gist(ImageDescriptor):
             )
 
     def _check_size(self, height: int, width: int) -> None:
-        if height % self.blocks:
-            raise AnalyticError(
-                f"gist's blocks={self.blocks} do not divide the image's height of {height} pixels: use blocks="
-                f"{divisors_near(height, self.blocks)}, or resize the image"
-            )
-        if width % self.step:
-            raise AnalyticError(
-                f"gist's step={self.step} does not divide the image's width of {width} pixels: use step="
-                f"{divisors_near(width, self.step)}, or resize the image"
-            )
-        if self.window > width:
-            raise AnalyticError(
-                f"gist's window={self.window} is wider than the image of {width} columns: use at most window={width}"
-            )
+        check_cells(self, height, width, rows="blocks")
 
     def _describe(self, grey: Tensor) -> tuple[Part, Part]:
         import torch

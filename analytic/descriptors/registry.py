@@ -17,6 +17,7 @@ DESCRIPTORS: dict[str, tuple[str, str]] = {
     "briefgist": ("briefgist", "BriefGist"),
     "radon_fourier": ("radon", "RadonFourier"),
     "radon_poc": ("radon", "RadonPoc"),
+    "hsv": ("hsv", "Hsv"),
 }
 
 

@@ -23,7 +23,6 @@ FORMAT_VERSION = 1
 OUTPUT = "orientation"
 TOLERANCE = 1e-3
 _IMAGES = 4
-_LUMA = (0.299, 0.587, 0.114)
 
 
 class _Orientation(nn.Module):
@@ -34,9 +33,7 @@ class _Orientation(nn.Module):
         self.descriptor = descriptor
 
     def forward(self, panorama: torch.Tensor) -> torch.Tensor:
-        red, green, blue = panorama.unbind(1)
-        grey = red * _LUMA[0] + green * _LUMA[1] + blue * _LUMA[2]
-        return self.descriptor._describe(grey)[1]
+        return self.descriptor._describe(self.descriptor._seen(panorama))[1]
 
 
 def export_heading(descriptor: Descriptor, path: str | Path, image_size: Sequence[int]) -> dict[str, Any]:
