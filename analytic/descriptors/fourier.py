@@ -52,7 +52,7 @@ class FourierSignature(ImageDescriptor):
       that of the reference and that of the query turned back by t, whose phases are those of
       Q[r, u] exp(2 pi i u t / turns) ([T] eq. 3.3-3.6, read with the matrix of the map's image as the other
       factor). The aligned distance is the Euclidean one of the two phase matrices. Phases next to pi and -pi count as
-      far apart, so that noise tells more here, and the largest sum need not be at the true turn.
+      far apart, so that noise matters more here, and the largest sum need not be at the true turn.
 
     Args:
         rows: rows in the position part, k1 in [T] table 3.1. They divide the height of an image.
@@ -62,14 +62,23 @@ class FourierSignature(ImageDescriptor):
         turns: how many turns are compared; a multiple or a divisor of the width of an image, so that whole columns
             are whole turns. [T] compares one for each of its 512 columns.
         heading: "correlation" or "phase_product".
-        whitened: whether a correlation is that of phases alone; a product of phases always is. It is an addition to the
-            seeds, which bars across the picture mislead much less; False is the plain correlation.
+        whitened: whether a correlation is that of phases alone; a product of phases always is. This is an addition to
+            the seeds that bars across the picture mislead much less; False is the plain correlation.
 
-    The defaults are the best of [T] 3.5.1 for the position; for the heading, [T] 3.5.3 only says an intermediate or
+    The defaults are the best of [T] 3.5.1 for the position; for the heading, [T] 3.5.3 only asks for an intermediate or
     high number of rows.
 
     Raises:
-        AnalyticError: numbers that are not positive, more frequencies than turns can tell, an unknown `heading`.
+        AnalyticError: numbers that are not positive, more frequencies than turns can resolve, an unknown `heading`.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> fs = analytic.descriptor("fs", turns=256)
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = fs.describe(panoramas), fs.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(fs.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name = "fs"
@@ -153,7 +162,7 @@ class FourierSignature(ImageDescriptor):
                 raise AnalyticError(f"fs needs {key} of at least 1, got {getattr(self, key)}")
         if 2 * (self.orientation_columns - 1) >= self.turns:
             raise AnalyticError(
-                f"fs with turns={self.turns} tells at most {(self.turns + 1) // 2} frequencies apart, got "
+                f"fs with turns={self.turns} resolves at most {(self.turns + 1) // 2} frequencies, got "
                 f"orientation_columns={self.orientation_columns}: use more turns or fewer columns"
             )
         if self.heading not in _HEADINGS:

@@ -81,6 +81,15 @@ class Gist(ImageDescriptor):
     Raises:
         AnalyticError: numbers that are not positive, more levels than 2, or a single filter in windows that are
             normalized, of which nothing would be left.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> gist = analytic.descriptor("gist", orientations=8)
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = gist.describe(panoramas), gist.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(gist.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name = "gist"
@@ -111,7 +120,7 @@ class Gist(ImageDescriptor):
             raise AnalyticError(f"gist has 1 or 2 levels in its orientation part, got {self.orientation_levels}")
         if self.normalized and self.orientation_filters == 1:
             raise AnalyticError(
-                "gist needs orientation_filters of at least 2 to tell which one prevails, got 1: use more of them, or "
+                "gist needs orientation_filters of at least 2 to show which one prevails, got 1: use more of them, or "
                 "normalized=False"
             )
 

@@ -50,14 +50,23 @@ class Hog(ImageDescriptor):
         window: width of a vertical window in columns, l1. [T] 3.5.3 finds wide ones best.
         step: columns between the windows, d1; it divides the width of an image. It is the angular resolution.
         orientation_bins: directions in the orientation part, b2.
-        whitened: whether the heading comes from phases alone. It is an addition to the seeds, which bars across the
+        whitened: whether the heading comes from phases alone. This is an addition to the seeds that bars across the
             picture mislead much less; False is the scalar product of [T] 3.3.2.
 
-    The defaults are the best of [T] 3.5.1 for the position, and step and bins of [I] 6.1 for the heading; how wide its
-    windows are, neither says. The mapper of [I] 6.1 and [T] 4.5.1 has rows=16, bins=16, step=2, orientation_bins=16.
+    The defaults are the best of [T] 3.5.1 for the position, and step and bins of [I] 6.1 for the heading; neither gives
+    the width of its windows. The mapper of [I] 6.1 and [T] 4.5.1 has rows=16, bins=16, step=2, orientation_bins=16.
 
     Raises:
         AnalyticError: numbers that are not positive.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> hog = analytic.descriptor("hog")
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = hog.describe(panoramas), hog.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(hog.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name = "hog"

@@ -33,8 +33,8 @@ class Hsv(ImageDescriptor):
 
     Position (B, rows * (hues * saturations + values)): band after band from above, first the share of pixels with hue
     bin i and saturation bin j at i * saturations + j, then a quarter of the shares of the value bins. Each entry is the
-    square root of what is said here, so that one wide wall does not outweigh the many small things that tell two places
-    apart; and values weigh little because light changes them most.
+    square root of that, so that one wide wall does not outweigh the many small things by which two places differ;
+    values weigh little because light changes them most.
 
     Orientation (B, W / step, hues + values): for each window, as high as the image, of the columns k * step to
     k * step + window - 1, which wrap around: the sums of saturation in each hue bin, then the numbers of pixels in each
@@ -42,10 +42,10 @@ class Hsv(ImageDescriptor):
     column. The relative heading is found from phases, as that of `hog` with `whitened`.
 
     Hue and saturation do not change with the brightness of the light but with its colour; nothing is done about that.
-    A grey image has hue and saturation 0, so that values alone tell its place. With `homomorphic` the three channels
-    of a pixel get the same gain, which leaves its hue.
+    A grey image has hue and saturation 0, so that only values distinguish its place. With `homomorphic` the three
+    channels of a pixel get the same gain, which leaves its hue.
 
-    The thesis has no descriptor of colours: this one is an addition. Its defaults are good ones on photographs of a
+    The thesis has no descriptor of colours: this one is an addition. Its defaults were chosen on photographs of a
     corridor and in a simulated building; `analytic/descriptors/README.md` has the figures.
 
     Args:
