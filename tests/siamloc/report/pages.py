@@ -16,7 +16,7 @@ from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.evaluation.results import read_rows, write_results
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
-from siamloc.report.html import write_report
+from siamloc.report.page.write import write_report
 from tests.siamloc.evaluation import scenes
 
 SIZE = (32, 128)
