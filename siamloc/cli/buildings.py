@@ -87,9 +87,9 @@ def measure(config: DictConfig) -> None:
     for what, reason in skipped.items():
         print(f"{what}: {reason}")
     if config.task.plots:
-        from siamloc.report import buildings
+        from siamloc.report.draw import save_all
 
-        for path in buildings.draw_all(folder):
+        for path in save_all(folder):
             print(f"picture: {path}")
     print(f"results: {folder / 'results.json'}, one row per query in {folder / 'queries.csv'}")
 

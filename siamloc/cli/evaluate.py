@@ -96,9 +96,9 @@ def _measure(config: DictConfig) -> None:
     measures = write(config, folder, descriptor, main_result, baselines, roles.protocol.kind)
     _print(label, measures, main_result, known.frames, roles["query"])
     if config.task.plots:
-        from siamloc.report import plots
+        from siamloc.report.draw import save_all
 
-        for path in plots.draw_all(folder):
+        for path in save_all(folder):
             print(f"picture: {path}")
     table = "queries.csv" if main_result.absolute else "rooms.csv" if main_result.rooms else "located.csv"
     print(f"results: {folder / 'results.json'}, one row per query in {folder / table}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from siamloc.evaluation.absolute import neighbours
 from siamloc.evaluation.beside import located_columns
 from siamloc.evaluation.columns import Columns, room_names
 from siamloc.evaluation.hierarchical import HierarchicalResult, evaluate_hierarchical
-from siamloc.evaluation.results import read_results, read_rows, write_results
+from siamloc.evaluation.results import write_results
 from siamloc.maps import CoarseLayer, Retrieval, VisualMap, WithHeading, match
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
 from siamloc.maps.layers import BUILDS
@@ -68,7 +67,9 @@ def measure(config: DictConfig) -> None:
     if result is not None:
         print_hierarchical(name, result.measures())
         if config.task.plots:
-            for path in _draw(folder):
+            from siamloc.report.draw import save_all
+
+            for path in save_all(folder):
                 print(f"picture: {path}")
     for what, reason in skipped.items():
         print(f"{what}: {reason}")
@@ -224,15 +225,3 @@ def _write(
         None if result is None else result.columns,
         tables,
     )
-
-
-def _draw(folder: Path) -> Iterator[Path]:
-    """Draw the floor plan and the error curves, beside those of the two searches it is compared with."""
-    from siamloc.report import plots
-
-    unit = read_results(folder)["measures"]["hierarchical"]["unit"]
-    columns = read_rows(folder)
-    yield plots.save(plots.floor_plan(columns, read_rows(folder, "map"), unit), folder / "floor_plan.png")
-    others = {"whole_map": "error_absolute", "perfect_coarse_layer": "error_perfect_coarse"}
-    curves = {**columns, **{f"baseline_{name}": columns[column] for name, column in others.items()}}
-    yield plots.save(plots.error_curve(curves, unit), folder / "error_curve.png")

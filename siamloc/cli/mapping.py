@@ -110,9 +110,9 @@ def measure(config: DictConfig) -> None:
     )
     _print(label, called, measures)
     if config.task.plots:
-        from siamloc.report import topology
+        from siamloc.report.draw import save_all
 
-        for path in topology.draw_all(target, folder):
+        for path in save_all(target, folder):
             print(f"picture: {path}")
     print(f"results: {target / 'results.json'}, one row per frame in {target / 'frames.csv'}")
 

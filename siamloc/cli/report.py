@@ -7,7 +7,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from siamloc.errors import ConfigError
-from siamloc.report.html import write_report
+from siamloc.report import write_report
 from siamloc.runs import newest_run
 
 

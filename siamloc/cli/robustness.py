@@ -68,9 +68,9 @@ def measure(config: DictConfig) -> None:
     for name, reason in skipped.items():
         print(f"{name} left out: {reason}")
     if config.task.plots:
-        from siamloc.report import robustness
+        from siamloc.report.draw import save_all
 
-        for path in robustness.draw_all(folder):
+        for path in save_all(folder):
             print(f"picture: {path}")
     print(f"results: {folder / 'results.json'}, one row per method, disturbance and level in robustness.csv there")
 
