@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.errors import DataError
 from siamloc.files import atomic_path
 
-# The page's style sheet holds the same colours, and others for dark paper.
-INK, TEXT, SOFT, GRID, PALE, PAPER = "#1b2229", "#3c4751", "#5c6873", "#e9edf0", "#b9c1c9", "#ffffff"
-SERIES = ("#0072b2", "#b0558a", "#d98200", "#009e73", "#3a9bd9", "#c44e00", "#7a5fb5", "#8a7a00")
+# The page's style sheet exchanges these colours for others on dark paper. So white that has to stay white, such as a
+# number on a dark dot, and the colours of nodes differ from them, if only by a shade that no eye sees.
+INK, TEXT, SOFT, GRID, PALE, PAPER = "#1b2229", "#3c4751", "#5c6873", "#e9edf0", "#b9c1c9", "#fefefe"
+SERIES = ("#0072b3", "#b0558a", "#d98200", "#009e74", "#3a9bd9", "#c44e00", "#7a5fb5", "#8a7a00")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.6)), (0, (5, 1.6, 1.2, 1.6)), (0, (9, 2)))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 FLOOR: dict[str, Any] = {"color": SOFT, "linestyle": (0, (1.2, 1.6)), "linewidth": 1.2}
@@ -124,7 +125,7 @@ def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:
 
     Example:
         >>> lighting_colours(["cloudy", "dusk", "night"])
-        ['#0072b2', '#009e73', '#b0558a']
+        ['#0072b3', '#009e74', '#b0558a']
     """
     others = [label for label in labels if label not in _LIGHTINGS]
     return [_LIGHTINGS.get(label) or SERIES[3 + others.index(label) % 5] for label in labels]

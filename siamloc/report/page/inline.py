@@ -59,7 +59,7 @@ def inline(figure: Picture, name: str, title: str) -> Markup:
         role="img",
         aria_label=title,
         # As large as it was made, smaller where the page is narrower; below two thirds it scrolls.
-        style=f"max-width:{width:g}pt;min-width:{min(width, 0.67 * width + 60):.0f}pt",
+        style=f"width:{width:g}pt;min-width:{min(width, 0.67 * width + 60):.0f}pt",
     )
     return tag("figure.picture", tag("div.scroll", svg, tabindex=0))
 
