@@ -15,8 +15,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from siamloc.results import rows_by_label
 from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, require_rows, style
+from siamloc.results import rows_by_label
 
 Table = Mapping[str, NDArray]
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.results import Columns
 from siamloc.report.draw.training import training_curves
 from siamloc.report.page import tables
 from siamloc.report.page.gathered import ALL, FURTHER, Evaluation, RunFiles
@@ -15,6 +14,7 @@ from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Content, Markup, count, join, number, percent, plural, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.plan import Plan, error_classes
+from siamloc.results import Columns
 
 _KNOWN_MEASURES = (
     *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration", "mapping", "buildings"),
