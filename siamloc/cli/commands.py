@@ -95,8 +95,8 @@ def map_frames(config: DictConfig) -> None:
 
     run, label = run_of(config), label_of(config.descriptor)
     images, roles = open_roles(config, "map")
-    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config))
-    known = known.with_record(role=plain(config.protocol.map))
+    made = {"role": plain(config.protocol.map)}
+    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config), made=made)
     target = map_file(run, label)
     known.save(target)
     run.record_written([target])
