@@ -27,12 +27,12 @@ from omegaconf import OmegaConf
 
 import analytic
 from analytic import Description, Descriptor
+from benchmarks import sweeps
 from benchmarks.report import Report, parser
 from siamloc.data import read
 from siamloc.evaluation.mapping import evaluate_mapping
 from siamloc.maps import VisualMap
 from siamloc.maps.layers import build_layer
-from siamloc.report.draw import sweeps
 from siamloc.report.draw.look import save
 
 CONF = Path(__file__).parents[1] / "conf"
