@@ -160,7 +160,9 @@ class Result:
         return replace(
             self,
             parts={**self.parts, **other.parts},
-            tables={**self.tables, **other.tables},
+            tables={**self.tables, **{name: table for name, table in other.tables.items() if name not in self.tables}},
             denominators={**other.denominators, **self.denominators},
             skipped={**self.skipped, **other.skipped},
+            about={**self.about, **other.about},
+            error_model=self.error_model or other.error_model,
         )

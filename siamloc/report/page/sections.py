@@ -134,8 +134,8 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
     if plan.along is not None:
         line = tag(
             "p.caption",
-            f"All frames lie on a line along {plan.along}: the estimated position stands above the true one, and the "
-            "map's frames on the diagonal, where both are equal.",
+            f"All frames lie on a line along {plan.along}: the plan shows the estimated position above the true one, "
+            "and the map's frames on the diagonal, where both are equal.",
         )
     return section(
         "Floor plan",
