@@ -337,7 +337,7 @@ def _checked_similarities(similarities: Any) -> Any:
     from scipy import sparse
 
     is_sparse = sparse.issparse(similarities)
-    graph = (sparse.csr_array if is_sparse else np.asarray)(similarities, dtype=np.float64)
+    graph: Any = (sparse.csr_array if is_sparse else np.asarray)(similarities, dtype=np.float64)
     if graph.ndim != 2 or graph.shape[0] != graph.shape[1] or not graph.shape[0]:
         raise AnalyticError(f"similarities must have shape (n, n), got {graph.shape}")
     values = graph.data if is_sparse else graph
