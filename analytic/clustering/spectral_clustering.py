@@ -221,7 +221,10 @@ def _parts(matrix: Any) -> NDArray[np.int64]:
     from scipy import sparse
     from scipy.sparse.csgraph import connected_components
 
-    return connected_components(sparse.csr_array(matrix > _NOTHING), directed=False)[1].astype(np.int64)
+    linked = matrix > _NOTHING
+    if isinstance(matrix, np.ndarray) and linked.sum(axis=1).max() == len(matrix) - 1:
+        return np.zeros(len(matrix), dtype=np.int64)  # a frame resembles all others: no need to walk a full graph
+    return connected_components(sparse.csr_array(linked), directed=False)[1].astype(np.int64)
 
 
 def _linked(similarity: Any, part: NDArray[np.int64], x: NDArray[np.float64], sigma: float) -> Any:
