@@ -16,7 +16,6 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
 from siamloc.evaluation.layers import evaluate_mapping
 from siamloc.maps import VisualMap
-from siamloc.maps import group
 from siamloc.report.draw import decision, growth, nodes, save_all
 from siamloc.report.draw.look import INK
 from siamloc.report.draw.node_colours import NO_NODE, POOL, contrast, ink, neighbouring, node_colours
