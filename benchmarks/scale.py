@@ -33,12 +33,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic import Description
 from benchmarks.report import RESULTS, Report, parser
 from benchmarks.scale_picture import draw
 from siamloc.data.frames import FrameTable
-from siamloc.maps import CoarseLayer, VisualMap, nearest
-from siamloc.maps.hierarchy import HierarchicalSearch
-from siamloc.maps.node_ranking import rank_by_representatives
+from siamloc.maps import CoarseLayer, HierarchicalSearch, VectorIndex, VisualMap
 
 Vectors = NDArray[np.float32]
 Find = Callable[[Vectors], NDArray[np.int64]]
@@ -91,18 +90,18 @@ def main() -> None:
 
 def exact(known: VisualMap) -> Find:
     """Every query with every frame."""
-    return lambda queries: nearest(queries, known.descriptors, 1).indices[:, 0]
+    known.search(known.descriptors[:1])  # prepares the map
+    return lambda queries: known.search(queries).indices[:, 0]
 
 
 def hierarchical(known: VisualMap) -> Find:
     """The best nodes by their representatives, then the frames inside."""
     nodes = round(len(known) ** 0.5)
     layer = CoarseLayer.of_labels(known, np.arange(len(known)) * nodes // len(known))
-    search = HierarchicalSearch(known, layer)
+    search = HierarchicalSearch(known, layer, candidates=CANDIDATES)
 
     def find(queries: Vectors) -> NDArray[np.int64]:
-        ranking = rank_by_representatives(queries, layer.representatives, CANDIDATES)
-        return search.search(queries, ranking).found.indices[:, 0]
+        return search.search(queries, search.rank(Description(queries))).found.indices[:, 0]
 
     return find
 
@@ -182,7 +181,7 @@ def _measured(name: str, frames: int, data: Path | None) -> dict[str, Any]:
     answer = find(queries)
     growth = _resident(peak=True) - before
     batch = [_seconds(lambda: find(queries)) for _ in range(3)]
-    truth = nearest(queries[:200], known.descriptors, 1).indices[:, 0]
+    truth = known.search(queries[:200]).indices[:, 0]
     single = [_seconds(partial(find, queries[i : i + 1])) for i in range(5 if frames > 100_000 else 25)]
     return {
         "method": name,
@@ -200,13 +199,13 @@ def _beside_product(frames: int, data: Path | None) -> dict[str, Any]:
     """Exact search in turn with the bare product; ratios within one turn, since others may slow the machine."""
     references, queries = descriptors(frames, 10_000, data)
     _resident(reset=True)
-    nearest(queries, references, 1)
+    VectorIndex(references).search(queries)
     peak = _resident(peak=True)
     out = np.empty((1_000, min(frames, max(BLOCKS))), dtype=np.float32)
     turns = []
     for _ in range(5):
         bare = {str(width): _product(queries, references, out, width) for width in BLOCKS}
-        turns.append((_seconds(lambda: nearest(queries, references, 1)), min(bare.values()), bare))
+        turns.append((_seconds(lambda: VectorIndex(references).search(queries)), min(bare.values()), bare))
     return {
         "queries": len(queries),
         "frames": frames,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from siamloc.data.frames import FrameTable
@@ -25,6 +25,7 @@ def build(
     *,
     heading: Descriptor | str | None = None,
     device: str | None = None,
+    made: Mapping[str, Any] | None = None,
     progress: bool = True,
 ) -> VisualMap:
     """Describe frames and keep them as the map that queries are searched in.
@@ -35,6 +36,7 @@ def build(
         frames: those of the map; the ones whose image cannot be read are left out.
         heading: what finds headings where `described_by` does not: a descriptor, or the name of an analytic one.
         device: where descriptors are computed, such as "cuda"; where they are if None.
+        made: further plain values for the record (`VisualMap.made`).
         progress: whether to show how far the work is.
 
     Raises:
@@ -75,7 +77,7 @@ def build(
         {**by.identity, "images": images.preprocessing.parameters()},
         by.default_distance,
         unit=readable.unit,
-        made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable)},
+        made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **(made or {})},
         orientation=described.orientation if turning is None else None,
         heading=part,
         describes=by,

@@ -135,13 +135,12 @@ class Built:
             graph.to_graphml(folder / "graph.graphml")
         self.layer.save(folder / "layer.npz")
 
-    def summary(self) -> str:
-        """Say in one line what was built."""
+    def summary(self, folder: str | Path | None = None) -> str:
+        """Say in one line what was built, and where it lies."""
         lost = int((self.layer.labels < 0).sum())
         none = f", {lost} frames in none" if lost else ""
-        text = (
-            f"{len(self.layer)} nodes over {len(self.layer.labels)} frames{none}, built in {self.seconds.sum():.1f} s"
-        )
+        where, frames = "" if folder is None else f"layer: {folder}, ", len(self.layer.labels)
+        text = f"{where}{len(self.layer)} nodes over {frames} frames{none}, built in {self.seconds.sum():.1f} s"
         if self.reasons and len(self.layer) == 1:
             text += (
                 "; one node: the thresholds count frames that lie a few centimetres apart, so take more frames into "

@@ -249,7 +249,7 @@ class HierarchicalSearch:
         step = max(1, _FOUND // (k * (nodes.shape[1] + 1)))
         for start in range(0, n, step):
             part = slice(start, min(start + step, n))
-            self._fill(best.take(part), described.take(part), nodes[part])
+            self._fill(Retrieval(best.indices[part], best.distances[part]), described.take(part), nodes[part])
         empty = np.isinf(best.distances)
         best.indices[empty] = np.broadcast_to(best.indices[:, :1], empty.shape)[empty]
         node = self.layer.labels[best.indices[:, 0]]

@@ -209,19 +209,17 @@ class VisualMap:
         self.check_describer({**descriptor.identity, **images})
         return replace(self, describes=descriptor)
 
-    def with_record(self, **values: Any) -> VisualMap:
-        """Return the map with more plain values in `made`."""
-        return replace(self, made={**self.made, **values})
-
-    def check_heading(self, heading: Descriptor) -> None:
-        """Make sure that the map's headings come from a descriptor.
+    def with_heading(self, heading: Descriptor | None) -> VisualMap:
+        """Return the map that gives headings by this descriptor, or none at all.
 
         Raises:
             ConfigError: the map holds nothing of this descriptor.
         """
+        if heading is None:
+            return replace(self, heading=None)
         held, wanted = None if self.heading is None else self.heading.identity, plain(heading.identity)
         if held == wanted:
-            return
+            return self
         if held is None:
             found = "holds nothing to find headings by"
         else:

@@ -1,4 +1,10 @@
-"""From a trained network to the robot. Importing this package loads no torch."""
+"""From a trained network to the robot: `export` writes a bundle, `Localizer` locates images with it.
+
+    siamloc.runtime.export(network, known, "runs/robot/bundle")
+    siamloc.runtime.Localizer("runs/robot/bundle").locate("photo.jpeg")
+
+Importing this package loads no torch, and the robot needs numpy, opencv and onnxruntime alone.
+"""
 
 from __future__ import annotations
 
@@ -7,31 +13,34 @@ from typing import TYPE_CHECKING
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc.runtime.bundle import Bundle, write_bundle
-    from siamloc.runtime.export import export_onnx, parity
-    from siamloc.runtime.heading_export import export_heading, heading_parity
-    from siamloc.runtime.localizer import Localizer, Location
+    from siamloc.runtime.bundle import Bundle, export
+    from siamloc.runtime.localizer import Candidate, Localizer, Location, write_locations
+    from siamloc.runtime.onnx_model import export_heading, export_onnx, heading_parity, parity
 
 __all__ = [
     "Bundle",
+    "Candidate",
     "Localizer",
     "Location",
+    "export",
     "export_heading",
     "export_onnx",
     "heading_parity",
     "parity",
-    "write_bundle",
+    "write_locations",
 ]
 
 _HOMES = {
     "Bundle": "bundle",
+    "export": "bundle",
+    "Candidate": "localizer",
     "Localizer": "localizer",
     "Location": "localizer",
-    "export_heading": "heading_export",
-    "export_onnx": "export",
-    "heading_parity": "heading_export",
-    "parity": "export",
-    "write_bundle": "bundle",
+    "write_locations": "localizer",
+    "export_heading": "onnx_model",
+    "export_onnx": "onnx_model",
+    "heading_parity": "onnx_model",
+    "parity": "onnx_model",
 }
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

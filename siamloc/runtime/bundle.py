@@ -3,54 +3,59 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.panorama import camera_from_config
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import file_hash, read_json, storage_errors, write_json
+from siamloc.files import file_hash, plain, read_json, storage_errors, write_json
 
 if TYPE_CHECKING:
-    from siamloc.maps import HeadingPart, VisualMap
-    from siamloc.maps.error_model import ErrorModel
-    from siamloc.models import SiameseModule
+    from torch import nn
+
+    from analytic import Descriptor
+    from siamloc.maps import ErrorModel, VisualMap
 
 FORMAT = "siamloc-bundle"
-VERSION = 2
+VERSION = 3
 _DESCRIPTION = "bundle.json"
 _MODEL = "model.onnx"
 _MAP = "map.npz"
 _HEADING = "heading.onnx"
 _ERRORS = "error_model.json"
-_KEYS = {"sha256": dict, "image_size": list, "unwrap": dict, "identity": dict, "parity": dict}
+_KEYS = {"sha256": dict, "preprocessing": dict, "identity": dict, "parity": dict}
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """An opened bundle.
+    """An opened bundle; `siamloc.runtime.export` writes one.
 
     Attributes:
         folder: where it lies.
-        image_size: rows and columns of a panorama.
+        about: what `bundle.json` holds: `preprocessing`, `identity` of the network, `parity` (how far the exported
+            network is from the original), `heading` and `errors` (what gives them, None without), `sha256` by file.
         preprocessing: how an image becomes a panorama.
-        identity: what the network is; the map carries the same.
-        parity: how far the exported network is from the original.
-        has_map: whether images can be located, not only described.
-        has_heading: whether headings can be told.
-        has_errors: whether expected errors can be told.
     """
 
     folder: Path
-    image_size: tuple[int, int]
+    about: dict[str, Any]
     preprocessing: Preprocessing
-    identity: dict[str, Any]
-    parity: dict[str, Any]
-    has_map: bool
-    has_heading: bool = False
-    has_errors: bool = False
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Rows and columns of a panorama."""
+        return self.preprocessing.view.height, self.preprocessing.view.width
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What decides a descriptor, network and preprocessing; the map carries the same."""
+        return {**self.about["identity"], "images": self.about["preprocessing"]}
+
+    @property
+    def parity(self) -> dict[str, Any]:
+        """How far the exported network is from the original; see `siamloc.runtime.parity`."""
+        return dict(self.about["parity"])
 
     @property
     def model(self) -> Path:
@@ -58,138 +63,153 @@ class Bundle:
         return self.folder / _MODEL
 
     @property
-    def map(self) -> Path:
-        """The visual map."""
-        return self.folder / _MAP
+    def map(self) -> Path | None:
+        """The visual map; None for a bundle that only describes images."""
+        return self._file(_MAP)
 
     @property
-    def heading(self) -> Path:
-        """What tells headings, as ONNX."""
-        return self.folder / _HEADING
+    def heading(self) -> Path | None:
+        """What finds headings, as ONNX; None if there is none."""
+        return self._file(_HEADING)
 
     @property
-    def errors(self) -> Path:
-        """The model of the error."""
-        return self.folder / _ERRORS
+    def errors(self) -> Path | None:
+        """The model of the expected error; None if there is none."""
+        return self._file(_ERRORS)
+
+    def summary(self) -> str:
+        """Say in two lines how exact the exported network is, and what the robot gets."""
+        first = (
+            f"bundle: {self.folder}; largest difference from the network {self.parity['max_abs_difference']:.1e}, "
+            f"{self.parity['max_relative_difference']:.1e} of the largest value"
+        )
+        if self.map is None:
+            return f"{first}\nthe robot gets descriptors alone: there is no map to locate images in"
+        gets = ["position"]
+        if self.heading is not None:
+            gets.append(f"heading (by {self.about['heading']['identity']['name']})")
+        if self.errors is not None:
+            lost = self.about["errors"].get("lost_above")
+            gets.append("expected error" if lost is None else f"expected error (lost above {lost:g} {self._unit})")
+        return f"{first}\nthe robot gets: {', '.join(gets)}"
 
     @classmethod
     def open(cls, folder: str | Path) -> Bundle:
         """Open a bundle and check that its files are the ones it was written with.
 
         Raises:
-            FormatError: no bundle, of a newer version, or with files that are missing or altered.
+            FormatError: no bundle, of another version, or with files that are missing or altered.
         """
         folder = Path(folder)
-        if not (folder / _DESCRIPTION).is_file():
+        path = folder / _DESCRIPTION
+        if not path.is_file():
             raise FormatError(f"{folder} is not a bundle, it holds no {_DESCRIPTION}: write one with `siamloc export`")
-        about = read_json(folder / _DESCRIPTION)
+        about = read_json(path)
         if not isinstance(about, dict) or about.get("format") != FORMAT or not isinstance(about.get("version"), int):
-            raise FormatError(f"{folder / _DESCRIPTION} was not written by `siamloc export`: export anew")
+            raise FormatError(f"{path} was not written by `siamloc export`: export again")
         if about["version"] > VERSION:
             raise FormatError(
-                f"{folder} has bundle version {about['version']}, this siamloc reads up to {VERSION}: update siamloc"
+                f"{folder} has bundle version {about['version']}, this siamloc reads version {VERSION}: update siamloc"
+            )
+        if about["version"] < VERSION:
+            raise FormatError(
+                f"{folder} has bundle version {about['version']}, this siamloc reads version {VERSION}: export again"
             )
         for key, kind in _KEYS.items():
             if not isinstance(about.get(key), kind):
                 found = "lacks" if key not in about else "is altered in"
-                raise FormatError(f"{folder / _DESCRIPTION} {found} {key}: export anew")
+                raise FormatError(f"{path} {found} {key}: export again")
         if _MODEL not in about["sha256"]:
-            raise FormatError(f"{folder / _DESCRIPTION} lists no {_MODEL}: export anew")
+            raise FormatError(f"{path} lists no {_MODEL}: export again")
         for name, digest in about["sha256"].items():
             if not (folder / name).is_file() or file_hash(folder / name) != digest:
                 raise FormatError(
-                    f"{folder / name} is missing or not the file the bundle was written with: export anew"
+                    f"{folder / name} is missing or not the file the bundle was written with: export again"
                 )
         try:
-            rows, columns = map(int, about["image_size"])
-            camera, view = camera_from_config(about["unwrap"], (rows, columns))
-        except (TypeError, ValueError) as error:
-            raise FormatError(
-                f"{folder / _DESCRIPTION} is altered in image_size or unwrap ({error}): export anew"
-            ) from error
-        return cls(
-            folder,
-            (rows, columns),
-            Preprocessing(view, camera),
-            about["identity"],
-            about["parity"],
-            _MAP in about["sha256"],
-            _HEADING in about["sha256"],
-            _ERRORS in about["sha256"],
-        )
+            preprocessing = Preprocessing.of(about["preprocessing"])
+        except (ConfigError, TypeError) as error:
+            raise FormatError(f"{path} is altered in preprocessing ({error}): export again") from error
+        return cls(folder, about, preprocessing)
+
+    @property
+    def _unit(self) -> str:
+        return str(self.about.get("unit", "m"))
+
+    def _file(self, name: str) -> Path | None:
+        return self.folder / name if name in self.about["sha256"] else None
 
 
-def write_bundle(
+def export(
+    network: nn.Module | Descriptor,
+    known: VisualMap | None,
     folder: str | Path,
-    network: SiameseModule,
-    visual_map: VisualMap | None,
     *,
-    image_size: tuple[int, int],
-    unwrap: Mapping[str, Any],
-    circular: bool,
-    identity: Mapping[str, Any],
     errors: ErrorModel | None = None,
-) -> dict[str, Any]:
-    """Write a bundle; an older one in the same folder is replaced only when the new one is whole.
+    preprocessing: Preprocessing | None = None,
+) -> Bundle:
+    """Write network and map as a bundle for the robot, whose `Localizer` needs no torch.
+
+    An older bundle in the same folder is replaced only when the new one is whole.
 
     Args:
-        folder: where to.
-        network: the trained network.
-        visual_map: its map; None for a bundle that only describes images. If it has a heading part, the robot tells
+        network: what describes images: a module (B, 3, H, W) -> (B, D), or `siamloc.models.as_descriptor` of one.
+        known: its map; None for a bundle that only describes images. If the map has a heading part, the robot gets
             headings.
-        image_size: rows and columns of a panorama.
-        unwrap: how omnidirectional images become panoramas, as in the configuration.
-        circular: whether the columns wrap around.
-        identity: of network and preprocessing, as the map carries it.
-        errors: what tells the expected error, learned on this map; None if nothing was learned.
+        folder: where to.
+        errors: the model of the expected error, learned on this map; None if there is none.
+        preprocessing: how images become panoramas (`images.preprocessing`); the map's if None.
 
     Returns:
-        The comparison of exported and original network, see `siamloc.runtime.export.parity`.
+        The opened bundle; `parity` says how far the exported network is from the original.
 
     Raises:
-        ConfigError: the folder holds other files than a bundle's, the error model was learned on another map, or what
-            tells headings cannot be exported.
+        ConfigError: the folder holds other files than a bundle's, the map is another network's, the error model was
+            learned on another map, panoramas that cannot be made from plain values, or what cannot be exported.
         SiamlocError: the exported network differs from the original.
         StorageError: the disk is full or refuses.
     """
-    from siamloc.runtime.export import export_onnx
+    from siamloc.models import as_descriptor
+    from siamloc.runtime.onnx_model import export_heading, export_onnx
 
-    folder = Path(folder).absolute()
+    folder, descriptor = Path(folder).absolute(), as_descriptor(network)
     _check_replaceable(folder)
-    if errors is not None and (visual_map is None or not learned_on(errors, visual_map)):
-        raise ConfigError("the error model was learned on another map than the bundle's: learn it anew")
+    module = getattr(descriptor, "module", None)
+    if module is None:
+        raise ConfigError(f"only a network can be exported, not {descriptor.name}")
+    identity, parameters = _described_alike(descriptor, known, preprocessing)
+    if errors is not None and (known is None or not errors.learned_on(known)):
+        raise ConfigError("the error model was learned on another map than the bundle's: learn it again")
+    image_size = (parameters["height"], parameters["width"])
     with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as name:
             fresh = Path(name) / "bundle"
             fresh.mkdir()
-            exported = export_onnx(network, fresh / _MODEL, image_size)
-            files = list(exported["files"])
-            if visual_map is not None:
-                visual_map.save(fresh / _MAP)
+            exported = export_onnx(module, fresh / _MODEL, image_size)
+            files, heading = list(exported["files"]), None
+            if known is not None:
+                known.save(fresh / _MAP)
                 files.append(_MAP)
-            heading = None
-            if visual_map is not None and visual_map.heading is not None:
-                heading = _write_heading(visual_map.heading, fresh / _HEADING, image_size)
+            if known is not None and known.heading is not None:
+                parity = export_heading(known.heading.descriptor, fresh / _HEADING, image_size)
+                heading = {"identity": known.heading.identity, "parity": parity}
                 files.append(_HEADING)
             if errors is not None:
                 errors.save(fresh / _ERRORS)
                 files.append(_ERRORS)
-            write_json(
-                fresh / _DESCRIPTION,
-                {
-                    "format": FORMAT,
-                    "version": VERSION,
-                    "image_size": image_size,
-                    "unwrap": dict(unwrap),
-                    "circular": circular,
-                    "identity": dict(identity),
-                    "parity": exported["parity"],
-                    "heading": heading,
-                    "errors": None if errors is None else errors.as_dict(),
-                    "sha256": {file: file_hash(fresh / file) for file in files},
-                },
-            )
+            about = {
+                "format": FORMAT,
+                "version": VERSION,
+                "preprocessing": parameters,
+                "identity": identity,
+                "unit": None if known is None else known.unit,
+                "parity": exported["parity"],
+                "heading": heading,
+                "errors": None if errors is None else errors.as_dict(),
+                "sha256": {file: file_hash(fresh / file) for file in files},
+            }
+            write_json(fresh / _DESCRIPTION, about)
             older = Path(name) / "older"
             if folder.exists():
                 folder.rename(older)
@@ -199,20 +219,25 @@ def write_bundle(
                 if older.exists():
                     older.rename(folder)
                 raise
-    return exported["parity"]
+    return Bundle.open(folder)
 
 
-def learned_on(errors: ErrorModel, visual_map: VisualMap) -> bool:
-    """Say whether an error model was learned on the frames of a map that have a position."""
-    placed = visual_map.frames.has_position
-    return errors.map_digest == (visual_map if placed.all() else visual_map.take(placed)).digest
-
-
-def _write_heading(part: HeadingPart, path: Path, image_size: tuple[int, int]) -> dict[str, Any]:
-    """Export what tells headings, and return what `bundle.json` says of it."""
-    from siamloc.runtime.heading_export import export_heading
-
-    return {"identity": part.identity, "parity": export_heading(part.descriptor(), path, image_size)}
+def _described_alike(
+    descriptor: Descriptor, known: VisualMap | None, preprocessing: Preprocessing | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the network's identity and how panoramas are made, after making sure that the map's are the same."""
+    identity = plain(descriptor.identity)
+    held = None if known is None else known.identity.get("images")
+    if preprocessing is None and held is None:
+        raise ConfigError(
+            "without a map that says how its panoramas are made, a bundle needs to be told: give "
+            "preprocessing=images.preprocessing"
+        )
+    parameters = plain(held if preprocessing is None else preprocessing.parameters())
+    if known is not None:
+        known.check_describer({**identity, "images": parameters} if held is not None else identity)
+    Preprocessing.of(parameters)  # a camera of one's own cannot be made from plain values, and is an error here
+    return identity, parameters
 
 
 def _check_replaceable(folder: Path) -> None:

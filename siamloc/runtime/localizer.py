@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +17,8 @@ from numpy.typing import NDArray
 from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import Retrieval, VisualMap, estimated_headings
-from siamloc.maps.error_model import ErrorModel
+from siamloc.files import write_text
+from siamloc.maps import ErrorModel, Retrieval, VisualMap, headings
 from siamloc.runtime.bundle import Bundle
 
 
@@ -45,7 +48,7 @@ class Location:
     Attributes:
         x: position of the nearest map frame, in the unit of the map; NaN where the map does not know it.
         y: position of the nearest map frame.
-        theta: heading in rad in (-pi, pi], counter-clockwise; NaN where the bundle tells no headings, or that of the
+        theta: heading in rad in (-pi, pi], counter-clockwise; NaN where the bundle gives no headings, or that of the
             nearest map frame is unknown.
         room: room of the nearest map frame, or "".
         error_m: expected error of x and y in their unit, metres by default; NaN where the bundle holds no error model.
@@ -64,11 +67,23 @@ class Location:
     candidates: tuple[Candidate, ...]
     ms: float
 
+    def describe(self, unit: str = "m") -> str:
+        """Say in one line where the image was taken, and which map frames resemble it."""
+        heading = "" if math.isnan(self.theta) else f", heading {math.degrees(self.theta):.0f} deg"
+        room = f" in {self.room}" if self.room else ""
+        expected = "" if math.isnan(self.error_m) else f"; expected error {self.error_m:.2f} {unit}"
+        lost = ", lost" if self.lost else ""
+        others = ", ".join(f"{Path(c.image).name} ({c.distance:.3g})" for c in self.candidates)
+        known = not (math.isnan(self.x) or math.isnan(self.y))
+        position = f"x {self.x:.2f} {unit}, y {self.y:.2f} {unit}" if known else "position unknown"
+        return f"{position}{heading}{room}{expected}{lost}; nearest {others}; {self.ms:.1f} ms"
+
 
 class Localizer:
-    """Locates images by a bundle that `siamloc export` wrote.
+    """Locates images by a bundle that `siamloc.runtime.export` wrote.
 
-    Nothing is kept between images: each answer depends on its image alone.
+    The map is made ready for search once, which takes the memory of its descriptors once more. Nothing is kept between
+    images: each answer depends on its image alone.
 
     Args:
         bundle_path: folder of the bundle.
@@ -86,10 +101,11 @@ class Localizer:
         if top < 1:
             raise ConfigError(f"top must be at least 1, got {top}")
         self.bundle = Bundle.open(bundle_path)
-        if not self.bundle.has_map:
+        if self.bundle.map is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
         self.map = VisualMap.load(self.bundle.map)
         self.map.check_describer(self.bundle.identity)
+        self.map.index  # noqa: B018 (prepared here, and not with the first image)
         self._top = top
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
@@ -100,12 +116,9 @@ class Localizer:
             return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
         self._session = session(self.bundle.model)
-        self._heading = None
-        if self.bundle.has_heading and self.map.heading is not None:
-            self._heading = (session(self.bundle.heading), self.map.heading.descriptor())
-        self._errors = ErrorModel.load(self.bundle.errors) if self.bundle.has_errors else None
-        placed = self.map.frames.has_position
-        self._placed = self.map if placed.all() else self.map.take(placed) if placed.any() else None
+        self._heading = None if self.bundle.heading is None else session(self.bundle.heading)
+        self._errors = None if self.bundle.errors is None else ErrorModel.load(self.bundle.errors)
+        self._placed = self.map.placed() if self.map.frames.has_position.any() else None
 
     @property
     def unit(self) -> str:
@@ -116,7 +129,7 @@ class Localizer:
         """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as the camera gives them.
 
         Raises:
-            DataError: the image cannot be read or has another shape.
+            DataError: the image cannot be read, is empty, or has another shape.
         """
         start = time.perf_counter()
         panorama = self._panorama(image)
@@ -148,14 +161,11 @@ class Localizer:
         )
 
     def _theta(self, pixels: NDArray[np.float32], descriptor: NDArray[np.float32], found: Retrieval) -> float:
-        """Return the heading that the nearest map frame tells, NaN if it tells none."""
+        """Return the heading by the nearest map frame, NaN if there is none."""
         if self._heading is None:
             return math.nan
-        session, teller = self._heading
-        nearest = self.map.take(found.indices[0, :1]).oriented()
-        seen = Description(descriptor, session.run(None, {"panorama": pixels})[0])
-        told = estimated_headings(nearest, seen, teller, Retrieval(np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1))))
-        return math.nan if told is None else float(told[0])
+        seen = Description(descriptor, self._heading.run(None, {"panorama": pixels})[0])
+        return float(headings(self.map, seen, found)[0, 0])
 
     def _expected_error(self, descriptor: NDArray[np.float32], found: Retrieval) -> tuple[float, bool | None]:
         """Return the expected error and whether it means lost, by the map frames that have a position."""
@@ -173,6 +183,46 @@ class Localizer:
             except UnreadableImageError as error:
                 raise DataError(f"{image} cannot be located: {error}") from error
         pixels = np.asarray(image)
+        if pixels.size == 0:
+            raise DataError("the image is empty: the camera gave no picture")
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
         return self.bundle.preprocessing.prepare(pixels)
+
+
+def write_locations(path: str | Path, located: Mapping[str, Location]) -> None:
+    """Write where images were taken into a CSV file, a row for each.
+
+    Args:
+        path: of the file.
+        located: by image file; one at least.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    rows = [_row(image, location) for image, location in located.items()]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def _row(image: str, location: Location) -> dict[str, object]:
+    best = location.candidates[0]
+    return {
+        "image": image,
+        "x": _cell(location.x),
+        "y": _cell(location.y),
+        "theta": _cell(location.theta),
+        "room": location.room,
+        "error_m": _cell(location.error_m),
+        "lost": "" if location.lost is None else location.lost,
+        "match": best.image,
+        "distance": best.distance,
+        "ms": round(location.ms, 2),
+    }
+
+
+def _cell(value: float) -> object:
+    return "" if math.isnan(value) else value

@@ -114,16 +114,17 @@ def test_older_maps_have_no_heading_part(tmp_path: Path) -> None:
     loaded = VisualMap.load(tmp_path / "map.npz")
     assert loaded.heading is None
     with pytest.raises(ConfigError, match="holds nothing to find headings by: make it again with `siamloc map heading"):
-        loaded.check_heading(analytic.descriptor("hog"))
+        loaded.with_heading(analytic.descriptor("hog"))
 
 
 def test_headings_by_another_descriptor_are_refused() -> None:
     known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
-    known.check_heading(analytic.descriptor("hog"))
+    assert known.with_heading(analytic.descriptor("hog")) is known
+    assert known.with_heading(None).heading is None
     with pytest.raises(ConfigError, match="the map gives headings by hog, not by fs: make it again"):
-        known.check_heading(analytic.descriptor("fs", **SMALL["fs"]))
+        known.with_heading(analytic.descriptor("fs", **SMALL["fs"]))
     with pytest.raises(ConfigError, match=r"gives headings by hog with rows=.* instead of 2"):
-        known.check_heading(analytic.descriptor("hog", rows=2))
+        known.with_heading(analytic.descriptor("hog", rows=2))
 
 
 def test_both_parts_come_from_one_pass() -> None:

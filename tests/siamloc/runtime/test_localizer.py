@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 import analytic
+from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, FormatError
+from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import file_hash, read_json, write_json
-from siamloc.maps import HeadingPart, VisualMap, WithHeading, estimated_headings
+from siamloc.maps import HeadingPart, VisualMap, WithHeading, headings
 from siamloc.maps.error_model import ErrorModel
-from siamloc.models import SiameseModule
-from siamloc.runtime import Bundle, Localizer, write_bundle
-from siamloc.runtime.bundle import learned_on
+from siamloc.models import as_descriptor, build
+from siamloc.runtime import Bundle, Localizer, export, write_locations
 from tests.drawn import ROOMS, draw_panorama, draw_sequence
 
 SIZE = (32, 128)
@@ -38,13 +38,13 @@ def drive(seed: int, lighting: str = "cloudy") -> tuple[np.ndarray, FrameTable]:
 @pytest.fixture(scope="module")
 def world():
     """A network, a map with headings, and an error model."""
-    network = SiameseModule("simple1", "fc500_500_5", SIZE)
+    network = as_descriptor(build("simple1", "fc500_500_5", SIZE))
     hog = analytic.descriptor("hog", rows=1)
     both = WithHeading(network, hog)
     pictures, frames = drive(0)
     seen = both.describe(pictures.transpose(0, 3, 1, 2))
     part = HeadingPart.of(hog, seen.orientation)
-    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part)
+    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part, describes=network)
     pictures, _ = drive(1)
     found = known.search(network.describe(pictures.transpose(0, 3, 1, 2)).position, 20)
     errors = ErrorModel("ratio", 1.0, 20, (0.0, 0.5, 1.0), (0.1, 0.4, 3.0), 24, map_digest=known.digest)
@@ -53,17 +53,7 @@ def world():
 
 def bundled(folder, world, **changed):
     network, known, errors = world
-    errors = changed.get("errors", errors)
-    write_bundle(
-        folder,
-        network,
-        known,
-        image_size=SIZE,
-        unwrap={"kind": "none"},
-        circular=True,
-        identity=known.identity,
-        errors=errors,
-    )
+    export(network, known, folder, errors=changed.get("errors", errors))
     return folder
 
 
@@ -96,11 +86,11 @@ def rewritten(bundle, folder, **parts):
 
 
 def test_theta_and_error_are_those_of_the_evaluation(world, bundle):
-    network, known, errors = world
+    _, known, errors = world
     pictures, _ = drive(2)
-    seen = WithHeading(network, known.heading.descriptor()).describe(pictures.transpose(0, 3, 1, 2))
+    seen = known.describer.describe(pictures.transpose(0, 3, 1, 2))
     found = known.search(seen.position, 20)
-    theta = estimated_headings(known.oriented(), seen, known.heading.descriptor(), found)
+    theta = headings(known, seen, found)[:, 0]
     expected = errors.predict(found, known.frames.xy)
     localizer = Localizer(bundle, top=2)
     locations = [localizer.locate(picture) for picture in pictures]
@@ -142,7 +132,13 @@ def test_bundle_json_says_what_the_robot_is_told(world, bundle):
     assert about["heading"]["parity"]["headings"] == 4
     assert ErrorModel.from_dict(about["errors"]) == errors == ErrorModel.load(bundle / "error_model.json")
     opened = Bundle.open(bundle)
-    assert (opened.has_map, opened.has_heading, opened.has_errors) == (True, True, True)
+    assert [path.name for path in (opened.map, opened.heading, opened.errors)] == [
+        "map.npz",
+        "heading.onnx",
+        "error_model.json",
+    ]
+    assert opened.preprocessing.parameters() == IMAGES
+    assert "the robot gets: position, heading (by hog), expected error (lost above" in opened.summary()
 
 
 def test_what_the_bundle_lacks_is_not_told(bare):
@@ -154,16 +150,51 @@ def test_what_the_bundle_lacks_is_not_told(bare):
     assert location.room in ROOMS
 
 
-def test_a_bundle_of_the_first_version_opens(bare, tmp_path):
-    folder = rewritten(bare, tmp_path / "older")
-    about = read_json(folder / "bundle.json")
-    assert about["version"] == 2
-    older = {key: value for key, value in about.items() if key not in ("heading", "errors")}
-    write_json(folder / "bundle.json", {**older, "version": 1})
-    assert Localizer(folder).locate(drive(2)[0][0]).lost is None
-    write_json(folder / "bundle.json", {**about, "version": 3})
-    with pytest.raises(FormatError, match="bundle version 3, this siamloc reads up to 2: update siamloc"):
+@pytest.mark.parametrize(("version", "advice"), [(1, "export again"), (2, "export again"), (4, "update siamloc")])
+def test_a_bundle_of_another_version_is_refused(bare, tmp_path, version, advice):
+    folder = rewritten(bare, tmp_path / "other")
+    write_json(folder / "bundle.json", {**read_json(folder / "bundle.json"), "version": version})
+    with pytest.raises(FormatError, match=f"bundle version {version}, this siamloc reads version 3: {advice}"):
         Localizer(folder)
+
+
+@pytest.mark.parametrize("image", [np.zeros((0, 0, 3), np.uint8), np.zeros((0, 640, 3), np.uint8), []])
+def test_an_empty_image_is_refused_in_one_sentence(bare, image):
+    with pytest.raises(DataError, match="the image is empty: the camera gave no picture"):
+        Localizer(bare).locate(image)
+
+
+def test_a_bundle_without_a_map_describes_alone(world, tmp_path):
+    network, _, _ = world
+    with pytest.raises(ConfigError, match=r"give preprocessing=images\.preprocessing"):
+        export(network, None, tmp_path / "bundle")
+    opened = export(network.module, None, tmp_path / "bundle", preprocessing=Preprocessing.of(IMAGES))
+    assert (opened.map, opened.image_size) == (None, SIZE)
+    assert "descriptors alone" in opened.summary()
+    with pytest.raises(ConfigError, match="holds no map"):
+        Localizer(tmp_path / "bundle")
+
+
+def test_what_does_not_belong_together_is_not_exported(world, tmp_path):
+    network, known, _ = world
+    with pytest.raises(ConfigError, match="only a network can be exported, not hog"):
+        export(analytic.descriptor("hog"), known, tmp_path / "bundle")
+    with pytest.raises(ConfigError, match="described by something else than the queries: weights is"):
+        export(build("simple1", "fc500_500_5", SIZE, seed=1), known, tmp_path / "bundle")
+    with pytest.raises(ConfigError, match=r"images\.width is 128 in the map, 64 here"):
+        export(network, known, tmp_path / "bundle", preprocessing=Preprocessing.of({**IMAGES, "width": 64}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_locations_are_written_as_a_table(bundle, tmp_path):
+    location = Localizer(bundle).locate(drive(2)[0][0])
+    write_locations(tmp_path / "locations.csv", {"a.png": location, "b.png": replace(location, theta=math.nan)})
+    first, second, third = (tmp_path / "locations.csv").read_text().splitlines()
+    assert first == "image,x,y,theta,room,error_m,lost,match,distance,ms"
+    assert second.startswith(f"a.png,{location.x},{location.y},{location.theta},{location.room},")
+    assert third.startswith(f"b.png,{location.x},{location.y},,{location.room},")
+    assert location.describe("m").startswith(f"x {location.x:.2f} m, y {location.y:.2f} m, heading ")
+    assert ", heading" not in replace(location, theta=math.nan).describe()
 
 
 @pytest.mark.parametrize(
@@ -173,11 +204,10 @@ def test_a_bundle_of_the_first_version_opens(bare, tmp_path):
         ("version", "2", "was not written by `siamloc export`"),
         ("sha256", [], "is altered in sha256"),
         ("sha256", {}, "lists no model.onnx"),
-        ("image_size", 5, "is altered in image_size"),
-        ("image_size", [32], "is altered in image_size or unwrap"),
-        ("unwrap", None, "lacks unwrap"),
-        ("unwrap", {"kind": "polar", "centre": 3}, "is altered in image_size or unwrap"),
-        ("unwrap", {"kind": "fisheye"}, "is altered in image_size or unwrap"),
+        ("preprocessing", 5, "is altered in preprocessing"),
+        ("preprocessing", None, "lacks preprocessing"),
+        ("preprocessing", {"height": 32}, "is altered in preprocessing"),
+        ("preprocessing", {"height": 32, "width": 128, "camera": {"kind": "Fisheye"}}, "is altered in preprocessing"),
         ("identity", "vgg16", "is altered in identity"),
     ],
 )
@@ -185,7 +215,7 @@ def test_an_altered_description_is_refused(bare, tmp_path, key, value, says):
     folder = rewritten(bare, tmp_path / "bundle")
     about = read_json(folder / "bundle.json")
     write_json(folder / "bundle.json", {k: v for k, v in {**about, key: value}.items() if v is not None})
-    with pytest.raises(FormatError, match=f"{says}.*: export anew"):
+    with pytest.raises(FormatError, match=f"{says}.*: export again"):
         Bundle.open(folder)
 
 
@@ -207,8 +237,8 @@ def test_the_expected_error_rests_on_frames_that_have_a_position(world, bundle, 
     bare = np.arange(len(known)) % 3 == 1
     holes = replace(known, frames=replace(known.frames, x=np.where(bare, np.nan, known.frames.x)))
     placed = holes.take(~bare)
-    assert learned_on(replace(errors, map_digest=placed.digest), holes)
-    assert not learned_on(errors, holes)
+    assert replace(errors, map_digest=placed.digest).learned_on(holes)
+    assert not errors.learned_on(holes)
     localizer = Localizer(rewritten(bundle, tmp_path / "bundle", map=holes))
     pictures, _ = drive(2)
     vectors = network.describe(pictures.transpose(0, 3, 1, 2)).position
@@ -220,7 +250,7 @@ def test_the_expected_error_rests_on_frames_that_have_a_position(world, bundle, 
 
 
 def test_a_model_learned_on_another_map_is_refused(world, tmp_path):
-    with pytest.raises(ConfigError, match="learned on another map than the bundle's: learn it anew"):
+    with pytest.raises(ConfigError, match="learned on another map than the bundle's: learn it again"):
         bundled(tmp_path / "bundle", world, errors=replace(world[2], map_digest=""))
     assert not list(tmp_path.iterdir())
 

@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
-from siamloc.models import BRANCHES, HEADS, SiameseModule, build
-from siamloc.runtime import export, export_onnx, parity
+from siamloc.models import BRANCHES, HEADS, SiameseModule, as_descriptor, build
+from siamloc.runtime import export_onnx, onnx_model, parity
 
 SIZE = (32, 64)
 # The smallest panorama whose grid of features has two columns, so that the head's reading order matters.
@@ -69,12 +69,10 @@ def test_input_and_output_are_named_and_only_the_batch_is_free(exported):
 
 def test_the_file_computes_what_describe_computes(exported):
     network, path, _ = exported
-    module = SiameseModule("vgg11_bn", "fc500_500_5", SIZE)
-    module.network.load_state_dict(network.state_dict())
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     images = np.random.default_rng(1).random((5, 3, *SIZE), dtype=np.float32)
     (got,) = session.run(None, {"panorama": images})
-    np.testing.assert_allclose(got, module.describe(images).position, atol=1e-4)
+    np.testing.assert_allclose(got, as_descriptor(network).describe(images).position, atol=1e-4)
 
 
 def test_the_modes_and_the_random_state_stay(tmp_path):
@@ -94,6 +92,22 @@ def test_it_is_quiet(tmp_path, capfd, recwarn, caplog):
     assert not [record for record in caplog.records if record.levelno >= logging.INFO]
 
 
+def test_a_network_of_ones_own_is_exported_whole(tmp_path):
+    class Own(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.network = torch.nn.AdaptiveAvgPool2d(2)  # a name that says nothing
+            self.head = torch.nn.Linear(12, 4)
+
+        def forward(self, panoramas):
+            return self.head(self.network(panoramas).flatten(1))
+
+    report = export_onnx(Own(), tmp_path / "network.onnx", (16, 32))
+    session = onnxruntime.InferenceSession(tmp_path / "network.onnx", providers=["CPUExecutionProvider"])
+    assert session.get_outputs()[0].shape[1:] == [4]
+    assert report["identity"]["class"].endswith("Own")
+
+
 @pytest.mark.parametrize("size", [(128, 512), (37, 131), (4, 16), (5, 17)])
 def test_the_simple_branches_export_at_any_size(tmp_path, size):
     report = export_onnx(build("simple2", "fc500_100_10", size), tmp_path / "network.onnx", size)
@@ -101,14 +115,14 @@ def test_the_simple_branches_export_at_any_size(tmp_path, size):
 
 
 def test_a_lightning_module_is_exported_as_its_network(tmp_path):
-    module = SiameseModule("simple1", "fc500_500_5", SIZE)
+    module = SiameseModule(build("simple1", "fc500_500_5", SIZE))
     report = export_onnx(module, tmp_path / "network.onnx", SIZE)
-    assert report["identity"] == module.identity
+    assert report["identity"] == module.network.identity
     assert parity(module, tmp_path / "network.onnx") == report["parity"]
 
 
 def test_weights_too_large_for_one_file_stand_beside_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(export, "ONE_FILE_BYTES", 1000)
+    monkeypatch.setattr(onnx_model, "ONE_FILE_BYTES", 1000)
     network = build("simple1", "fc500_500_5", SIZE)
     report = export_onnx(network, tmp_path / "network.onnx", SIZE)
     assert report["files"] == ["network.onnx", "network.onnx.data"]
@@ -145,9 +159,9 @@ def test_a_file_that_differs_never_replaces_the_older_one(tmp_path, monkeypatch,
 
     path = tmp_path / "network.onnx"
     path.write_text("older")
-    monkeypatch.setattr(export, "parity", refuse)
+    monkeypatch.setattr(onnx_model, "parity", refuse)
     if not one_file:
-        monkeypatch.setattr(export, "ONE_FILE_BYTES", 1000)
+        monkeypatch.setattr(onnx_model, "ONE_FILE_BYTES", 1000)
     with pytest.raises(SiamlocError, match="differs"):
         export_onnx(build("simple1", "fc500_500_5", SIZE), path, SIZE)
     assert path.read_text() == "older"
@@ -176,7 +190,7 @@ def test_other_files_are_refused(tmp_path):
 @pytest.mark.parametrize("branch", BRANCHES)
 def test_every_network_trains_a_step_and_exports(tmp_path, branch, head):
     size = SIZES.get(branch, SIZE)
-    module = SiameseModule(branch, head, size)
+    module = SiameseModule(build(branch, head, size))
     images = torch.randint(0, 256, (2, 4, 3, *size), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
     same = torch.tensor([True, False, True, False])
     before = module.network.head.layers[-1].weight.clone()
