@@ -1,10 +1,10 @@
 """One thread for linear algebra on small matrices.
 
-The matrices of a node, and short steps of k-means, are so small that sharing them out among threads costs about what it
-saves, and on a busy processor, where every thread waits for the last, many times that. It also keeps the number of
-threads out of the last digits of what is computed. The setting is one for the whole process, so that of several that
-ask for it in threads of their own one works at a time; otherwise the first to finish would take it from the others, and
-the last would leave it behind.
+The matrices of the mapper's nodes and the steps of k-means are so small that sharing them among threads saves about as
+much as it costs, and on a busy processor, where every thread waits for the last, it costs ten times as much. A single
+thread also keeps the number of threads out of the last digits of the results. The setting holds for the whole process,
+so callers in different threads take turns; otherwise the first to finish would end it for the others, and the last
+would leave it behind.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _LOCK = RLock()
 
 @contextmanager
 def one_thread(*, openmp: bool = False) -> Iterator[None]:
-    """Return a context in which numpy and scipy use one thread; afterwards as many as before.
+    """Let numpy and scipy use one thread inside a `with` block; afterwards as many as before.
 
     Args:
-        openmp: also for what shares out its own loops, such as scikit-learn. It takes longer to enter, since what is
-            loaded is looked up anew.
+        openmp: also limit libraries with threads of their own, such as scikit-learn. This takes longer to enter, since
+            the loaded libraries are looked up each time.
     """
     with _LOCK:
         if openmp:

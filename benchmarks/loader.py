@@ -1,7 +1,7 @@
-"""How fast batches of panoramas come: from the memory-mapped store, and from JPEG files decoded one by one.
+"""How fast batches of panoramas come: from the memory-mapped library, and from JPEG files decoded one by one.
 
 Both sides serve random rows in the same run, in one thread. The files are drawn here, in a temporary folder. Targets:
-3,000 panoramas/s of 3 x 128 x 512 in batches of 32 from the store, and 10 times the loader that opens, decodes and
+3,000 panoramas/s of 3 x 128 x 512 in batches of 32 from the library, and 10 times the loader that opens, decodes and
 resizes each item with PIL.
 
     python -m benchmarks.loader [--out FOLDER]

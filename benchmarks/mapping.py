@@ -30,9 +30,9 @@ from analytic import Description, Descriptor
 from benchmarks.report import Report, parser
 from siamloc.data import read
 from siamloc.evaluation.layers import evaluate_mapping
-from siamloc.maps import VisualMap
-from siamloc.maps.layers import build_layer
-from siamloc.report import plots, sweeps
+from siamloc.maps import VisualMap, group
+from siamloc.report.draw import sweeps
+from siamloc.report.draw.look import save
 
 CONF = Path(__file__).parents[1] / "conf"
 SEQUENCE = "*seq2_cloudy1"
@@ -147,7 +147,8 @@ def measured(
     known: VisualMap, descriptor: Descriptor, what: str, options: dict[str, Any], seed: int = 0
 ) -> dict[str, Any]:
     """Build a layer and measure it."""
-    built = build_layer(known, descriptor, options, seed)
+    parameters = {key: value for key, value in options.items() if key != "name"}
+    built = group(known.with_descriptor(descriptor), options["name"], seed=seed, progress=False, **parameters)
     found = evaluate_mapping(known, built.layer, descriptor, RADIUS, GAP, built.seconds).measures()
     closures = found["closures"]
     share = found["unassigned"]["share"]
@@ -184,7 +185,7 @@ def draw(folder: Path, table: list[dict[str, Any]], grid: list[dict[str, Any]], 
         (sweeps.heat_maps(grid), "mapping_sweep.png"),
         (sweeps.silhouette_against_clusters(curve, points), "clusters.png"),
     ):
-        print(f"picture: {plots.save(figure, folder / name)}")
+        print(f"picture: {save(figure, folder / name)}")
 
 
 def print_table(table: list[dict[str, Any]]) -> None:

@@ -60,7 +60,7 @@ def temporary_of(path: str | Path) -> str:
 
 @contextmanager
 def atomic_folder(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `path` that becomes `path` when the block ends without an error.
+    """Yield a temporary folder next to `path` that becomes `path` when the block ends without an error.
 
     What was there before is replaced as a whole. After an error nothing is left behind and the older folder stays as
     it was; after a kill a folder `.<name>.<letters>.tmp` is left.

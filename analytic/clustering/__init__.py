@@ -1,14 +1,13 @@
-"""Compact maps: frames grouped by their descriptors, and one representative for each group ([C] 3).
+"""Compact maps: frames clustered by their descriptors, with one representative per cluster ([C] 3).
 
-Every method numbers its clusters 0 to k-1 in the order in which they first appear among the frames.
+Every method numbers its clusters from 0 to k-1 in the order in which they first appear among the frames.
 """
 
 from __future__ import annotations
 
 from analytic.clustering.compact import positions, representatives, sample, sample_rows
-from analytic.clustering.normalized import partition, spectral
 from analytic.clustering.self_organizing import som
-from analytic.clustering.similarity import affinity
+from analytic.clustering.spectral_clustering import affinity, partition, spectral
 
 __all__ = [
     "affinity",

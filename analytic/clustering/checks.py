@@ -1,7 +1,8 @@
-"""What clusterings and their measures accept, and how clusters are numbered."""
+"""What clusterings and their measures share: checked arguments, the numbering of clusters, blocks of rows."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic.errors import AnalyticError
 
+_BLOCK_BYTES = 32 << 20
+
 
 def vectors(values: ArrayLike, what: str = "descriptors") -> NDArray[np.float64]:
-    """Return vectors as float64 (n, D), n and D at least 1.
+    """Check vectors and return them as float64 (n, D), n and D at least 1.
 
     Raises:
         AnalyticError: another shape, no rows, or values that are not finite.
@@ -29,7 +32,7 @@ def vectors(values: ArrayLike, what: str = "descriptors") -> NDArray[np.float64]
 
 
 def whole(value: Any, what: str, least: int, most: int | None = None) -> int:
-    """Return a whole number within bounds.
+    """Check a whole number against its bounds and return it.
 
     Raises:
         AnalyticError: another kind of value, or one out of range.
@@ -42,8 +45,17 @@ def whole(value: Any, what: str, least: int, most: int | None = None) -> int:
     return int(value)
 
 
+def seed(value: Any) -> int:
+    """Check the seed of a random generator and return it.
+
+    Raises:
+        AnalyticError: not a whole number, or out of range.
+    """
+    return whole(value, "the seed", 0, 2**32 - 1)
+
+
 def clusters(n_clusters: Any, frames: int) -> int:
-    """Return the number of clusters asked for.
+    """Check the number of clusters asked for and return it.
 
     Raises:
         AnalyticError: not a whole number, below 1, or more than there are frames.
@@ -55,7 +67,7 @@ def clusters(n_clusters: Any, frames: int) -> int:
 
 
 def cluster_labels(labels: ArrayLike, frames: int | None = None) -> NDArray[np.int64]:
-    """Return one whole number a frame (n,); negative ones mark frames that are in no cluster.
+    """Check labels, one whole number per frame (n,); negative ones mark frames that are in no cluster.
 
     Raises:
         AnalyticError: another shape or length, or labels that are not whole numbers.
@@ -69,7 +81,7 @@ def cluster_labels(labels: ArrayLike, frames: int | None = None) -> NDArray[np.i
 
 
 def renumbered(labels: NDArray[Any]) -> NDArray[np.int64]:
-    """Return labels numbered 0 to k-1 in the order of their first appearance (n,)."""
+    """Number labels from 0 to k-1 in the order of their first appearance (n,)."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
@@ -79,7 +91,7 @@ def renumbered(labels: NDArray[Any]) -> NDArray[np.int64]:
 def distinct(
     rows: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the different rows in an order of their own, the place of each input row among them, and their counts.
+    """Return the different rows in a fixed order, the place of each input row among them, and their counts.
 
     A method that works on these gives equal frames one label, and does not depend on the order of the input.
     """
@@ -90,8 +102,15 @@ def distinct(
 def to_unit_range(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Return the rows about their mean in units of their largest value, and that unit.
 
-    Distances are left but for the unit; squares neither overflow nor vanish, and a common offset costs no digits.
+    Distances keep their ratios; squares neither overflow nor vanish, and a common offset costs no digits.
     """
     unit = float(np.abs(rows).max()) or 1.0
     scaled = rows / unit
     return scaled - scaled.mean(axis=0), unit
+
+
+def row_slices(rows: int, columns: int) -> Iterator[slice]:
+    """Yield slices of rows such that a block of float64 stays within 32 MiB, or is a single row."""
+    step = max(1, _BLOCK_BYTES // (8 * max(1, columns)))
+    for start in range(0, rows, step):
+        yield slice(start, min(rows, start + step))

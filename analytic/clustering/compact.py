@@ -1,4 +1,4 @@
-"""From frames to a compact map: representatives, their positions, and plain sampling ([C] 3, 5.4)."""
+"""Compact maps of clusters: plain sampling, representatives and their positions ([C] 3, 5.4)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from analytic.errors import AnalyticError
 
 
 def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
-    """Return the clusters of plain sampling: runs of consecutive frames, as nearly equally long as can be (n,).
+    """Cluster frames by plain sampling: runs of consecutive frames of lengths as equal as possible (n,).
 
-    Frame i belongs to cluster floor(i * n_clusters / n): the baseline in which every k-th frame stands for those
+    Frame i belongs to cluster floor(i * n_clusters / n): the baseline in which every k-th frame represents those
     around it ([C] 5.4).
 
     Args:
@@ -21,6 +21,10 @@ def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
 
     Raises:
         AnalyticError: numbers out of range.
+
+    Examples:
+        >>> sample(5, 2).tolist()
+        [0, 0, 0, 1, 1]
     """
     frames = checks.whole(n, "the number of frames", 1)
     count = checks.clusters(n_clusters, frames)
@@ -28,9 +32,13 @@ def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
 
 
 def sample_rows(n: int, n_clusters: int) -> NDArray[np.int64]:
-    """Return the frames that plain sampling keeps: the middle one of each run of `sample` (n_clusters,).
+    """Pick the frames that plain sampling keeps: the middle one of each run of `sample` (n_clusters,).
 
-    Of two in the middle it is the first. Arguments and errors as `sample`.
+    Of two in the middle it is the first. Arguments and errors as for `sample`.
+
+    Examples:
+        >>> sample_rows(5, 2).tolist()
+        [1, 3]
     """
     first = np.flatnonzero(np.diff(sample(n, n_clusters), prepend=-1))
     last = np.append(first[1:], n) - 1
@@ -38,7 +46,7 @@ def sample_rows(n: int, n_clusters: int) -> NDArray[np.int64]:
 
 
 def representatives(X: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
-    """Return the mean descriptor of each cluster (k, D) ([C] 3).
+    """Compute the mean descriptor of each cluster (k, D) ([C] 3).
 
     Row i belongs to the i-th smallest label, which is label i where labels go from 0 to k-1.
 
@@ -48,15 +56,19 @@ def representatives(X: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
 
     Raises:
         AnalyticError: wrong shapes, descriptors that are not finite, labels of another length, or no cluster at all.
+
+    Examples:
+        >>> representatives([[0.0, 2.0], [2.0, 2.0], [9.0, 9.0]], [0, 0, 1]).tolist()
+        [[1.0, 2.0], [9.0, 9.0]]
     """
     x = checks.vectors(X)
     return _means(x, checks.cluster_labels(labels, len(x)))
 
 
 def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
-    """Return the mean position of each cluster (k, 2) ([C] 3).
+    """Compute the mean position of each cluster (k, 2) ([C] 3).
 
-    A frame without a known position (NaN) does not count; a cluster of such frames only has position NaN. Rows and
+    A frame whose position is unknown (NaN) does not count; a cluster of only such frames has position NaN. Rows and
     labels as in `representatives`.
 
     Args:
@@ -65,6 +77,10 @@ def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
 
     Raises:
         AnalyticError: wrong shapes, infinite positions, labels of another length, or no cluster at all.
+
+    Examples:
+        >>> positions([[0.0, 1.0], [2.0, 1.0], [float("nan"), 1.0]], [0, 0, 1]).tolist()
+        [[1.0, 1.0], [nan, nan]]
     """
     array = np.asarray(points, dtype=np.float64)
     unknown = np.isnan(array).any(axis=-1) if array.ndim == 2 else np.zeros(0, dtype=bool)

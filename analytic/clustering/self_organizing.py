@@ -16,26 +16,31 @@ _SETTLING = 40
 
 
 def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int64]:
-    """Return the clusters of frames by a self-organizing map of W x H units on a rectangular grid (n,).
+    """Cluster descriptors with a self-organizing map of W x H units on a rectangular grid (n,).
 
-    A cluster is a unit that won frames, so that there can be fewer than W x H. Places on the grid are numbered column
-    by column, (0, 0), (0, 1) ... (W-1, H-1). Units start evenly spread over the
-    plane of the two principal components, within sqrt(3) standard deviations, the longer side of the grid along the
-    first. In each of 60 epochs every frame chooses its nearest unit (Euclidean; the first of equal ones), and every
-    unit becomes the mean of the frames, weighted by exp(-g^2 / (2 r^2)), where g is the distance on the grid to the
-    frame's unit; r falls geometrically from half the longer side (0.3 at least) to 0.3. At most 40 epochs with the
-    last radius follow, until no frame changes; before each of them, every unit that won no frame, one after the other,
-    is set to the frame farthest from its unit among those of the unit with the largest sum of squared distances that
-    holds two different frames at least, and the frames choose again. The order of the frames does not matter but for
-    the numbering: labels go from 0 to k-1 in the order of first appearance.
+    A cluster is a unit that won frames, so there can be fewer than W x H. Equal descriptors share a label. The order
+    of the frames affects only the numbering: labels go from 0 to k-1 in the order of first appearance.
+
+    1. Units start evenly spread over the plane of the two principal components, within sqrt(3) standard deviations,
+       the longer side of the grid along the first. They are numbered column by column, (0, 0), (0, 1) ... (W-1, H-1).
+    2. In each of 60 epochs every frame chooses its nearest unit (Euclidean; of equally near ones the first), and every
+       unit becomes the mean of the frames, weighted by exp(-g^2 / (2 r^2)), where g is the distance on the grid to the
+       frame's unit; r falls geometrically from half the longer side (at least 0.3) to 0.3.
+    3. Up to 40 epochs with the last radius follow, until no frame changes. Before each, the units that won no frame
+       are moved one by one: of the units that hold at least two different frames, the one with the largest sum of
+       squared distances gives up its farthest frame, the empty unit is set to it, and the frames choose again.
 
     Args:
         X: descriptors (n, D).
         grid: (W, H), both at least 1, W x H at most n.
-        seed: of the search for the principal components.
+        seed: of the randomized search for the principal components.
 
     Raises:
-        AnalyticError: descriptors of wrong shape or not finite, a grid that is not as described, a negative seed.
+        AnalyticError: descriptors of wrong shape or not finite, a grid that is not as described, a seed out of range.
+
+    Examples:
+        >>> som([[0.0, 0.1], [0.1, 0.0], [5.0, 5.1], [5.1, 5.0]], (2, 1)).tolist()
+        [0, 0, 1, 1]
     """
     x = checks.vectors(X)
     width, height = _checked_grid(grid)
@@ -44,7 +49,7 @@ def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int
             f"a grid of {width} x {height} units needs at least {width * height} frames, got {len(x)}: "
             "make the grid smaller"
         )
-    seed = checks.whole(seed, "the seed", 0)
+    seed = checks.seed(seed)
     different, inverse, counts = checks.distinct(x)
     scaled, _ = checks.to_unit_range(different)
     return checks.renumbered(winners(scaled, counts.astype(np.float64), (width, height), seed)[inverse])
@@ -90,19 +95,12 @@ def _first_units(
 
 
 def _principal(centred: NDArray[np.float64], weights: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-    """Return the two first principal components, or fewer, each as long as its standard deviation (c, D).
+    """Return the two first principal components, or fewer, each as long as its standard deviation (c, D)."""
+    from sklearn.utils.extmath import randomized_svd
 
-    Found by subspace iteration: the start of a map needs a few digits only. The largest value is positive.
-    """
-    rows, columns = centred.shape
-    block = np.random.default_rng(seed).normal(size=(columns, min(8, rows, columns)))
-    for _ in range(20):
-        block, _ = np.linalg.qr(centred.T @ (weights[:, None] * (centred @ block)))
-    seen = np.sqrt(weights / weights.sum())[:, None] * (centred @ block)
-    _, deviations, turns = np.linalg.svd(seen, full_matrices=False)
-    axes = (turns @ block.T)[: min(2, len(turns))]
-    axes = axes * np.sign(axes[np.arange(len(axes)), np.abs(axes).argmax(axis=1)])[:, None]
-    return axes * deviations[: len(axes), None]
+    seen = np.sqrt(weights / weights.sum())[:, None] * centred
+    _, deviations, axes = randomized_svd(seen, min(2, *seen.shape), random_state=seed)
+    return axes * deviations[:, None]
 
 
 def _nearest_unit(x: NDArray[np.float64], units: NDArray[np.float64]) -> NDArray[np.int64]:

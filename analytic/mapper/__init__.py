@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from analytic.mapper.decision import Change, Decision, Location, Reason
-from analytic.mapper.events import replay
+from analytic.mapper.decision import Change, Decision, Location, Reason, replay
 from analytic.mapper.graph import NodeGraph
 from analytic.mapper.mapper import IncrementalMapper
 from analytic.mapper.parameters import Parameters

@@ -18,7 +18,7 @@ _ROUNDING = 1e-9  # of the mean: a deviation that counts as none, or a robot tha
 
 @dataclass(frozen=True)
 class Closure:
-    """How a frame stands to a node, by the mode that it fits best.
+    """The node-level comparison of a frame with a node, by the mode that it fits best.
 
     Attributes:
         node: id.
@@ -37,22 +37,22 @@ class Closure:
     deviation: float
 
     def closes(self, x: float) -> bool:
-        """Return whether |distance - mean| <= |x std| (eq. 4, and eq. 11 with y)."""
+        """Test |distance - mean| <= |x std| (eq. 4, and eq. 11 with y)."""
         return self.deviation <= x * self.std
 
     @property
     def ratio(self) -> float:
-        """Return the x with which the node would just close."""
+        """The x with which the node would just close."""
         return _ratio(self.deviation, self.std)
 
 
 @dataclass(frozen=True)
 class Closures:
-    """How a frame stands to several nodes, each by the mode that it fits best; in the order of the nodes given.
+    """The node-level comparisons of a frame with several nodes, in the order of the nodes given.
 
     Attributes:
         nodes: (n,) ids.
-        modes: (n,) and the others as of `Closure`.
+        modes: (n,) this and the other arrays as in `Closure`.
     """
 
     nodes: NDArray[np.int64]
@@ -66,12 +66,12 @@ class Closures:
         return len(self.nodes)
 
     def row(self, row: int) -> Closure:
-        """Return how the frame stands to one of the nodes."""
+        """Return the comparison with one of the nodes."""
         parts = (self.nodes, self.modes, self.distances, self.means, self.stds, self.deviations)
         return Closure(*(part[row].item() for part in parts))
 
     def of(self, node: int) -> Closure:
-        """Return how the frame stands to the node of that id."""
+        """Return the comparison with the node of that id."""
         return self.row(int(np.flatnonzero(self.nodes == node)[0]))
 
     def closing(self, x: float) -> NDArray[np.int64]:
@@ -79,7 +79,7 @@ class Closures:
         return np.flatnonzero(self.deviations <= x * self.stds)
 
     def nearest(self) -> Closure:
-        """Return how the frame stands to the node that would close with the smallest x; of equals the oldest."""
+        """Return the comparison with the node that would close with the smallest x; of equals the oldest."""
         rows = [self.row(row) for row in range(len(self))]
         return min(rows, key=lambda closure: (closure.ratio, closure.node))
 
@@ -95,14 +95,14 @@ def point_of(description: Description) -> NDArray[np.float64]:
 
 
 def node_level(point: NDArray[np.float64], node: Node, two_sided: bool) -> Closure:
-    """Return how a position descriptor (D,) stands to a node (eq. 3); of equal modes, the older counts."""
+    """Compare a position descriptor (D,) with a node (eq. 3); of equal modes, the older counts."""
     return node_levels(point, [node], two_sided).row(0)
 
 
 def node_levels(point: NDArray[np.float64], nodes: Sequence[Node], two_sided: bool) -> Closures:
-    """Return how a position descriptor (D,) stands to each of some nodes (eq. 3).
+    """Compare a position descriptor (D,) with each of some nodes (eq. 3).
 
-    What a mode needs for it, it keeps from frame to frame, so that only a mode that has changed is prepared anew. The
+    A mode keeps what it needs for this from frame to frame, so only a mode that has changed is prepared again. The
     distance to one mode is computed apart from all others: it is the same whichever nodes there are, in any order.
     """
     distances = np.array([mode.metric.distance(point) for node in nodes for mode in node.modes])
@@ -110,7 +110,7 @@ def node_levels(point: NDArray[np.float64], nodes: Sequence[Node], two_sided: bo
 
 
 def node_levels_of(points: NDArray[np.float64], nodes: Sequence[Node], two_sided: bool) -> list[Closures]:
-    """Return how each position descriptor (n, D) stands to each of some nodes (eq. 3), all frames at once."""
+    """Compare each position descriptor (n, D) with each of some nodes (eq. 3), all frames at once."""
     distances = np.array([mode.metric.distances(points) for node in nodes for mode in node.modes])
     return [_closures(column, nodes, two_sided) for column in distances.T]
 
@@ -182,13 +182,13 @@ def image_level(
     orientation: bool,
     leave_out: int | None = None,
 ) -> Similarity:
-    """Return the similarity of a frame to the frames of nodes (eq. 5-6), position times aligned orientation.
+    """Compute the similarity of a frame to the frames of nodes (eq. 5-6), position times aligned orientation.
 
     Each of the two is the inverse distance, normalized to sum 1. A frame at distance 0 counts as one at a millionth of
     the largest distance.
 
     Args:
-        descriptor: which tells distances.
+        descriptor: which measures distances.
         query: one frame.
         nodes: the candidates.
         distance: between position descriptors; None is the descriptor's own.
@@ -224,7 +224,7 @@ def _normalized_inverse(distances: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def prominences(curve: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the topographic prominence (n,) of each sample of a curve that is 0 before and after; 0 off the peaks.
+    """Compute the topographic prominence (n,) of each sample of a curve that is 0 before and after; 0 off the peaks.
 
     It is the height above the higher of the two lowest points that lie between the peak and something higher, or the
     end, on either side. Of a flat peak the first sample counts.
@@ -245,7 +245,7 @@ def prominences(curve: NDArray[np.float64]) -> NDArray[np.float64]:
 def similarity_curve(
     similarity: Similarity, labels: NDArray[np.int64], candidates: Collection[int]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the similarities in capture order with a zero wherever frames of other nodes lie between ([I] fig. 6c).
+    """Arrange similarities in capture order, with a zero wherever frames of other nodes lie between ([I] fig. 6c).
 
     Args:
         similarity: to the frames of the candidates.
@@ -253,7 +253,7 @@ def similarity_curve(
         candidates: ids of the candidate nodes.
 
     Returns:
-        The curve, and where in it each frame of `similarity` stands.
+        The curve, and the place of each frame of `similarity` in it.
     """
     order = np.argsort(similarity.frames, kind="stable")
     frames = similarity.frames[order]

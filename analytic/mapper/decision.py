@@ -1,10 +1,25 @@
-"""What the mapper answers."""
+"""What the mapper answers, and the log of its answers.
+
+The log has one line of JSON for each frame, from which a run can be replayed and explained.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.errors import AnalyticError
+
+NONE = -1  # the label of a frame without a node
+FORMAT = "analytic.mapper.log"
+VERSION = 1
 
 
 class Reason(str, Enum):
@@ -17,7 +32,7 @@ class Reason(str, Enum):
     MOVES_CENTROID = "it would move the node's centre more than any of its frames"
     NEW_NODE = "frames without a node, or that changed node too often, form one"
     JOINED_PARKED = "it is like a candidate that waits to become a node"
-    NODE_PARKED = "frames without a node are too like the map to form a node, and wait"
+    NODE_PARKED = "frames without a node are too similar to the map to form a node, and wait"
     PARKED_FORGOTTEN = "too many candidates wait, and this is the oldest"
     NODES_MERGED = "two nodes are too alike"
     REASSIGNED = "it is more similar to another node"
@@ -32,7 +47,7 @@ class Change:
         reason: NEW_NODE, NODE_PARKED, PARKED_FORGOTTEN, NODES_MERGED or REASSIGNED.
         node: what was created, parked, forgotten or kept, or where frames went; None if they lost their node.
         frames: those concerned.
-        scores: what was measured, against which limit.
+        scores: what was measured, and the limit.
     """
 
     reason: Reason
@@ -43,12 +58,12 @@ class Change:
 
 @dataclass(frozen=True)
 class Decision:
-    """What became of one frame.
+    """Where one frame belongs, and why.
 
     Attributes:
         node: its node, or None.
         reason: why.
-        scores: what was measured, against which limits: plain numbers, by name.
+        scores: what was measured, and the limits: plain numbers, by name.
         frame: its number in the map, from 0.
         changes: what else changed, in order.
     """
@@ -70,7 +85,7 @@ class Location:
         pose: what was given with that frame.
         heading: how far the robot has turned left since that frame, rad in (-pi, pi]; None without orientation.
         closes: whether the node passed the node-level condition; otherwise it is merely the least unlike.
-        scores: as of a decision.
+        scores: as in a decision.
     """
 
     node: int
@@ -79,3 +94,165 @@ class Location:
     heading: float | None
     closes: bool
     scores: dict[str, Any]
+
+
+class EventLog:
+    """The log of a run, in memory and, if asked for, in a file. A copy keeps only the lines; the file stays here.
+
+    Args:
+        lines: of the run so far.
+        target: a path, which is overwritten with the whole run, or an open text file; None for memory alone.
+
+    Attributes:
+        lines: of the run, and perhaps one that an interrupted call left behind.
+
+    Raises:
+        AnalyticError: a path that cannot be written.
+    """
+
+    def __init__(self, lines: Iterable[str], target: str | Path | TextIO | None = None) -> None:
+        self.lines = list(lines)
+        self._ends = np.cumsum([len(_line(line)) for line in self.lines]).tolist()
+        self._path = Path(target) if isinstance(target, (str, Path)) else None
+        self._file = None if isinstance(target, (str, Path)) else target
+        self._write("".join(f"{line}\n" for line in self.lines), None)
+
+    def __reduce__(self) -> tuple[type[EventLog], tuple[list[str]]]:
+        """Copy without the file, since two logs would write to it."""
+        return EventLog, (self.lines,)
+
+    def write(self, line: str, before: int) -> None:
+        """Write one line after the first `before` lines.
+
+        Whatever follows those is removed first, in memory and at the path: part of a line that did not fit on a full
+        disk, or the line of a call that was interrupted.
+        """
+        del self.lines[before:], self._ends[before:]
+        end = self._ends[-1]
+        self._write(f"{line}\n", end)
+        self._ends.append(end + len(_line(line)))
+        self.lines.append(line)
+
+    def _write(self, text: str, end: int | None) -> None:
+        """Write text to the file: after its first `end` bytes, or from the start for None."""
+        try:
+            if self._path is not None:
+                with self._path.open("wb" if end is None else "ab") as file:
+                    if end is not None and file.tell() > end:
+                        file.truncate(end)
+                    file.write(text.encode())
+            elif self._file is not None:
+                self._file.write(text)
+        except (OSError, ValueError) as error:
+            raise AnalyticError(
+                f"the log of the mapper cannot be written to {self._path or self._file} ({error}): give a path in a "
+                "folder that can be written to"
+            ) from error
+
+
+def _line(line: str) -> bytes:
+    return f"{line}\n".encode()
+
+
+def header(rules: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
+    """Return the first line of a log."""
+    return json.dumps({"format": FORMAT, "version": VERSION, "parameters": rules, "descriptor": identity}, default=str)
+
+
+def line_of(decision: Decision, poses: list[Any]) -> str:
+    """Return the line of a decision, with numbers rounded to six digits.
+
+    Args:
+        decision: on one frame, or on several that were added at once; then its `frame` is the last.
+        poses: of those frames.
+    """
+    frames = list(range(decision.frame - len(poses) + 1, decision.frame + 1))
+    event = {
+        "frames": frames,
+        "poses": poses,
+        "node": decision.node,
+        "reason": decision.reason.name,
+        "scores": _short(decision.scores),
+        "changes": [_change(change) for change in decision.changes],
+    }
+    return json.dumps(event, separators=(",", ":"))
+
+
+def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
+    """Rebuild the node of each frame (n,), -1 for none, from the lines of a log.
+
+    Args:
+        events: lines of JSON, or what they hold; a header may come first, and empty lines are passed over.
+
+    Raises:
+        AnalyticError: a line that is not an event, frames out of order, or a log of a newer version.
+
+    Examples:
+        >>> line = '{"frames": [0], "poses": [null], "node": 3, "reason": "ASSIGNED", "scores": {}, "changes": []}'
+        >>> replay([line]).tolist()
+        [3]
+    """
+    labels: list[int] = []
+    for number, line in enumerate(events, start=1):
+        if isinstance(line, str) and not line.strip():
+            continue
+        try:
+            event = json.loads(line) if isinstance(line, str) else line
+            if "format" in event:
+                _check_version(event)
+                continue
+            frames = [int(frame) for frame in event["frames"]]
+            if frames != list(range(len(labels), len(labels) + len(frames))):
+                raise AnalyticError(
+                    f"event {number} is about frames {frames}, but {len(labels)} came before it: replay whole logs, "
+                    "in order"
+                )
+            labels += [NONE if event["node"] is None else int(event["node"])] * len(frames)
+            for change in event["changes"]:
+                _apply(labels, change)
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            if isinstance(error, AnalyticError):
+                raise
+            raise AnalyticError(
+                f"event {number} of the log is not a line that a mapper wrote ({error!r}): the file is cut short or "
+                "not a log"
+            ) from error
+    return np.array(labels, dtype=np.int64)
+
+
+def _apply(labels: list[int], change: Mapping[str, Any]) -> None:
+    reason = Reason[change["reason"]]
+    if reason is Reason.NODES_MERGED:
+        gone = change["scores"]["gone"]
+        labels[:] = [change["node"] if label == gone else label for label in labels]
+    elif reason in (Reason.NEW_NODE, Reason.REASSIGNED, Reason.MAINTAINED):
+        for frame in change["frames"]:
+            labels[frame] = change["node"]
+
+
+def _check_version(event: Mapping[str, Any]) -> None:
+    if event["format"] != FORMAT:
+        raise AnalyticError(
+            f"this is not the log of a mapper but of {event['format']!r}: give the file that `log` names"
+        )
+    if event["version"] > VERSION:
+        raise AnalyticError(
+            f"the log has format version {event['version']}, and this program reads up to {VERSION}: use a newer one"
+        )
+
+
+def _change(change: Change) -> dict[str, Any]:
+    return {
+        "reason": change.reason.name,
+        "node": change.node,
+        "frames": list(change.frames),
+        "scores": _short(change.scores),
+    }
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _short(item) for key, item in value.items()}
+    return [_short(item) for item in value] if isinstance(value, list) else value

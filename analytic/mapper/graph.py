@@ -1,4 +1,4 @@
-"""The topology of a map: which places one gets to from which, and where loops closed."""
+"""The topology of a map: which places are connected, and where loops closed."""
 
 from __future__ import annotations
 
@@ -36,6 +36,11 @@ class NodeGraph:
         nodes: for each id, the number of its frames and modes and, if its frames have coordinates, their mean x and y.
         edges: for each pair of ids, the smaller first, how often the robot went between them.
         loops: (frame, matched frame) wherever a place was found again after another one.
+
+    Examples:
+        >>> labels = np.array([0, 0, 1, -1, 0])
+        >>> NodeGraph({0: {"frames": 3}, 1: {"frames": 1}}, edges(labels), loops(labels, np.array([-1, 0, -1, -1, 1])))
+        NodeGraph(nodes={0: {'frames': 3}, 1: {'frames': 1}}, edges={(0, 1): 2}, loops=[(4, 1)])
     """
 
     nodes: dict[int, dict[str, float]]
@@ -72,10 +77,10 @@ class NodeGraph:
 
 
 def edges(labels: NDArray[np.int64]) -> dict[tuple[int, int], int]:
-    """Return how often one frame with a node follows another of a different node, by pair of ids.
+    """Count how often a frame of one node follows a frame of another, by pair of ids.
 
     Args:
-        labels: (n,) node of each frame in capture order, -1 for none; frames without one are passed over.
+        labels: (n,) node of each frame in capture order, -1 for none; frames without one are skipped.
     """
     assigned = labels[labels >= 0]
     pairs = zip(assigned[:-1].tolist(), assigned[1:].tolist(), strict=True)
@@ -83,7 +88,7 @@ def edges(labels: NDArray[np.int64]) -> dict[tuple[int, int], int]:
 
 
 def loops(labels: NDArray[np.int64], matches: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Return the loop closures (frame, matched frame): both of one node, with a frame of another one between them.
+    """Find the loop closures (frame, matched frame): both of one node, with a frame of another one between them.
 
     Args:
         labels: (n,) as in `edges`.
@@ -99,7 +104,7 @@ def loops(labels: NDArray[np.int64], matches: NDArray[np.int64]) -> list[tuple[i
 
 
 def coordinates(pose: Any) -> tuple[float, float] | None:
-    """Return x and y of a pose: of an object's "x" and "y", or the first two numbers of a list; None without."""
+    """Read x and y of a pose: an object's "x" and "y", or the first two numbers of a list; None if there are none."""
     if isinstance(pose, dict):
         pair = [pose.get("x"), pose.get("y")]
     else:
@@ -135,8 +140,7 @@ def write(path: str | Path, data: bytes) -> None:
 
 def _unwritable(path: Path, error: OSError) -> AnalyticError:
     return AnalyticError(
-        f"{path} cannot be written ({error.strerror or error}): give a file name in a folder that exists and can be "
-        "written to"
+        f"{path} cannot be written ({error.strerror or error}): give a file name in an existing, writable folder"
     )
 
 

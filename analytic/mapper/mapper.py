@@ -16,13 +16,11 @@ from analytic.errors import AnalyticError
 from analytic.linear_algebra import one_thread
 from analytic.mapper import graph, storage
 from analytic.mapper.closure import image_level
-from analytic.mapper.decision import Decision, Location
-from analytic.mapper.events import EventLog, header, line_of
+from analytic.mapper.decision import Decision, EventLog, Location, header, line_of
 from analytic.mapper.node import Node
 from analytic.mapper.parameters import parameters
-from analytic.mapper.placing import closures_of
 from analytic.mapper.state import State
-from analytic.mapper.steps import maintain, step
+from analytic.mapper.steps import closures_of, maintain, step
 
 LARGEST_VALUE = 1e38
 LARGEST_POSITION = 4096  # numbers: beyond, the covariance of a single node takes more than 128 MiB
@@ -32,19 +30,32 @@ class IncrementalMapper:
     """A topological map that grows while the robot drives.
 
     Args:
-        descriptor: which made the descriptions. If its descriptions have no orientation part, or it was made with
+        descriptor: that makes the descriptions. If these have no orientation part, or it was made with
             `circular=False`, images are compared by position alone.
         version: 1 is [I] 4 and [T] 4.3; 2 the improved version of [T] 4.6.
-        log: a path or an open text file that gets one line of JSON per frame; the lines are kept in memory anyway.
-        others: every threshold, see `analytic.mapper.parameters.Parameters`: omega=1.85, y=1.5, gamma=5, ...
+        log: a path or an open text file that gets one line of JSON per frame; the lines are also kept in memory.
+        others: the thresholds of `analytic.mapper.Parameters`: omega=1.85, y=1.5, gamma=5, ...
 
     Attributes:
         descriptor: as given.
         parameters: all of them.
-        extendable: whether frames may be added; not those of a map that was loaded to be asked.
+        extendable: whether frames may be added; False for a map that was loaded for queries.
 
     Raises:
         AnalyticError: no descriptor, an unknown parameter, a value out of its range, or a log that cannot be written.
+
+    Examples:
+        >>> import analytic
+        >>> generator = np.random.default_rng(0)
+        >>> view = generator.integers(0, 256, (16, 64))
+        >>> images = np.clip(view + generator.normal(0, 5, (25, 16, 64)), 0, 255).astype(np.uint8)
+        >>> hog = analytic.descriptor("hog")
+        >>> mapper = IncrementalMapper(hog, version=2)
+        >>> decisions = [mapper.add(hog.describe(image), [0.0, 0.0]) for image in images]
+        >>> decisions[0].reason.name, decisions[19].reason.name, decisions[19].node
+        ('FIRST_FRAMES', 'NEW_NODE', 0)
+        >>> mapper.locate(hog.describe(images[3])).pose
+        [0.0, 0.0]
     """
 
     def __init__(
@@ -71,17 +82,17 @@ class IncrementalMapper:
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        """Return the nodes, the oldest first."""
+        """The nodes, the oldest first."""
         return tuple(self._state.ordered())
 
     @property
     def poses(self) -> tuple[Any, ...]:
-        """Return what was given with each frame."""
+        """The identifier or pose given with each frame."""
         return tuple(self._poses[: len(self)])
 
     @property
     def events(self) -> tuple[str, ...]:
-        """Return the log: a header, then a line of JSON for each call of `add` or `maintain`."""
+        """The log: a header, then a line of JSON for each call of `add` or `maintain`."""
         return tuple(self._log.lines[: 1 + self._state.calls])
 
     def labels(self) -> NDArray[np.int64]:
@@ -89,7 +100,7 @@ class IncrementalMapper:
         return self._state.labels.copy()
 
     def graph(self) -> graph.NodeGraph:
-        """Return nodes, edges and loop closures, to be written as GraphML or JSON."""
+        """Return nodes, edges and loop closures, which can be written as GraphML or JSON."""
         places = [graph.coordinates(pose) for pose in self.poses]
         nodes: dict[int, dict[str, float]] = {}
         for node in self.nodes:
@@ -102,7 +113,7 @@ class IncrementalMapper:
         return graph.NodeGraph(nodes, graph.edges(labels), graph.loops(labels, self._state.matches))
 
     def add(self, description: Description, frame: Any = None) -> Decision:
-        """Add one frame and return what became of it. If anything fails, the map is as it was.
+        """Add one frame and decide where it belongs. If anything fails, the map is as it was.
 
         Args:
             description: of one image.
@@ -123,7 +134,7 @@ class IncrementalMapper:
         return decision
 
     def maintain(self, node: int, descriptions: Description, frames: Sequence[Any] | None = None) -> Decision:
-        """Teach a node another appearance: a mode of its own, beside those that it has, from a revisit of its place.
+        """Teach a node another appearance of its place, from a revisit: a further mode with its own statistics.
 
         Args:
             node: id.
@@ -153,9 +164,9 @@ class IncrementalMapper:
         return decision
 
     def locate(self, description: Description) -> Location:
-        """Return where one image is in the map: its node and the most similar frame in it. Nothing changes.
+        """Find one image in the map: its node and the most similar frame in it. Nothing changes.
 
-        Nodes that pass the node-level condition compete; if none passes, the one that comes nearest to it is taken.
+        Nodes that pass the node-level condition compete; if none passes, the one that comes closest to passing wins.
 
         Raises:
             AnalyticError: a map without nodes, and what `add` raises for descriptions.
@@ -164,7 +175,7 @@ class IncrementalMapper:
             return self._located(self._checked(description, 1))
 
     def save(self, path: str | Path) -> None:
-        """Write the map to one file: arrays without pickles, under a temporary name that is then renamed.
+        """Save the map in one file: arrays without pickles, written under a temporary name and renamed.
 
         Raises:
             AnalyticError: a path that cannot be written.
@@ -180,24 +191,24 @@ class IncrementalMapper:
         extend: bool = False,
         log: str | Path | TextIO | None = None,
     ) -> IncrementalMapper:
-        """Read a map. It can only be asked, unless it is opened for extension; then it goes on as if never stopped.
+        """Load a map: for queries only, or to extend it; then it goes on as if it had never stopped.
 
         Args:
             path: as given to `save`.
             descriptor: that of the map; may be left out if its name is in `analytic.DESCRIPTORS`.
             extend: whether frames may be added.
-            log: as of the class; it gets the whole run.
+            log: as for the class; it gets the whole run.
 
         Raises:
-            AnalyticError: a path that cannot be read, a file that is cut short, no map or of a newer version, a
-                descriptor with other parameters than the map's, or none for a map of an unknown one.
+            AnalyticError: a path that cannot be read, a file that is cut short, not a map or of a newer version, a
+                descriptor other than the map's, or none for a map whose descriptor is not in `analytic.DESCRIPTORS`.
         """
         stored = storage.load(path)
         descriptor = descriptor or storage.descriptor_of(stored.identity, path)
         if json.loads(json.dumps(descriptor.identity, default=str)) != stored.identity:
             raise AnalyticError(
                 f"the map {path} was made with the descriptor {stored.identity}, not with {descriptor.identity}: "
-                "give the one that it was made with"
+                "give the map's own"
             )
         mapper = cls(descriptor, **asdict(stored.state.rules))
         mapper.extendable = extend
@@ -233,7 +244,7 @@ class IncrementalMapper:
         return Location(node, frame, self._poses[frame], heading, bool(closing), scores)
 
     def _commit(self, draft: State, decision: Decision, poses: list[Any]) -> None:
-        """Make a draft the map. Until its last line nothing counts: poses and events beyond those of the map do not."""
+        """Make a draft the map. Until its last line, poses and events beyond those of the map do not count."""
         draft.calls += 1
         self._log.write(line_of(decision, poses), draft.calls)
         self._poses[len(self) :] = poses
@@ -242,7 +253,7 @@ class IncrementalMapper:
     def _check_extendable(self) -> None:
         if not self.extendable:
             raise AnalyticError(
-                "this map was loaded to be asked, not to be changed: load it with extend=True to add frames"
+                "this map was loaded for queries and is read-only: load it with extend=True to add frames"
             )
 
     def _orientation(self, description: Description) -> bool:
@@ -255,7 +266,7 @@ class IncrementalMapper:
         return float(self.descriptor.align(description, reference).heading[0, 0])
 
     def _checked(self, description: Description, count: int | None) -> Description:
-        """Return a copy of a description that the map can take."""
+        """Check a description and return a copy that the map can keep."""
         if not isinstance(description, Description):
             raise AnalyticError(
                 f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"
@@ -266,8 +277,8 @@ class IncrementalMapper:
             )
         if description.position.shape[1] > LARGEST_POSITION:
             raise AnalyticError(
-                f"a node keeps a covariance of its position descriptors, which may have {LARGEST_POSITION} numbers at "
-                f"most, got {description.position.shape[1]}: choose a smaller one, such as hog with rows=16, bins=16"
+                f"a node keeps a covariance of its position descriptors, which may have at most {LARGEST_POSITION} "
+                f"numbers, got {description.position.shape[1]}: choose a smaller one, such as hog with rows=16, bins=16"
             )
         if count is not None and len(description) != count:
             raise AnalyticError(f"the mapper takes one image at a time, got a description of {len(description)}")
@@ -277,7 +288,7 @@ class IncrementalMapper:
                 raise AnalyticError(f"{len(description)} positions need as many orientation parts, got {len(part)}")
             if part.dtype.kind not in "fiub":
                 raise AnalyticError(f"the {name} part of a description must hold real numbers, got {part.dtype}")
-            # What is larger overflows in its fourth power.
+            # The fourth power of a larger value overflows.
             if not (np.abs(part, dtype=np.float64) <= LARGEST_VALUE).all():
                 raise AnalyticError(
                     f"the {name} part of a description holds values that are not finite, or beyond {LARGEST_VALUE:g}: "
@@ -291,7 +302,7 @@ class IncrementalMapper:
 
 
 def _plain(frame: Any) -> Any:
-    """Return an identifier or a pose as JSON will give it back."""
+    """Return an identifier or a pose as it will be read back from JSON."""
     if isinstance(frame, (np.generic, np.ndarray)):
         frame = frame.tolist()
     try:

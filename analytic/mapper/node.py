@@ -10,24 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description
-from analytic.mapper.gallery import Gallery, spread, thin
-from analytic.mapper.metric import Metric
-from analytic.mapper.model import Model
-from analytic.mapper.moments import Moments
+from analytic.mapper.frames import Gallery, Rim, Rows, spread, thin
 from analytic.mapper.parameters import Parameters
-from analytic.mapper.rim import Rim
-from analytic.mapper.rows import Rows
+from analytic.mapper.statistics import Metric, Model, Moments
 
-_LEAST_LEFT = 1e-2  # of the spread; below, taking away frames leaves too few digits of the sums over the others
+_LEAST_LEFT = 1e-2  # of the spread; below, removing frames leaves too few digits of the sums over the others
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Of the distances of a mode's held-out frames to its model ([I] 4.1).
+    """Mean and spread of the distances of a mode's held-out frames to its model ([I] 4.1).
 
     Attributes:
         mean: of the squared Mahalanobis distances.
-        std: of them, with n - 1; 0 for fewer than two, so that nothing closes.
+        std: of the distances, with n - 1; 0 for fewer than two, so that nothing closes.
     """
 
     mean: float
@@ -47,7 +43,7 @@ class Mode:
         centre: (D,) mean of all its frames, the representative.
         model: mean and covariance of the frames that model it.
         gallery: the frames that images are compared with.
-        rim: the frames that may be the furthest from the centre, if they were looked for.
+        rim: the frames that may be the furthest from the centre, if they were looked for before.
     """
 
     rules: Parameters
@@ -148,7 +144,7 @@ class Mode:
 
     @property
     def sample(self) -> NDArray[np.int64]:
-        """Return the rows of the held-out frames in use: all, or every second, fourth, ... to respect `exemplars`."""
+        """The rows of the held-out frames in use: all, or every second, fourth, ... to respect `exemplars`."""
         rows = np.flatnonzero(self.held)
         step = 1
         while self.rules.exemplars is not None and -(-len(rows) // step) > self.rules.exemplars:
@@ -157,12 +153,12 @@ class Mode:
 
     @cached_property
     def metric(self) -> Metric:
-        """Return how squared Mahalanobis distances to the mean of the frames that model the mode are computed."""
+        """The squared Mahalanobis distances to the mean of the frames that model the mode."""
         return self.model.metric(self.rows.array[~self.held] if self.model.few else None)
 
     @cached_property
     def gaussian(self) -> Gaussian:
-        """Return mean and standard deviation of the distances of the held-out frames."""
+        """The mean and standard deviation of the distances of the held-out frames."""
         distances = self.metric.distances(self.rows.array[self.sample])
         if len(distances) < 2:
             return Gaussian(float(distances.sum()), 0.0)
@@ -170,14 +166,14 @@ class Mode:
 
     @property
     def reach(self) -> float:
-        """Return the right side of eq. 9: how far the representative would move without its most distant frame."""
+        """The right side of eq. 9: how far the representative would move without its most distant frame."""
         if len(self) < 2:
             return 0.0
         return self._furthest[1] / (len(self) - 1)
 
     @cached_property
     def _furthest(self) -> tuple[Rim, float]:
-        """Return a rim and the largest distance of a frame to the centre."""
+        """The rim, and the largest distance of a frame to the centre."""
         rows = self.rows.array
         if self.rim is not None:
             known = self.rim.furthest(rows, self.centre)
@@ -223,11 +219,11 @@ class Node:
 
     @property
     def frames(self) -> list[int]:
-        """Return the numbers of its frames, in capture order."""
+        """The numbers of its frames, in capture order."""
         return sorted(np.concatenate([mode.frames for mode in self.modes]).tolist())
 
     def with_mode(self, index: int, mode: Mode) -> Node:
-        """Return the node with another mode in place of one."""
+        """Return the node with one mode replaced."""
         return replace(self, modes=(*self.modes[:index], mode, *self.modes[index + 1 :]))
 
     def holding(self, frame: int) -> int:
@@ -235,6 +231,6 @@ class Node:
         return next(index for index, mode in enumerate(self.modes) if frame in mode.frames)
 
     def remove(self, frames: Sequence[int]) -> Node:
-        """Return the node without some of its frames; a mode that loses all of them goes."""
+        """Return the node without some of its frames; a mode that loses all its frames is removed."""
         modes = [mode.remove(frames) if np.isin(mode.frames, frames).any() else mode for mode in self.modes]
         return replace(self, modes=tuple(mode for mode in modes if len(mode)))

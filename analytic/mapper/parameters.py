@@ -1,4 +1,4 @@
-"""Every threshold of the mapper under its name, with its published default."""
+"""The thresholds of the mapper, by name, with their published defaults."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
 
-_CLOSE = 1e-9  # 0.2 * 15 is 3.0000000000000004, and its like must not fall below the whole number
+_CLOSE = 1e-9  # a product such as 0.2 * 15 may be off by rounding, and must not fall below the whole number
 _SMALLEST_GAUSSIAN = 2  # frames that a standard deviation needs
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """What decides how a map grows.
+    """The thresholds that decide how a map grows.
 
     Args:
         version: 1 is [I] 4 and [T] 4.3; 2 is the improved version of [T] 4.6.
@@ -25,17 +25,17 @@ class Parameters:
         gamma: how many times the mean prominence the best image must reach, eq. 8; version 1 only.
         x_start: x is max(omega, x_start - x_slope * nodes).
         x_slope: see `x_start`.
-        two_sided: eq. 4 and 11 as they stand, |distance - mean| <= x * std; False drops the lower side, so that a
-            frame nearer to a node than its own frames are closes too.
+        two_sided: eq. 4 and 11 as published, |distance - mean| <= x * std; False drops the lower side, so that a frame
+            nearer to a node than its own frames also closes.
         merge: "changed" looks for merging whenever the contents of a node change ([T] 4.5.2), "created" only for a
             node that has just been created ([I] 4.6), "never" not at all.
         distance: between position descriptors at image level, eq. 5; None is the descriptor's own.
         orientation: whether the aligned orientation parts are compared too, where the descriptor has them.
         shrinkage: "ledoit_wolf", or a fixed share of the identity in (0, 1].
-        held_out: share of a node's frames that form the Gaussian of eq. 4 and not its mean and covariance.
+        held_out: share of a node's frames that form the Gaussian of eq. 4 instead of its mean and covariance.
         first_node: frames that form the first node.
         new_node: consecutive frames without a node that form the next one; version 1.
-        parked_nodes: candidates that wait at most; beyond, the oldest is forgotten; version 1.
+        parked_nodes: the most candidates that wait; beyond, the oldest is forgotten; version 1.
         checked_unassigned: frames without a node, of the last `checked_window`, that ask for a new one; version 2.
         checked_window: see `checked_unassigned`.
         forced_unassigned: frames without a node, of the last `forced_window`, that force a new one; version 2.
@@ -43,11 +43,15 @@ class Parameters:
         node_changes: changes of node in the last `changes_window` frames that ask for a new one; version 2.
         changes_window: see `node_changes`.
         window: frames before a new node that are evaluated again with its own; version 2.
-        smallest_node: frames that a node keeps at least when others leave it, and that a mode needs.
+        smallest_node: the fewest frames that a node keeps when others leave it, and that a mode needs.
         exemplars: frames of each mode that are kept for comparing images, and of those held out; None keeps all.
 
     Raises:
         AnalyticError: a value out of its range.
+
+    Examples:
+        >>> Parameters(version=2, omega=2.0).x(nodes=40)
+        2.0
     """
 
     version: int = 1
@@ -100,12 +104,12 @@ class Parameters:
         return max(self.omega, self.x_start - self.x_slope * nodes)
 
     def holds_out(self, held: int, frames: int) -> bool:
-        """Return whether the next frame of a node is held out, so that the share is kept."""
+        """Decide whether the next frame of a node is held out, so that the share is kept."""
         return held < floor(self.held_out * (frames + 1) + _CLOSE)
 
     @property
     def memory(self) -> int:
-        """Return how many of the last frames may still be needed to form a node or to be evaluated again."""
+        """The number of last frames that may still be needed to form a node or to be evaluated again."""
         return max(self.first_node, self.new_node, self.checked_window, self.forced_window, self.changes_window) + (
             self.window
         )
@@ -124,7 +128,7 @@ class Parameters:
             if getattr(self, part) > getattr(self, whole):
                 raise AnalyticError(
                     f"{part} counts frames of the last {whole}: {getattr(self, part)} of {getattr(self, whole)} "
-                    "cannot be"
+                    "is impossible"
                 )
         for name in ("first_node", "new_node", "checked_unassigned", "forced_unassigned", "changes_window"):
             if getattr(self, name) < self.smallest_node:
@@ -135,13 +139,13 @@ class Parameters:
         held = floor(self.held_out * self.smallest_node + _CLOSE)
         if not _SMALLEST_GAUSSIAN <= held <= self.smallest_node - _SMALLEST_GAUSSIAN:
             raise AnalyticError(
-                f"held_out={self.held_out:g} of smallest_node={self.smallest_node} frames holds out {held}: two at "
-                "least must be held out, and two must be left to model the node"
+                f"held_out={self.held_out:g} of smallest_node={self.smallest_node} frames holds out {held}: at "
+                "least two must be held out, and two must be left to model the node"
             )
 
 
 def parameters(values: dict[str, Any]) -> Parameters:
-    """Return the parameters of that name and value.
+    """Check parameters given by name and return them.
 
     Raises:
         AnalyticError: an unknown name, or a value out of its range.

@@ -18,19 +18,17 @@ from numpy.typing import NDArray
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.errors import AnalyticError
-from analytic.mapper.gallery import Gallery
+from analytic.mapper.frames import Gallery, Rows
 from analytic.mapper.graph import write
-from analytic.mapper.model import Model
-from analytic.mapper.moments import Moments
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters, parameters
-from analytic.mapper.rows import Rows
 from analytic.mapper.state import State
+from analytic.mapper.statistics import Model, Moments
 
 FORMAT = "analytic.mapper"
 VERSION = 1
 
-# A byte that has changed may also claim an encryption or compression that there is not, or a header that is no literal.
+# A changed byte may also claim an encryption or compression that does not exist, or break the header of an array.
 _DAMAGE = (
     OSError,
     ValueError,
@@ -98,10 +96,10 @@ def load(path: str | Path) -> Stored:
     """Read a map.
 
     Raises:
-        AnalyticError: a path that cannot be read, or a file that is cut short, no map, or of a newer version.
+        AnalyticError: a path that cannot be read, or a file that is cut short, not a map, or of a newer version.
     """
     try:
-        # Opened here, since numpy leaves a file open that turns out not to be whole.
+        # Opened here, since numpy does not close a file that turns out to be incomplete.
         with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         head = json.loads(_string(arrays["header"]))
@@ -121,22 +119,22 @@ def load(path: str | Path) -> Stored:
         ) from error
     except _DAMAGE as error:
         raise AnalyticError(
-            f"{path} is no map, or it is damaged or cut short ({error!r}): give a whole file that `save` wrote"
+            f"{path} is not a map, or it is damaged or cut short ({error!r}): give a whole file that `save` wrote"
         ) from error
 
 
 def descriptor_of(identity: Mapping[str, Any], path: str | Path) -> Descriptor:
-    """Return the descriptor that a map was made with, if it is one of this package.
+    """Make the descriptor that a map was built with, if it belongs to this package.
 
     Raises:
-        AnalyticError: it is another one.
+        AnalyticError: a descriptor from elsewhere.
     """
     if identity.get("name") not in DESCRIPTORS:
         raise AnalyticError(
             f"the map {path} was made with the descriptor {identity.get('name')!r}, which is not one of "
             f"{', '.join(DESCRIPTORS)}: give it as `descriptor`"
         )
-    # JSON knows lists only, where a parameter may be a tuple.
+    # JSON has only lists, where a parameter may be a tuple.
     params = {key: tuple(v) if isinstance(v, list) else v for key, v in identity.items() if key != "name"}
     return descriptor(identity["name"], **params)
 

@@ -1,4 +1,4 @@
-"""How good a grouping of frames is: silhouettes, moments of inertia, purity by room, loop closures."""
+"""Measures of a clustering of frames: silhouettes, moments of inertia, purity by room, loop closures."""
 
 from __future__ import annotations
 

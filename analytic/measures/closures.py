@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.clustering import checks, pairs
+from analytic.clustering import checks
 from analytic.errors import AnalyticError
 
 
@@ -18,7 +18,7 @@ class ClosureScores:
 
     Attributes:
         precision: right closures / counted closures; NaN without any.
-        recall: revisits that some right closure joins to an earlier frame / revisits; NaN without any.
+        recall: revisits that a right closure joins to an earlier frame / revisits; NaN without any.
         f1: harmonic mean of both; 0 where revisits exist and none was closed, NaN where there is none.
         right: closures within the radius.
         closures: closures counted: different pairs of frames, at least `gap` apart.
@@ -42,12 +42,12 @@ class ClosureScores:
 
 
 def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap: int = 30) -> ClosureScores:
-    """Return precision, recall and F1 of loop closures.
+    """Measure precision, recall and F1 of loop closures.
 
-    A closure joins two frames, in either order, and counts once however often it is named. It is right when their
-    positions are within the radius. Frames less than `gap` apart in time lie close to each other anyway: a closure
-    between them is trivial and does not count. A frame is a revisit if an earlier frame, at least `gap` frames before,
-    lies within the radius; it is closed if it is the later frame of a right closure, which makes recall at most 1.
+    A closure joins two frames, in either order, and counts once however often it is listed. It is right when their
+    positions are within the radius. Frames less than `gap` frames apart are close to each other anyway: a closure
+    between them is trivial and does not count. A frame is a revisit if a frame at least `gap` frames earlier lies
+    within the radius; it is closed if it is the later frame of a right closure, so recall is at most 1.
 
     Args:
         closures: rows of `positions`, in pairs (m, 2); m may be 0.
@@ -58,6 +58,11 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
     Raises:
         AnalyticError: other shapes, positions that are not finite, frames that do not exist, a closure of a frame with
             itself, a radius or gap out of range.
+
+    Examples:
+        >>> found = closure_scores([(0, 3), (0, 2)], [[0, 0], [5, 0], [9, 0], [0.2, 0]], radius=0.5, gap=2)
+        >>> found.precision, found.recall
+        (0.5, 1.0)
     """
     xy = checks.vectors(positions, "positions")
     gap = checks.whole(gap, "the gap", 1)
@@ -87,7 +92,7 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
 
 def _revisits(xy: NDArray[np.float64], radius: float, gap: int) -> NDArray[np.bool_]:
     found = np.zeros(len(xy), dtype=bool)
-    for rows in pairs.row_slices(len(xy), len(xy) * xy.shape[1]):
+    for rows in checks.row_slices(len(xy), len(xy) * xy.shape[1]):
         if rows.stop <= gap:
             continue
         earlier = xy[: rows.stop - gap]
@@ -117,8 +122,8 @@ def _checked(closures: ArrayLike, frames: int) -> NDArray[np.int64]:
     if ends.ndim != 2 or ends.shape[1] != 2 or ends.dtype.kind not in "iu":
         raise AnalyticError(f"closures must be whole numbers of shape (m, 2), got {ends.dtype} of shape {ends.shape}")
     if ends.min() < 0 or ends.max() >= frames:
-        raise AnalyticError(f"closures must name frames from 0 to {frames - 1}, got {ends.min()} to {ends.max()}")
+        raise AnalyticError(f"closures must be of frames from 0 to {frames - 1}, got {ends.min()} to {ends.max()}")
     ends = np.sort(ends.astype(np.int64), axis=1)
     if (ends[:, 0] == ends[:, 1]).any():
-        raise AnalyticError("a closure joins two different frames, but one names the same frame twice")
+        raise AnalyticError("a closure joins two different frames, but one has the same frame twice")
     return np.unique(ends, axis=0)

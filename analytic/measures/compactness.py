@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.clustering import checks, pairs
+from analytic.clustering import checks
 from analytic.distances import DISTANCES
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
 
 MODES = ("nearest", "pooled")
+_FEW_DIMENSIONS = 16  # up to here subtracting is as fast as a matrix product, and exact
 
 
 @dataclass(frozen=True)
@@ -43,16 +44,21 @@ class Silhouettes:
 
 
 def silhouette(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance: str = "euclidean") -> float:
-    """Return the average silhouette of positions or of descriptors, in [-1, 1]; higher is more compact.
+    """Measure how compact clusters are by the average silhouette of positions or of descriptors, in [-1, 1].
 
-    See `silhouettes` for both modes, the arguments and the errors. With "nearest" every frame weighs the same ([C] eq.
-    8, 10); with "pooled" every cluster does ([I] eq. 12).
+    Higher is more compact. See `silhouettes` for both modes, the arguments and the errors. With "nearest" every frame
+    weighs the same ([C] eq. 8, 10); with "pooled" every cluster does ([I] eq. 12).
+
+    Examples:
+        >>> points = [[0.0, 0.0], [0.0, 1.0], [9.0, 0.0], [9.0, 1.0]]
+        >>> round(silhouette(points, [0, 0, 1, 1]), 3)
+        0.889
     """
     return silhouettes(X, labels, mode, distance).mean
 
 
 def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance: str = "euclidean") -> Silhouettes:
-    """Return the silhouettes (b - a) / max(a, b) of frames and clusters.
+    """Compute the silhouettes (b - a) / max(a, b) of frames and clusters.
 
     a is the mean distance of a frame to the *other* frames of its cluster. b is, with "nearest", the smallest of its
     mean distances to the frames of each other cluster ([C] eq. 9, 11); with "pooled", its mean distance to all frames
@@ -63,11 +69,16 @@ def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance
         X: positions (n, 2), or descriptors (n, D).
         labels: whole numbers (n,); frames with a negative one are in no cluster and are left out.
         mode: "nearest" or "pooled".
-        distance: a name in `analytic.DISTANCES`; the seeds do not name theirs, Euclidean is the custom.
+        distance: a name in `analytic.DISTANCES`; the papers do not say which they use, Euclidean is customary.
 
     Raises:
         AnalyticError: wrong shapes, values that are not finite, labels of another length, fewer than two clusters, an
             unknown mode or distance.
+
+    Examples:
+        >>> found = silhouettes([[0.0], [1.0], [9.0]], [0, 0, 1], mode="pooled")
+        >>> found.frames.round(3).tolist(), found.sizes.tolist()
+        ([0.889, 0.875, 0.0], [2, 1])
     """
     if mode not in MODES:
         raise AnalyticError(f"a silhouette has mode {' or '.join(map(repr, MODES))}, got {mode!r}")
@@ -78,7 +89,7 @@ def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance
     rows = rows[np.argsort(names[rows], kind="stable")]
     present, start, number, sizes = np.unique(names[rows], return_index=True, return_inverse=True, return_counts=True)
     if len(present) < 2:
-        raise AnalyticError(f"a silhouette compares clusters, so that it needs two at least, got {len(present)}")
+        raise AnalyticError(f"a silhouette compares clusters, so it needs at least two, got {len(present)}")
     found = np.zeros(len(rows))
     for block, apart in _blocks(x[rows], distance):
         sums = np.add.reduceat(apart, start, axis=1)
@@ -89,16 +100,20 @@ def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance
 
 
 def moment_of_inertia(points: ArrayLike, labels: ArrayLike) -> float:
-    """Return the moment of inertia of a compact map, in square metres ([C] eq. 7); lower is more compact.
+    """Measure how compact a map is by its moment of inertia, in square metres ([C] eq. 7); lower is more compact.
 
     It is the *sum* over clusters of the mean squared distance of the frames to their cluster's mean position.
-    Arguments and errors as `moments_of_inertia`.
+    Arguments and errors as for `moments_of_inertia`.
+
+    Examples:
+        >>> moment_of_inertia([[0.0, 0.0], [2.0, 0.0], [9.0, 9.0]], [0, 0, 1])
+        1.0
     """
     return float(moments_of_inertia(points, labels).sum())
 
 
 def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
-    """Return the mean squared distance to the mean position, of each cluster in the order of labels (k,).
+    """Compute the mean squared distance to the mean position, of each cluster in the order of labels (k,).
 
     Args:
         points: positions (n, 2), or of any other number of coordinates.
@@ -106,6 +121,10 @@ def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float
 
     Raises:
         AnalyticError: wrong shapes, positions that are not finite, labels of another length, or no cluster at all.
+
+    Examples:
+        >>> moments_of_inertia([[0.0, 0.0], [2.0, 0.0], [9.0, 9.0]], [0, 0, 1]).tolist()
+        [1.0, 0.0]
     """
     positions = checks.vectors(points, "positions")
     names = checks.cluster_labels(labels, len(positions))
@@ -135,13 +154,12 @@ def _of_frames(
 
 
 def _blocks(x: NDArray[np.float64], distance: str) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-    if DISTANCES[distance] is DISTANCES["euclidean"]:
-        scaled, _ = checks.to_unit_range(x)
-        for rows, block in pairs.squared_blocks(scaled):
-            yield rows, np.sqrt(block, out=block)
-        return
     between = distance_named(distance)
-    for rows in pairs.row_slices(len(x), len(x)):
+    if between is DISTANCES["euclidean"]:
+        x, _ = checks.to_unit_range(x)  # a silhouette is a ratio
+        if x.shape[1] > _FEW_DIMENSIONS:
+            from sklearn.metrics.pairwise import euclidean_distances as between
+    for rows in checks.row_slices(len(x), len(x)):
         block = between(x[rows], x)
         block[np.arange(len(block)), np.arange(rows.start, rows.stop)] = 0
         yield rows, block

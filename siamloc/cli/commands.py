@@ -95,8 +95,8 @@ def map_frames(config: DictConfig) -> None:
 
     run, label = run_of(config), label_of(config.descriptor)
     images, roles = open_roles(config, "map")
-    made = {"role": plain(config.protocol.map)}
-    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config), made=made)
+    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config))
+    known = known.with_record(role=plain(config.protocol.map))
     target = map_file(run, label)
     known.save(target)
     run.record_written([target])
@@ -110,7 +110,7 @@ def map_frames(config: DictConfig) -> None:
     folder = run.layer(label, label_of(config.build))
     built = maps.group(known, folder=folder, **way_of(config))
     run.record_written(files_in(folder))
-    print(built.summary(folder))
+    print(f"layer: {folder}, {built.summary()}")
     print(f"next: siamloc evaluate run={run.folder} task=hierarchical build={label_of(config.build)}")
 
 

@@ -165,7 +165,9 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
                 "protocol.map keys that are wanted"
             )
         return maps.build(described, images, frames["map"], heading=heading), images, frames
-    return (known if heading is None else known.with_heading(heading)), images, frames
+    if heading is not None:
+        known.check_heading(heading)
+    return known, images, frames
 
 
 def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[Built, Path]:

@@ -33,7 +33,7 @@ def read_cold(
 
     A sequence is a folder with a camera's folder inside, or with `localization/places.lst` or `places.lst`; or a list
     named after its sequence, such as `freiburg_seq2_cloudy1.places.lst`, whose images are looked for in
-    `freiburg_seq2_cloudy1/<camera>` beside it and need not be there. Frames are ordered by time inside each sequence;
+    `freiburg_seq2_cloudy1/<camera>` next to it and need not be there. Frames are ordered by time inside each sequence;
     sequences are called `freiburg_a_seq2_cloudy3`, their building `freiburg_a`. Without a list the frames are the
     images of the camera's folder, without rooms. Pronobis & Caputo 2009, IJRR 28(5).
 
@@ -62,7 +62,7 @@ def read_cold(
         if name.sequence in named:
             first = named[name.sequence][0]
             raise DataError(
-                f"sequence {name.sequence} is there twice, as {first.list or first.folder} and as "
+                f"sequence {name.sequence} appears twice, as {first.list or first.folder} and as "
                 f"{source.list or source.folder}: remove one, or give the folder of one of them as root"
             )
         named[name.sequence] = (source, frames)
@@ -188,7 +188,7 @@ def _listed(path: Path) -> list[dict[str, Any]]:
                 f"got {line.strip()[:120]!r}"
             )
         if words[0] in frames:
-            raise DataError(f"{path}, line {number}: image {words[0]} stands in the list already")
+            raise DataError(f"{path}, line {number}: image {words[0]} is in the list already")
         frames[words[0]] = {"image": words[0], "room": words[1], **pose._asdict()}
     if not frames:
         raise DataError(f"{path} lists no images")
@@ -199,7 +199,7 @@ def _unlisted(folder: Path, on_error: str) -> list[dict[str, Any]]:
     """Take the frames from the names of a camera's images."""
     images = image_files(folder)
     if not images:
-        raise DataError(f"{folder} holds no images, and there is no list of rooms beside it")
+        raise DataError(f"{folder} holds no images, and there is no list of rooms next to it")
     poses = [parse_name(image.name) for image in images]
     nameless = [image.name for image, pose in zip(images, poses, strict=True) if pose is None]
     leave_out(nameless, len(images), f"images of {folder} carry no pose in their names", on_error)

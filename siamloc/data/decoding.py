@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -70,17 +70,17 @@ class Preprocessing:
         if len(size) != 2 or any(int(side) != side for side in size):
             raise ConfigError(f"image_size is (rows, columns) in whole pixels, got {image_size}")
         height, width = (int(side) for side in size)
-        camera: Any = unwrap
-        given = PanoramaView(height, width)
+        camera: Any
+        camera, given = unwrap, PanoramaView(height, width)
         if isinstance(unwrap, Mapping):
             camera, given = camera_from_config(unwrap, (height, width))
         if view is None:
             view = given
         elif (view.height, view.width) != (height, width):
             raise ConfigError(f"image_size is {height} x {width}, but the view has {view.height} x {view.width} pixels")
-        if camera is not None and not dataclasses.is_dataclass(camera):
-            raise ConfigError(f"a camera must be a dataclass, so that its parameters can be stored; got {camera!r}")
-        return cls(view, camera)
+        if camera is not None and not (dataclasses.is_dataclass(camera) and hasattr(camera, "sampling")):
+            raise ConfigError(f"a camera must be a dataclass with a method `sampling`, got {camera!r}")
+        return cls(view, cast("OmnidirectionalCamera | None", camera))
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Preprocessing:
@@ -115,9 +115,9 @@ class Preprocessing:
         """Return the camera and the elevations as plain values, as `conf/unwrap` holds them; `checked` reads them."""
         if self.camera is None:
             return {"kind": "none"}
-        kinds = {camera: kind for kind, camera in CAMERAS.items()}
+        known = [kind for kind, camera in CAMERAS.items() if type(self.camera) is camera]
+        kind = known[0] if known else type(self.camera).__name__
         options = dataclasses.asdict(self.camera)  # type: ignore[call-overload]
-        kind = kinds.get(type(self.camera), type(self.camera).__name__)
         return plain({"kind": kind, **options, "top": self.view.top, "bottom": self.view.bottom})
 
     def panorama(self, path: str | Path) -> NDArray[np.uint8]:
@@ -191,7 +191,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
 
 def _cut_short(data: bytes) -> bool:
-    """Tell whether a JPEG or PNG ends before its end marker: some releases of OpenCV fill the rest with grey."""
+    """Say whether a JPEG or PNG ends before its end marker: some releases of OpenCV fill the rest with grey."""
     if data.startswith(b"\xff\xd8"):
         # The last scan has to be closed; an end marker further up may belong to an embedded thumbnail.
         return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xd9" not in data

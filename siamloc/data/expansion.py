@@ -1,4 +1,4 @@
-"""Where the pictures of an expanded data set lie, and the lists beside them: the layout of the data set itself.
+"""Where the pictures of an expanded data set lie, and the lists next to them: the layout of the data set itself.
 
 The pose and the labels of a picture are its frame's; only the heading grows by what a rotation added. Readers so find
 an expanded data set as they find any other.
@@ -72,7 +72,7 @@ def turned_headings(frames: FrameTable, headings: NDArray[np.float64]) -> NDArra
 def write_lists(
     kind: str, frames: FrameTable, pictures: list[list[Path]], folder: str | Path, headings: NDArray[np.float64]
 ) -> list[Path]:
-    """Write what a reader needs beside the pictures and return it: COLD's lists of rooms, or the manifest.
+    """Write what a reader needs next to the pictures and return it: COLD's lists of rooms, or the manifest.
 
     Args:
         kind: "cold", "folder" (which needs nothing) or "manifest".
@@ -123,7 +123,7 @@ def _folder(frames: FrameTable, root: Path) -> list[tuple[Path, str, str]]:
 
 
 def _manifest(frames: FrameTable, root: Path) -> list[tuple[Path, str, str]]:
-    """Keep the images' own folders where they lie beside the table, else gather them by sequence."""
+    """Keep the images' own folders where they lie below the table's folder, else gather them by sequence."""
     places = []
     for frame in frames:
         path = Path(frame["path"])

@@ -22,7 +22,7 @@ def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
 
     Args:
         root: the folder that holds the splits.
-        on_error: "skip" or "raise", for images that lie beside the rooms' folders and so have no room.
+        on_error: "skip" or "raise", for images next to the rooms' folders, which have no room.
 
     Raises:
         ConfigError: an unknown policy.
@@ -46,7 +46,7 @@ def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
             f"{root} holds no images laid out as {_LAYOUT}; it holds: {', '.join(found) or 'nothing'}"
             + (f"; images without a room's folder: {len(stray)}, the first {stray[0]}" if stray else "")
         )
-    leave_out(stray, len(stray) + len(frames), "images lie beside the rooms' folders", on_error)
+    leave_out(stray, len(stray) + len(frames), "images lie next to the rooms' folders", on_error)
     return FrameTable.from_rows(frames)
 
 

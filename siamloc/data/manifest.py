@@ -25,7 +25,7 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     `sequence`, `lighting`, `time` (s), `building`; others are ignored
     with a warning. Images are relative to the table's folder. An
     empty number is unknown (NaN); blank lines do not count. Rows of a sequence whose times are all known are put in
-    order of time; the others are taken as they stand.
+    order of time; the others keep the order of the table.
 
     Args:
         manifest: the CSV file, in UTF-8.
@@ -34,7 +34,7 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     Raises:
         ConfigError: an unknown policy.
         DataError: the file is missing or empty, a column or cell cannot be used (with line, column and value), or an
-            image stands twice in one sequence.
+            image appears twice in one sequence.
     """
     check_policy(on_error)
     file = Path(manifest).expanduser()
@@ -57,7 +57,7 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
         image = (os.path.normpath(frame["path"]), frame.get("sequence", ""))
         if image in seen:
             raise DataError(
-                f"{file}, line {number}: image {cells[names['image']]!r} stands already in line {seen[image]} "
+                f"{file}, line {number}: image {cells[names['image']]!r} is already in line {seen[image]} "
                 "with the same sequence: remove one of the rows, or give them different sequences"
             )
         seen[image] = number
@@ -73,7 +73,7 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
 
 
 def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return frames in capture order inside each sequence, where the times tell it."""
+    """Return frames in capture order inside each sequence, where the times are known."""
     places: dict[str, list[int]] = {}
     for place, frame in enumerate(frames):
         places.setdefault(frame.get("sequence", ""), []).append(place)

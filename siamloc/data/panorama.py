@@ -5,7 +5,11 @@ Frames of reference. The robot's frame is x forward, y left, z up; azimuth is co
 looks up. With the top of the picture turned to the robot's front, what is to the robot's left then appears on the
 *right* of the omnidirectional image: a camera that looks up sees the floor plan mirrored. A panorama is not
 mirrored: its columns run clockwise, the middle of its width (between the columns W/2 - 1 and W/2) looks straight
-ahead, and the middle of column c has the azimuth (W/2 - c - 1/2) * 2 pi / W.
+ahead, and the middle of column c has the azimuth (W/2 - c - 1/2) * 2 pi / W. Headings (theta) run counter-clockwise,
+so when the robot turns left by delta rad, what the panorama shows moves right by delta * W / (2 pi) columns.
+
+Axes. An image as a file or in memory (`unwrap`, `Localizer.locate`) is (rows, columns, 3). A batch of panoramas
+(`PanoramaLibrary.batch`, `describe`, networks) is (B, 3, rows, columns).
 """
 
 from __future__ import annotations
@@ -234,8 +238,17 @@ def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | Non
     Returns:
         (H, W) or (H, W, 3), uint8. Pixels whose sample lies outside the image are black.
 
+    Columns run clockwise and the middle one looks straight ahead; headings run counter-clockwise, in rad.
+
     Raises:
         DataError: the image has no pixels or another shape.
+
+    Example:
+        >>> ring = np.zeros((480, 640), np.uint8)
+        >>> ring[:200] = 255  # what lies in front of the robot appears at the top of the picture
+        >>> panorama = unwrap(ring, PolarRing(), PanoramaView(64, 256))
+        >>> panorama.shape, int(panorama[0, 128]), int(panorama[0, 0])
+        ((64, 256), 255, 0)
     """
     if image.ndim not in (2, 3) or min(image.shape[:2]) < 2:
         raise DataError(f"an omnidirectional image has shape (rows, columns[, 3]), got {image.shape}")
@@ -261,7 +274,8 @@ def camera_from_config(
     if kind not in CAMERAS:
         raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, CAMERAS)}")
     view = PanoramaView(*image_size, **{key: parameters.pop(key) for key in ("top", "bottom") if key in parameters})
-    return (CAMERAS[kind].of(parameters) if CAMERAS[kind] is not None else None), view
+    camera = CAMERAS[kind]
+    return (camera.of(parameters) if camera is not None else None), view
 
 
 @lru_cache(maxsize=8)

@@ -284,7 +284,7 @@ def _with_pairs(
     wanted = settings.pairs
     try:
         room_pairs = PairSettings(label="room", same_room_share=wanted.same_room_share, epoch_pairs=wanted.count)
-        sampler = PairSampler(queries, room_pairs, session.seed)
+        sampler = PairSampler(queries, room_pairs, seed=session.seed)
     except SiamlocError as error:
         skipped["room_pairs"] = str(error)
         return result

@@ -98,7 +98,7 @@ class SiameseModule(LightningModule):
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """Make the optimizer of all weights, those of the loss included."""
         settings = self.optimizer
-        common = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
+        common: dict[str, Any] = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
         if settings.name == "sgd":
             return torch.optim.SGD(self.parameters(), momentum=settings.momentum, **common)
         kind = torch.optim.Adam if settings.name == "adam" else torch.optim.AdamW

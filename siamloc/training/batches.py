@@ -205,7 +205,9 @@ class PairDataModule(LightningDataModule):
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
         # A trainer that resumes asks for the first batches before it calls `set_epoch`, with this number.
-        epoch = 0 if self.trainer is None else self.trainer.fit_loop.epoch_progress.current.processed
+        epoch = 0
+        if self.trainer is not None:
+            epoch = self.trainer.fit_loop.epoch_progress.current.processed  # type: ignore[attr-defined]
         return self._loader(self.sampler, self._augmentation, epoch)
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:

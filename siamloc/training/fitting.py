@@ -21,7 +21,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.files import content_key, plain
-from siamloc.models.checkpoint import load
+from siamloc.models.checkpoint import load, read_checkpoint
 from siamloc.models.describing import describe
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.siamese import Loss, SiameseModule
@@ -330,7 +330,7 @@ def _train(trainer: Trainer, module: SiameseModule, data: PairDataModule, run: R
         if not trainer.interrupted:
             raise
         signal.signal(signal.SIGINT, handler)
-        done = len(run.curves()["epoch"]) if run.metrics.is_file() else 0
+        done = _finished_epochs(run)
         text = f"stopped after {done} of {trainer.max_epochs} epochs: go on with resume=true, run={run.folder}"
         print(text, file=sys.stderr, flush=True)
         raise KeyboardInterrupt(text) from error
@@ -359,11 +359,17 @@ def _check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
                     f"{key}={new.get(key)}: leave it out, or train another run"
                 )
-    done = len(run.curves()["epoch"]) if run.metrics.is_file() else 0
+    done = _finished_epochs(run)
     if done > epochs:
         raise ConfigError(f"{run.folder} has {done} epochs already, more than epochs={epochs}: ask for more epochs")
-    if not (run.checkpoints / "last.ckpt").is_file():
+    if done == 0:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
+
+
+def _finished_epochs(run: Run) -> int:
+    """Count the epochs that the last checkpoint holds."""
+    last = run.checkpoints / "last.ckpt"
+    return int(read_checkpoint(last, mmap=True)["epoch"]) + 1 if last.is_file() else 0
 
 
 def _flat(prefix: str, value: Any) -> dict[str, Any]:

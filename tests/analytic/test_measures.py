@@ -208,8 +208,8 @@ P = np.arange(10.0).reshape(5, 2)
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: measures.silhouette(P, [0] * 5), "needs two at least, got 1"),
-        (lambda: measures.silhouette(P, [-1] * 5), "needs two at least, got 0"),
+        (lambda: measures.silhouette(P, [0] * 5), "needs at least two, got 1"),
+        (lambda: measures.silhouette(P, [-1] * 5), "needs at least two, got 0"),
         (lambda: measures.silhouette(P, [0, 1]), "got 2 labels for 5 frames"),
         (lambda: measures.silhouette(P, [0.0, 1, 0, 1, 1]), "labels must be whole numbers"),
         (lambda: measures.silhouette(P, [[0, 1, 0, 1, 1]]), r"shape \(1, 5\)"),

@@ -3,7 +3,7 @@ import pytest
 
 from analytic.description import spectrum
 from analytic.descriptors.base import Description
-from analytic.mapper.gallery import BLOCK, Gallery, spread, thin
+from analytic.mapper.frames import BLOCK, Gallery, spread, thin
 from tests.analytic.mapper.world import World, corridor_drive, rows
 
 WORLD = World()

@@ -12,9 +12,9 @@ from sklearn.covariance import ledoit_wolf
 from analytic.descriptors.base import Description
 from analytic.mapper import IncrementalMapper, Reason, replay, steps
 from analytic.mapper import mapper as mapper_module
-from analytic.mapper.metric import LowRank
 from analytic.mapper.node import Mode
 from analytic.mapper.state import State
+from analytic.mapper.statistics import LowRank
 from tests.analytic.mapper.world import World, cold_drive, corridor_drive, rows
 from tests.oracles.mapper import SlowMapper
 

@@ -3,7 +3,7 @@ import pytest
 
 from analytic.mapper import IncrementalMapper
 from analytic.mapper.closure import node_level, node_levels
-from analytic.mapper.merging import Known
+from analytic.mapper.growth import Known
 from tests.analytic.mapper.world import World, corridor_drive, rows
 
 

@@ -5,11 +5,9 @@ from hypothesis import strategies as st
 
 from analytic import AnalyticError
 from analytic.mapper.closure import node_level, node_levels, node_levels_of
-from analytic.mapper.metric import Factored, LowRank
-from analytic.mapper.model import Model
-from analytic.mapper.moments import Moments
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters
+from analytic.mapper.statistics import Factored, LowRank, Model, Moments
 from tests.analytic.mapper.world import World, corridor_drive, rows
 
 WIDE = World(size=64, steps=0, reach=4.0, seed=7)

@@ -66,7 +66,7 @@ def test_merging_keeps_the_modes_of_both():
     near, far = (node.id for node in mapper.nodes)
     mapper.maintain(far, seen_by_night(12.0, 30, 52))
     from analytic.mapper.closure import node_level
-    from analytic.mapper.merging import _merge
+    from analytic.mapper.growth import _merge
 
     state = mapper._state.copy()
     closure = node_level(state.nodes[far].modes[0].centre, state.nodes[near], True)

@@ -5,10 +5,9 @@ from hypothesis import strategies as st
 from sklearn.covariance import ledoit_wolf
 
 from analytic.descriptors.base import Description
-from analytic.mapper.model import Model
-from analytic.mapper.moments import Moments
 from analytic.mapper.node import Mode
 from analytic.mapper.parameters import Parameters
+from analytic.mapper.statistics import Model, Moments
 from tests.analytic.mapper.world import rows
 
 

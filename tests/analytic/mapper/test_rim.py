@@ -1,8 +1,8 @@
 import numpy as np
 
+from analytic.mapper.frames import Rim
 from analytic.mapper.node import Mode
 from analytic.mapper.parameters import Parameters
-from analytic.mapper.rim import Rim
 from tests.analytic.mapper.world import World, corridor_drive, rows
 
 

@@ -5,8 +5,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from analytic.mapper import spacing
-from analytic.mapper.spacing import Spacing, mean_distance
+from analytic.mapper import state
+from analytic.mapper.state import Spacing, mean_distance
 
 
 def plain(places):
@@ -42,7 +42,7 @@ def test_the_table_answers_as_all_pairs_do_while_places_come_move_and_go(most_mo
         assert table.among(places) == plain(places)
     assert table.among(places[::-1]) == pytest.approx(plain(places), rel=1e-12)
     assert Spacing().among(places) == table.among(places)
-    assert len(places) > spacing._ROOM // 2
+    assert len(places) > state._ROOM // 2
 
 
 def test_only_what_has_moved_is_computed(monkeypatch):
@@ -51,7 +51,7 @@ def test_only_what_has_moved_is_computed(monkeypatch):
     table = Spacing()
     table.among(places)
     rows = []
-    monkeypatch.setattr(spacing, "distances", lambda *args, whole=spacing.distances: rows.append(1) or whole(*args))
+    monkeypatch.setattr(state, "distances", lambda *args, whole=state.distances: rows.append(1) or whole(*args))
     table.among(places)
     assert not rows
     places[3] = [generator.normal(size=4)]
@@ -72,7 +72,7 @@ def test_a_row_that_was_not_finished_is_computed_again(monkeypatch):
         raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(spacing, "distances", broken)
+        patch.setattr(state, "distances", broken)
         for asked in (places, places[:5]):
             with pytest.raises(MemoryError):
                 table.among(asked)

@@ -117,7 +117,7 @@ def test_a_file_that_is_cut_short_or_changed_is_refused(tmp_path):
     cuts = [0, 1, 10, 500, len(whole) // 3, len(whole) // 2, len(whole) - 30, len(whole) - 1]
     for cut in cuts:
         (tmp_path / "cut").write_bytes(whole[:cut])
-        with pytest.raises(AnalyticError, match="no map, or it is damaged or cut short"):
+        with pytest.raises(AnalyticError, match="not a map, or it is damaged or cut short"):
             IncrementalMapper.load(tmp_path / "cut", WORLD)
     (tmp_path / "cut").write_bytes(whole[:5000] + bytes([whole[5000] ^ 1]) + whole[5001:])
     with pytest.raises(AnalyticError, match="damaged"):
@@ -161,10 +161,10 @@ def rewritten(path, goal, **changes):
     ("changes", "says"),
     [
         ({"version": storage.VERSION + 1}, "format version 2, and this program reads up to 1: use a newer one"),
-        ({"format": "other"}, "no map"),
+        ({"format": "other"}, "not a map"),
         ({"parameters": {"gamma": -1}}, "gamma must be a positive number"),
         ({"poses": []}, "40 labels, 40 matches and 0 poses"),
-        ({"labels": None}, "no map, or it is damaged .*labels"),
+        ({"labels": None}, "not a map, or it is damaged .*labels"),
     ],
 )
 def test_a_newer_or_inconsistent_file_is_refused(tmp_path, changes, says):
@@ -182,10 +182,10 @@ def test_files_that_are_no_maps_and_paths_that_lead_nowhere(tmp_path):
     with pytest.raises(AnalyticError, match="cannot be written"):
         mapped(3).save(tmp_path / "missing" / "map")
     np.save(tmp_path / "array.npy", np.ones(3))
-    with pytest.raises(AnalyticError, match="no map"):
+    with pytest.raises(AnalyticError, match="not a map"):
         IncrementalMapper.load(tmp_path / "array.npy", WORLD)
     np.savez(tmp_path / "pickle.npz", header=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(AnalyticError, match="no map"):
+    with pytest.raises(AnalyticError, match="not a map"):
         IncrementalMapper.load(tmp_path / "pickle.npz", WORLD)
 
 

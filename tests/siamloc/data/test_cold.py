@@ -131,7 +131,7 @@ def test_sequences_of_several_buildings_keep_their_folders_apart(tmp_path):
 def test_the_same_sequence_twice_is_an_error(tmp_path):
     make_sequence(tmp_path / "freiburg/part_a/seq2_cloudy1")
     make_sequence(tmp_path / "cold-freiburg_part_a_seq2_cloudy1")
-    with pytest.raises(DataError, match=r"freiburg_a_seq2_cloudy1 is there twice.*remove one"):
+    with pytest.raises(DataError, match=r"freiburg_a_seq2_cloudy1 appears twice.*remove one"):
         siamloc.data.read("cold", root=tmp_path)
 
 
@@ -263,7 +263,7 @@ def test_a_malformed_line_is_named(tmp_path, line):
 
 def test_an_image_listed_twice_is_an_error(tmp_path):
     (tmp_path / "a_seq1_cloudy1.places.lst").write_text(LIST + LIST)
-    with pytest.raises(DataError, match=r"line 4: image .* stands in the list already"):
+    with pytest.raises(DataError, match=r"line 4: image .* is in the list already"):
         siamloc.data.read("cold", root=tmp_path)
 
 

@@ -49,7 +49,7 @@ def test_images_beside_the_rooms_are_left_out_and_reported(tmp_path, caplog):
     put(tmp_path, "train/a/1.jpg", "train/stray.jpg")
     with caplog.at_level(logging.WARNING, "siamloc"):
         assert len(siamloc.data.read("folder", root=tmp_path)) == 1
-    assert "1 of 2 images lie beside the rooms' folders" in caplog.text
+    assert "1 of 2 images lie next to the rooms' folders" in caplog.text
     assert "stray.jpg" in caplog.text
     with pytest.raises(DataError, match=r"stray\.jpg"):
         siamloc.data.read("folder", root=tmp_path, on_error="raise")

@@ -99,13 +99,10 @@ def naive_exclusion(queries, known, settings, drives):
             if abs(query["time"] - frame["time"]) < settings.get("apart_seconds", 0):
                 excluded[row, column] = True
             drive = [one for one in drives if one["sequence"] == query["sequence"]]
-            ends = sorted(
-                next(i for i, one in enumerate(drive) if one["path"] == end["path"]) for end in (query, frame)
-            )
-            between = drive[ends[0] : ends[1] + 1]
-            way = sum(
-                math.dist((a["x"], a["y"]), (b["x"], b["y"])) for a, b in zip(between[:-1], between[1:], strict=True)
-            )
+            paths = [one["path"] for one in drive]
+            ends = sorted([paths.index(query["path"]), paths.index(frame["path"])])
+            between = [(one["x"], one["y"]) for one in drive[ends[0] : ends[1] + 1]]
+            way = sum(math.dist(a, b) for a, b in pairwise(between))
             if way < settings.get("apart_metres", 0):
                 excluded[row, column] = True
     return excluded

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from siamloc.errors import DataError
-from siamloc.evaluation import absolute
+from siamloc.evaluation import absolute, estimates
 from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.files import plain
 from siamloc.maps import Retrieval

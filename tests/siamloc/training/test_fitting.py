@@ -432,9 +432,9 @@ def test_ctrl_c_stops_cleanly_and_says_how_to_go_on(script, tmp_path):
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=60)
     assert process.returncode in (-signal.SIGINT, 130)
-    done = len(curve(run))
+    done = torch.load(run.checkpoint("last"), weights_only=True)["epoch"] + 1
+    assert done >= len(curve(run)) - 1, "it may have stopped between the row of an epoch and its checkpoint"
     assert f"stopped after {done} of 6 epochs: go on with resume=true, run={run.folder}" in error
-    assert torch.load(run.checkpoint("last"), weights_only=True)["epoch"] == done - 1
     finished(script("stopped", resume=True, **LONG))
     assert len(curve(run)) == 6
 

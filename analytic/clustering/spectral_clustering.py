@@ -1,0 +1,349 @@
+"""Normalized spectral clustering (Ng, Jordan, Weiss; [C] 3.1), from the descriptors to the labels.
+
+The eigenvectors and the k-means are those of scipy and scikit-learn.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic.clustering import checks, self_organizing
+from analytic.errors import AnalyticError
+from analytic.linear_algebra import one_thread
+
+ASSIGNMENTS = ("kmeans", "som")
+_STARTS = 10  # of k-means
+# Below this a normalized similarity counts as none. A Lanczos solver finds one copy of an eigenvalue, so the equal
+# ones of separate parts are computed part by part; in float64 it tells parts apart down to about 1e-13.
+_NOTHING = 1e-11
+_LEAST_LINK = 1e-3  # of a link between parts; large enough for eigenvectors to tell from nothing
+_SMALL = 1000  # frames up to which the full decomposition is as fast as Lanczos
+_SHIFT = 1e-3  # beyond the largest eigenvalue, 1: near enough to spread those close to 1, far enough to solve well
+
+
+def spectral(
+    X: ArrayLike,
+    n_clusters: int,
+    *,
+    sigma: float | None = None,
+    neighbours: int | None = None,
+    seed: int = 0,
+    assign: str = "kmeans",
+) -> NDArray[np.int64]:
+    """Cluster descriptors by normalized spectral clustering; the result is the cluster of each frame (n,).
+
+    The Gaussian similarity (`affinity`) is normalized, the eigenvectors of the n_clusters smallest eigenvalues of the
+    Laplacian I - D^-1/2 S D^-1/2 become the columns of a matrix, each row is scaled to length 1, and the rows are
+    clustered. Equal descriptors count once and share a label. The order of the frames affects only the numbering:
+    labels go from 0 to k-1 in the order of first appearance.
+
+    Where the graph of similarities has more parts than clusters, each part is linked with its nearest other part
+    through their two nearest frames, until there are no more parts than clusters.
+
+    Args:
+        X: descriptors (n, D).
+        n_clusters: from 1 to the number of different descriptors; with 1, all labels are 0.
+        sigma: as in `affinity`.
+        neighbours: t, from 1 to the number of different descriptors - 1: keep only the similarities of the t nearest
+            neighbours, which is faster and needs less memory. All if None.
+        seed: of the k-means starts, and of the self-organizing map.
+        assign: how the rows are clustered: "kmeans" (the best of 10 k-means++ starts), or "som" (a map of n_clusters
+            units on the squarest grid; units that win no frame make no cluster, so there can be fewer).
+
+    Raises:
+        AnalyticError: descriptors of wrong shape or not finite, more clusters than different descriptors, or a
+            parameter out of range.
+
+    Examples:
+        >>> import numpy as np
+        >>> descriptors = np.array([[0.0, 0.1], [0.1, 0.0], [5.0, 5.1], [5.1, 5.0], [0.0, 0.0]])
+        >>> spectral(descriptors, 2).tolist()
+        [0, 0, 1, 1, 0]
+    """
+    x = checks.vectors(X)
+    count = checks.clusters(n_clusters, len(x))
+    _check_assign(assign)
+    seed = checks.seed(seed)
+    different, inverse, _ = checks.distinct(x)
+    if count > len(different):
+        raise AnalyticError(
+            f"{count} clusters need at least as many different descriptors: the {len(x)} frames have "
+            f"{len(different)}; ask for fewer clusters or leave duplicates out"
+        )
+    scaled, unit = checks.to_unit_range(different)
+    width = _checked_sigma(sigma, unit)
+    t = _checked_neighbours(neighbours, len(different)) if len(different) > 1 else None
+    if count in (1, len(different)):
+        return checks.renumbered(inverse if count > 1 else np.zeros_like(inverse))
+    graph, width = _similarities(scaled, width, t)
+    matrix = _normalized(graph)
+    part = _parts(matrix)
+    while part.max() >= count:
+        graph = _linked(graph, part, scaled, width)
+        matrix = _normalized(graph)
+        part = _parts(matrix)
+    return checks.renumbered(_clustered(matrix, part, count, seed, assign)[inverse])
+
+
+def affinity(X: ArrayLike, sigma: float | None = None, neighbours: int | None = None) -> Any:
+    """Compute the Gaussian similarities S_ij = exp(-|d_i - d_j|^2 / (2 sigma^2)) of all frames ([C] 3.1).
+
+    Args:
+        X: descriptors (n, D).
+        sigma: how fast the similarity falls with the distance, in the descriptors' unit, positive. If None: a third of
+            the mean, over the frames, of the distance to the k-th nearest other frame, k = ceil(ln n) + 1 or n - 1 if
+            that is less; 1 if that mean is 0. (The mean itself is von Luxburg's rule; along a drive it joins frames
+            that are places apart, and the clusters fall to pieces.)
+        neighbours: t, from 1 to n-1: keep S_ij only where j is among the t nearest other frames of i, or i among those
+            of j. All if None.
+
+    Returns:
+        A symmetric array (n, n), 1 on the diagonal; with `neighbours` a scipy.sparse.csr_array that stores the
+        diagonal too.
+
+    Raises:
+        AnalyticError: wrong shape, values that are not finite, a sigma that is not positive, neighbours out of range.
+
+    Examples:
+        >>> affinity([[0.0], [1.0], [3.0]], sigma=1.0).round(3).tolist()
+        [[1.0, 0.607, 0.011], [0.607, 1.0, 0.135], [0.011, 0.135, 1.0]]
+    """
+    x = checks.vectors(X)
+    t = _checked_neighbours(neighbours, len(x))
+    scaled, unit = checks.to_unit_range(x)
+    return _similarities(scaled, _checked_sigma(sigma, unit), t)[0]
+
+
+def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: str = "kmeans") -> NDArray[np.int64]:
+    """Cluster frames whose similarities are given, whatever these were computed from (n,): `spectral` without step 1.
+
+    Args:
+        similarities: symmetric, finite, not negative (n, n), an array or scipy.sparse; the diagonal does not count.
+        n_clusters: from 1 to n.
+        seed: as in `spectral`.
+        assign: as in `spectral`.
+
+    Raises:
+        AnalyticError: similarities that are not as described, a parameter out of range, or a graph with more parts
+            than clusters.
+
+    Examples:
+        >>> partition([[1, 0.9, 0.1], [0.9, 1, 0.1], [0.1, 0.1, 1]], 2).tolist()
+        [0, 0, 1]
+    """
+    graph = _checked_similarities(similarities)
+    count = checks.clusters(n_clusters, graph.shape[0])
+    _check_assign(assign)
+    seed = checks.seed(seed)
+    if count == 1:
+        return np.zeros(graph.shape[0], dtype=np.int64)
+    matrix = _normalized(graph)
+    part = _parts(matrix)
+    if part.max() >= count:
+        raise AnalyticError(
+            f"the similarities leave {part.max() + 1} parts without any link, more than the {count} clusters asked "
+            "for: make sigma or the number of neighbours larger, or ask for more clusters"
+        )
+    return checks.renumbered(_clustered(matrix, part, count, seed, assign))
+
+
+def _similarities(x: NDArray[np.float64], sigma: float | None, neighbours: int | None) -> tuple[Any, float]:
+    """Return the similarities of descriptors from `checks.to_unit_range`, and the sigma used."""
+    n = len(x)
+    rank = min(n - 1, math.ceil(math.log(n)) + 1)
+    if neighbours is None:
+        from sklearn.metrics.pairwise import euclidean_distances
+
+        distance = euclidean_distances(x)
+        if sigma is None:  # a frame itself is its nearest, at rank 0
+            sigma = _chosen_sigma(np.partition(distance, rank, axis=1)[:, rank])
+        return _gaussian(distance, sigma), sigma
+    from sklearn.neighbors import NearestNeighbors
+
+    distance, index = NearestNeighbors(n_neighbors=max(neighbours, rank)).fit(x).kneighbors()
+    if sigma is None:
+        sigma = _chosen_sigma(distance[:, rank - 1])
+    return _symmetric_graph(index[:, :neighbours], _gaussian(distance[:, :neighbours], sigma)), sigma
+
+
+def _chosen_sigma(distance: NDArray[np.float64]) -> float:
+    return float(distance.mean()) / 3 or 1.0
+
+
+def _gaussian(distance: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    with np.errstate(over="ignore", under="ignore"):
+        return np.exp(-0.5 * np.square(distance / sigma))
+
+
+def _symmetric_graph(index: NDArray[np.int64], weight: NDArray[np.float64]) -> Any:
+    """Return the graph that has an edge where either end names the other as a neighbour; 1 on the diagonal."""
+    from scipy import sparse
+
+    n, t = index.shape
+    kind = np.int32 if n * t <= np.iinfo(np.int32).max else np.int64  # which is what scikit-learn accepts
+    pointers = np.arange(0, n * t + 1, t, dtype=kind)
+    one_way = sparse.csr_array((weight.ravel(), index.ravel().astype(kind), pointers), shape=(n, n))
+    return (one_way.maximum(one_way.T) + sparse.eye_array(n, format="csr")).tocsr()
+
+
+def _normalized(similarity: Any) -> Any:
+    """Return D^-1/2 S D^-1/2, D_i = sum_j S_ij over the other frames: the identity minus the Laplacian.
+
+    The diagonal of S does not count (Ng, Jordan, Weiss, step 1). The row of a frame that resembles no other is 0.
+    """
+    if isinstance(similarity, np.ndarray):
+        matrix = similarity.copy()
+        np.fill_diagonal(matrix, 0)
+        scale = _inverse_root(matrix.sum(axis=1))
+        matrix *= scale[:, None]
+        matrix *= scale
+        return matrix
+    from scipy import sparse
+
+    matrix = sparse.csr_array(similarity, copy=True)
+    matrix.setdiag(0)
+    matrix.eliminate_zeros()
+    diagonal = sparse.diags_array(_inverse_root(matrix.sum(axis=1)))
+    return (diagonal @ matrix @ diagonal).tocsr()
+
+
+def _inverse_root(degree: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.divide(1, np.sqrt(degree), out=np.zeros_like(degree), where=degree > 0)
+
+
+def _parts(matrix: Any) -> NDArray[np.int64]:
+    """Return the connected part of the graph that each frame belongs to (n,), from 0."""
+    from scipy import sparse
+    from scipy.sparse.csgraph import connected_components
+
+    return connected_components(sparse.csr_array(matrix > _NOTHING), directed=False)[1].astype(np.int64)
+
+
+def _linked(similarity: Any, part: NDArray[np.int64], x: NDArray[np.float64], sigma: float) -> Any:
+    """Return the similarities with every part of the graph joined to its nearest other part.
+
+    The link goes between the two nearest frames and has their similarity, 0.001 at least. Links tell a clustering
+    that is asked for fewer clusters than the graph has parts which of the parts belong together.
+    """
+    from scipy import sparse
+    from sklearn.metrics import pairwise_distances_chunked
+
+    def nearest_outside(block: NDArray[np.float64], start: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        block[part[start : start + len(block), None] == part] = np.inf
+        return block.argmin(axis=1), block.min(axis=1)
+
+    blocks = pairwise_distances_chunked(x, reduce_func=nearest_outside, working_memory=32)
+    nearest, distance = map(np.concatenate, zip(*blocks, strict=True))
+    order = np.lexsort((distance, part))
+    ends = order[np.unique(part[order], return_index=True)[1]]  # of each part the frame nearest to another one
+    weight = np.maximum(_gaussian(distance[ends], sigma), _LEAST_LINK)
+    links = sparse.coo_array((weight, (ends, nearest[ends])), shape=similarity.shape).tocsr()
+    links = links.maximum(links.T)
+    if isinstance(similarity, np.ndarray):
+        return np.maximum(similarity, links.toarray())
+    return similarity.maximum(links).tocsr()
+
+
+def _clustered(matrix: Any, part: NDArray[np.int64], count: int, seed: int, assign: str) -> NDArray[np.int64]:
+    """Return the clusters of frames from their normalized similarity and the parts of its graph."""
+    rows = _leading_eigenvectors(matrix, part, count)
+    length = np.linalg.norm(rows, axis=1, keepdims=True)
+    np.divide(rows, length, out=rows, where=length > 0)
+    if assign == "som":
+        return self_organizing.winners(rows, np.ones(len(rows)), _squarest(count), seed)
+    from sklearn.cluster import KMeans
+    from sklearn.exceptions import ConvergenceWarning
+
+    # The steps of k-means are short: on a busy processor, threads that wait for each other take ten times as long.
+    with one_thread(openmp=True), warnings.catch_warnings():
+        # Rows that coincide give fewer clusters; the labels show it.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return KMeans(count, n_init=_STARTS, random_state=seed).fit(rows).labels_.astype(np.int64)
+
+
+def _leading_eigenvectors(matrix: Any, part: NDArray[np.int64], count: int) -> NDArray[np.float64]:
+    """Return the eigenvectors of the `count` largest eigenvalues of the normalized similarity, as columns (n, count).
+
+    They belong to the smallest eigenvalues of the Laplacian. A frame that resembles no other is a part of its own
+    with eigenvalue 1.
+    """
+    found: list[tuple[float, NDArray[np.int64], NDArray[np.float64]]] = []
+    for number in range(int(part.max()) + 1):
+        rows = np.flatnonzero(part == number)
+        inside = matrix if len(rows) == len(part) else matrix[rows][:, rows]
+        values, vectors = _largest(inside, min(count, len(rows)))
+        found += [(value, rows, vector) for value, vector in zip(values.tolist(), vectors.T, strict=True)]
+    found.sort(key=lambda one: -one[0])
+    columns = np.zeros((len(part), count))
+    for column, (_, rows, vector) in zip(columns.T, found, strict=False):
+        column[rows] = vector
+    return columns
+
+
+def _largest(matrix: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the largest eigenvalues of one part and their vectors, by Lanczos where it is large."""
+    from scipy.linalg import eigh
+    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+
+    n = matrix.shape[0]
+    if n == 1:
+        return np.ones(1), np.ones((1, 1))
+    dense = isinstance(matrix, np.ndarray)
+    if n > _SMALL and 8 * count <= n:
+        start = np.random.default_rng(0).uniform(0.5, 1, n)
+        # Eigenvalues near 1 come out of the inverse well apart, but the inverse of a sparse matrix is full.
+        how = {"sigma": 1 + _SHIFT} if dense else {"which": "LA"}
+        try:
+            return eigsh(matrix, k=count, v0=start, **how)
+        except ArpackNoConvergence:
+            pass
+    full = matrix if dense else matrix.toarray()
+    return eigh(full, subset_by_index=(n - count, n - 1), driver="evx", check_finite=False)
+
+
+def _squarest(units: int) -> tuple[int, int]:
+    height = next(h for h in range(int(units**0.5), 0, -1) if units % h == 0)
+    return units // height, height
+
+
+def _checked_sigma(sigma: float | None, unit: float) -> float | None:
+    """Return sigma in the unit of scaled descriptors."""
+    if sigma is None:
+        return None
+    if isinstance(sigma, bool) or not isinstance(sigma, int | float | np.number) or not 0 < sigma < math.inf:
+        raise AnalyticError(f"sigma must be a positive number, or None to have one chosen, got {sigma!r}")
+    return max(float(sigma) / unit, float(np.finfo(np.float64).tiny))
+
+
+def _checked_neighbours(neighbours: int | None, frames: int) -> int | None:
+    if neighbours is None:
+        return None
+    if frames == 1:
+        raise AnalyticError("a single frame has no neighbours: leave neighbours out")
+    return checks.whole(neighbours, f"the number of neighbours among {frames} frames", 1, frames - 1)
+
+
+def _check_assign(assign: str) -> None:
+    if assign not in ASSIGNMENTS:
+        raise AnalyticError(f"rows are clustered by {' or '.join(map(repr, ASSIGNMENTS))}, got {assign!r}")
+
+
+def _checked_similarities(similarities: Any) -> Any:
+    from scipy import sparse
+
+    is_sparse = sparse.issparse(similarities)
+    graph = (sparse.csr_array if is_sparse else np.asarray)(similarities, dtype=np.float64)
+    if graph.ndim != 2 or graph.shape[0] != graph.shape[1] or not graph.shape[0]:
+        raise AnalyticError(f"similarities must have shape (n, n), got {graph.shape}")
+    values = graph.data if is_sparse else graph
+    if not np.isfinite(values).all() or (values < 0).any():
+        raise AnalyticError("similarities must be finite and not negative, such as those of `affinity`")
+    difference = float(abs(graph - graph.T).max())
+    if difference > 1e-8 * values.max(initial=0):
+        raise AnalyticError(f"similarities must be symmetric, but two of a pair differ by {difference:.3g}")
+    return graph
