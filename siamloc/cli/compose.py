@@ -44,8 +44,8 @@ def run(command: str, main: Main, words: list[str]) -> int:
     Raises:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
     """
-    given = words
     _check_words(words)
+    given = words = [_network_of_a_run(word) for word in words]
     words = _sweep(words) if {"-m", "--multirun"} & set(words) else words
     words = _flags_first([*_HYDRA, *words])
     import hydra
@@ -87,6 +87,7 @@ def composed(command: str, words: list[str]) -> DictConfig:
     """
     name = COMMANDS[command].config
     _check_words(words)
+    words = [_network_of_a_run(word) for word in words]
     try:
         return finished(command, _hydra_compose(name, words), words)
     except Exception as error:
@@ -96,20 +97,20 @@ def composed(command: str, words: list[str]) -> DictConfig:
 def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
     """Return a configuration with the settings of the run that it names, and everything set.
 
-    A command that works on a run takes that run's settings; what is said on the command line wins. A group that is
-    chosen there, such as data=cold, replaces the run's altogether, but for the size of the images, which is that of
-    the network.
-
     Raises:
         ConfigError: a key that has no value.
     """
+    keys = [_key(word) for word in words if not word.startswith("-")]
+    groups = [key for key in keys if (config_folder() / key).is_dir()]
+    for key in keys:
+        if "." in key and (config_folder() / key.replace(".", "/")).is_dir():
+            raise ConfigError(f"{key} is a choice of files: write {key.replace('.', '/')}=NAME, with a slash")
     resumed = command == "train" and config.get("resume") is True
     if (COMMANDS[command].inherits or resumed) and config.get("run") is not None:
-        from siamloc.cli.inherit import settings_of
+        from siamloc.cli.inherit import with_settings_of_the_run
 
-        kept = settings_of(config, whole=resumed)
-        if kept is not None:
-            config = _with_settings(config, kept, words)
+        dotted = [group.replace("/", ".") for group in groups]
+        config = with_settings_of_the_run(config, [key.replace("/", ".") for key in keys], dotted, resumed=resumed)
     missing = sorted(OmegaConf.missing_keys(config))
     if missing:
         raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=VALUE")
@@ -130,30 +131,6 @@ def sweep_suffix() -> str:
         return ""
     swept = HydraConfig.get().job.override_dirname or str(HydraConfig.get().job.num)
     return re.sub(r"[^\w.+-]+", "-", swept)
-
-
-def _with_settings(config: DictConfig, kept: dict[str, Any], words: list[str]) -> DictConfig:
-    given = [_key(word) for word in words if not word.startswith("-")]
-    chosen = {key.replace("/", ".") for key in given if (config_folder() / key.replace(".", "/")).is_dir()}
-    if chosen & {"data", "experiment"}:  # they choose how to unwrap and the protocol as well
-        chosen |= {"data", "unwrap", "protocol"}
-    said = {key: OmegaConf.select(config, key) for key in given if key not in chosen and "." in key}
-    size = kept.get("data", {}).get("image_size")
-    result = config.copy()
-    with open_dict(result):
-        for section, values in kept.items():
-            if section not in chosen and section not in given:
-                OmegaConf.update(result, section, values, merge=False)
-        if "data" in chosen and size is not None and _needs_network(config):
-            result.data.image_size = size
-        for key, value in said.items():
-            if not any(key.startswith(f"{group}.") for group in chosen) or key == "data.image_size":
-                OmegaConf.update(result, key, value, merge=False)
-    return result
-
-
-def _needs_network(config: DictConfig) -> bool:
-    return config.get("descriptor", {}).get("name", "network") in ("network", "untrained")
 
 
 def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
@@ -216,6 +193,13 @@ def _check_words(words: list[str]) -> None:
                 f"the value of {word!r} cannot be read: put texts with blanks, brackets or other signs in quotes, "
                 f"such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
             ) from error
+
+
+def _network_of_a_run(word: str) -> str:
+    """Read `descriptor=FOLDER` as the trained network of that run."""
+    key, _, value = word.partition("=")
+    value = value.strip("'\"")
+    return f"descriptor.run={_quoted(value)}" if key == "descriptor" and (Path(value) / "run.json").is_file() else word
 
 
 def _flags_first(words: list[str]) -> list[str]:
