@@ -21,7 +21,7 @@ from siamloc.errors import SiamlocError
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc import data, evaluation, maps, models, report, runtime, simulate, training, training
+    from siamloc import data, evaluation, maps, models, report, runtime, simulate, training
 
 __version__ = "0.1.0"
 
