@@ -27,11 +27,11 @@ from omegaconf import OmegaConf
 
 import analytic
 from analytic import Description, Descriptor
+from benchmarks import sweeps
 from benchmarks.report import Report, parser
 from siamloc.data import read
 from siamloc.evaluation.layers import evaluate_mapping
 from siamloc.maps import VisualMap, group
-from siamloc.report.draw import sweeps
 from siamloc.report.draw.look import save
 
 CONF = Path(__file__).parents[1] / "conf"

@@ -160,7 +160,7 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
     if known is not None and _is_wanted(known, config):
         images, frames = open_roles(config, *roles, known=known)
         if heading is not None:
-            known.check_heading(heading)
+            known = known.with_heading(heading)
         return known, images, frames
     if known is not None and roles:
         raise ConfigError(

@@ -239,7 +239,7 @@ def _vectors(made_by: dict[str, Any]) -> Descriptor:
 
 
 def _places(decision: Explained) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
-    """Return where each frame stands on the axis (n,), and the rows of each run of frames of one node.
+    """Return the place of each frame on the axis (n,), and the rows of each run of frames of one node.
 
     The curve breaks where it is zero for the mapper: where frames of other nodes, or of none, lie between.
     """

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.results import rows_by_label
 from siamloc.report.draw.look import (
     DASHES,
     FLOOR,
@@ -22,10 +21,11 @@ from siamloc.report.draw.look import (
     scale_errors,
     style,
 )
+from siamloc.results import rows_by_label
 
 _MOST_POINTS = 120  # of a curve; between them the eye sees no difference
 _SIZE, _LARGE_SIZE = (3.6, 3.2), (4.6, 3.4)  # of a panel in inches: three in a row, and two
-_LONG = 22  # letters of a label that stands alone in its line
+_LONG = 22  # letters of a label that has a line of the legend to itself
 
 # A curve: its label, the errors, and how it looks.
 Curve = tuple[str, NDArray, dict[str, Any]]

@@ -15,8 +15,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from siamloc.results import rows_by_label
 from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, require_rows, style
+from siamloc.results import rows_by_label
 
 Table = Mapping[str, NDArray]
 
@@ -53,7 +53,7 @@ def is_line(columns: Table, map_columns: Table) -> bool:
 def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str) -> Picture:
     """Draw one plan per lighting with a common scale of colours; colours end at the 95th percentile of the errors."""
     width, height = np.maximum(_extent(columns, map_columns), 1e-9)
-    # Panels stand side by side where the building is tall, on top of each other where it is wide.
+    # Panels are side by side where the building is tall, on top of each other where it is wide.
     across = width <= 1.6 * height or len(groups) == 1
     rows, cols = (1, len(groups)) if across else (len(groups), 1)
     panel = min(11.0 / cols, 7.0)

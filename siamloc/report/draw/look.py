@@ -99,14 +99,14 @@ def save(figure: Figure, path: str | Path) -> Path:
 def panels(
     count: int, width: float, height: float, across: int = 3, margin: tuple[float, float] = (0.0, 0.0), **shared: Any
 ) -> tuple[Picture, list[Axes], int]:
-    """Return a figure with so many panels in rows, their axes, and how many stand in a row.
+    """Return a figure with so many panels in rows, their axes, and how many there are in a row.
 
     Args:
         count: of panels, at least one.
         width: of each in inches.
         height: of each in inches.
-        across: panels in a row at most; four stand two by two.
-        margin: inches that the figure is wider and higher, for what stands around the panels.
+        across: panels in a row at most; four become two by two.
+        margin: inches that the figure is wider and higher, for what is around the panels.
         shared: `sharex`, `sharey`.
     """
     columns = 2 if count == 4 and across == 3 else min(count, across)

@@ -166,7 +166,7 @@ def add_arcs(axes: Axes, plan: NodePlan) -> None:
 
 
 def add_graph(axes: Axes, plan: NodePlan) -> None:
-    """Draw nodes as numbered dots, and the ways between them as lines; dots that would overlap stand side by side."""
+    """Draw nodes as numbered dots, and the ways between them as lines; dots that would overlap are moved apart."""
     k = len(plan.places)
     points = 15.0 if k <= 40 else 11.0 if k <= 120 else 6.0
     width, _ = plan_size(plan.xy)

@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from siamloc.results import Columns
-from siamloc.results import read_results, read_rows
 from siamloc.report.draw.calibration import calibration_curve
 from siamloc.report.draw.decision import explain, instructive
 from siamloc.report.draw.errors import error_curve, estimate_curve
@@ -20,6 +18,7 @@ from siamloc.report.draw.nodes import node_plan, nodes_on_plan
 from siamloc.report.draw.pairs import pair_curves
 from siamloc.report.draw.robustness import robustness_curves
 from siamloc.report.draw.rooms import confusion
+from siamloc.results import Columns, read_results, read_rows
 
 Made = dict[str, Callable[[], Picture]]
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.results import Columns
 from siamloc.report.draw.errors import compared_curves
 from siamloc.report.draw.robustness import robustness_curves
 from siamloc.report.page import tables
@@ -18,6 +17,7 @@ from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Markup, count, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.robustness import robustness_section
+from siamloc.results import Columns
 
 _MOST_METHODS = 8
 

@@ -68,7 +68,7 @@ def expected_errors(part: Part) -> Markup | None:
     sequences = ((evaluation.results.get("estimates") or {}).get("error_model") or {}).get("sequences", [])
     learned = f" The model was learned on {', '.join(sequences)}." if sequences else ""
     text = (
-        "Each point stands for a tenth of the queries of its kind: the error that was expected of them, and their true "
+        "Each point is a tenth of the queries of its kind: the error that was expected of them, and their true "
         "one. On the dotted line both are equal; the gap is the mean distance from it. A query is called lost where "
         f"more than {threshold:g} {unit} are expected; it is lost in truth where its error is larger than that."
         f"{learned}"

@@ -120,7 +120,7 @@ class RunFiles:
     """A run as the report shows it.
 
     Attributes:
-        title: a name that tells it from the other runs of the report.
+        title: a name that no other run of the report has.
         evaluations: at least one.
         curves: columns of `metrics.csv`; None for what was not trained.
         overrides: words that the run was trained with; None as well.

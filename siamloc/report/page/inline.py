@@ -73,7 +73,7 @@ def _own_names(body: str, name: str) -> str:
 
 
 def _shortened(path: str) -> str:
-    """Return a path in fewer letters: a line goes on without saying so."""
+    """Return a path in fewer letters: the command of a line is not repeated."""
     words, last = [], ""
     for word in path.split():
         if word.isalpha():

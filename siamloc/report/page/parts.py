@@ -113,7 +113,7 @@ def sheets_of(parts: list[Part], budget: int) -> list[Sheets]:
             sets.setdefault(id(part.decoder), []).append(part)
     orders = []
     for members in sets.values():
-        # By turns, so that no evaluation goes without pictures where there is not room for all.
+        # In turn, so that every evaluation has some pictures where there is not room for all.
         turns = zip_longest(*(part.plan.picture_order() for part in members if part.plan is not None))
         orders.append(list(dict.fromkeys(path for turn in turns for path in turn if path is not None)))
     total = sum(map(len, orders))

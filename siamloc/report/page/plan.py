@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from siamloc.results import Columns, rows_by_label
 from siamloc.report.draw.floor_plan import is_line
 from siamloc.report.draw.look import series_1_2_5
 from siamloc.report.page.gathered import Evaluation
+from siamloc.results import Columns, rows_by_label
 
 WORST = 20
 _CLASSES = 6

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.results import Columns
 from siamloc.report.draw.training import training_curves
 from siamloc.report.page import tables
 from siamloc.report.page.gathered import ALL, FURTHER, Evaluation, RunFiles
@@ -15,6 +14,7 @@ from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Content, Markup, count, join, number, percent, plural, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.plan import Plan, error_classes
+from siamloc.results import Columns
 
 _KNOWN_MEASURES = (
     *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration", "mapping", "buildings"),
@@ -134,8 +134,8 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
     if plan.along is not None:
         line = tag(
             "p.caption",
-            f"All frames lie on a line along {plan.along}: the estimated position stands above the true one, and the "
-            "map's frames on the diagonal, where both are equal.",
+            f"All frames lie on a line along {plan.along}: the plan shows the estimated position above the true one, "
+            "and the map's frames on the diagonal, where both are equal.",
         )
     return section(
         "Floor plan",

@@ -106,7 +106,7 @@ def key_values(pairs: Sequence[tuple[str, Content]]) -> Markup:
 
 
 def grid(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[Content]]], name: str) -> Markup:
-    """Return a table of numbers with a row for each label; that of all queries stands out.
+    """Return a table of numbers with a row for each label; the row of all queries is marked.
 
     Args:
         heads: of the columns, that of the labels first.

@@ -13,10 +13,10 @@ import numpy as np
 
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation.absolute import evaluate_absolute
-from siamloc.results import read_rows, write_results
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.report.page.write import write_report
+from siamloc.results import read_rows, write_results
 from tests.siamloc.evaluation import scenes
 
 SIZE = (32, 128)

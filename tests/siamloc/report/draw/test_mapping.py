@@ -11,16 +11,16 @@ import pytest
 from PIL import Image
 
 from analytic.mapper.closure import Similarity, prominences, similarity_curve
+from benchmarks import sweeps
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
 from siamloc.evaluation.layers import evaluate_mapping
-from siamloc.results import read_rows, write_results
 from siamloc.maps import VisualMap
-from siamloc.maps.grouping import build_layer
-from siamloc.report.draw import decision, growth, nodes, save_all, sweeps
+from siamloc.report.draw import decision, growth, nodes, save_all
 from siamloc.report.draw.look import INK
 from siamloc.report.draw.node_colours import NO_NODE, POOL, contrast, ink, neighbouring, node_colours
 from siamloc.report.draw.nodes import NodePlan, node_plan, nodes_on_plan, spread_out
+from siamloc.results import read_rows, write_results
 from tests.analytic.mapper.world import World, corridor_drive
 
 CLEAR = 20.0  # distance in CIELAB, where 2.3 is just noticeable

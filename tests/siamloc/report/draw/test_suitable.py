@@ -11,7 +11,6 @@ import pytest
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
 from siamloc.evaluation.absolute import evaluate_absolute
-from siamloc.results import read_results, read_rows, write_results
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all
@@ -20,6 +19,7 @@ from siamloc.report.draw.floor_plan import floor_plan, is_line
 from siamloc.report.draw.look import Picture, error_limits, lighting_colours, save
 from siamloc.report.draw.rooms import confusion
 from siamloc.report.draw.training import training_curves
+from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import rich
 

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
-
 from siamloc.cli.report import main
+
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
-from siamloc.results import read_results, read_rows, write_results
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.files import read_json, write_json
 from siamloc.maps import VisualMap
 from siamloc.report.page import compared, parts, sections
 from siamloc.report.page.markup import Markup, tag
 from siamloc.report.page.write import write_report
+from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, report, rows_of

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from siamloc.results import read_results, read_rows
 from siamloc.report.draw import pictures
 from siamloc.report.page.inline import inline
 from siamloc.report.page.write import write_report
+from siamloc.results import read_results, read_rows
 from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, rows_of
 

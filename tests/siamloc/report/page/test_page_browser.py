@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from siamloc.results import read_results, read_rows
 from siamloc.report.page.write import write_report
+from siamloc.results import read_results, read_rows
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
 from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser

@@ -10,9 +10,9 @@ import pytest
 
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation.building_choice import evaluate_buildings
-from siamloc.results import read_results, read_rows, write_results
 from siamloc.files import read_json, write_json
 from siamloc.report.page.write import write_report
+from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.report import pages, rich
 from tests.siamloc.report.draw.test_mapping import mapped
 from tests.siamloc.report.pages import Element, notes, report
