@@ -68,7 +68,7 @@ def run(command: str, main: Main, words: list[str]) -> int:
     arguments = sys.argv
     sys.argv = [f"siamloc {command}", *words]
     try:
-        hydra.main(version_base="1.3", config_path=str(_folder_of(name)), config_name=name)(job)()
+        hydra.main(version_base="1.3", config_path=str(folder_of(name)), config_name=name)(job)()
     except Exception as error:
         raise _explained(error, given, name) from error
     finally:
@@ -117,6 +117,11 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
     return config
 
 
+def composed_defaults(name: str) -> DictConfig:
+    """Return a configuration as its files have it, values without a default among them."""
+    return _hydra_compose(name, [])
+
+
 def plain(config: DictConfig) -> dict[str, Any]:
     """Return a configuration as plain values, references resolved."""
     return OmegaConf.to_container(config, resolve=True)  # type: ignore[return-value]
@@ -144,13 +149,13 @@ def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
     state = Singleton.get_state()
     GlobalHydra.instance().clear()
     try:
-        with initialize_config_dir(version_base="1.3", config_dir=str(_folder_of(name))):
+        with initialize_config_dir(version_base="1.3", config_dir=str(folder_of(name))):
             return hydra_compose(name, overrides=overrides)
     finally:
         Singleton.set_state(state)
 
 
-def _folder_of(name: str) -> Path:
+def folder_of(name: str) -> Path:
     """Return where a command's configuration lies: in a folder of its own if its keys are named as groups are."""
     folder = config_folder() / name
     return folder if folder.is_dir() else config_folder()
