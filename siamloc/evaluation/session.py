@@ -197,6 +197,7 @@ class Session:
             },
             "protocol": self.protocol.kind,
             "descriptor": self.known.descriptor.identity,
+            **({} if self.known.heading is None else {"heading": self.known.heading.identity}),
         }
 
     def settings(self, task: Any) -> dict[str, Any]:
