@@ -18,7 +18,18 @@ def site(tmp_path_factory):
     pytest.importorskip("material", reason="the extra `docs` is not installed")
     pytest.importorskip("mkdocstrings", reason="the extra `docs` is not installed")
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    command = [
+        sys.executable,
+        "-W",
+        "ignore",
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--site-dir",
+        str(folder),
+    ]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stdout + built.stderr
     return folder
@@ -51,6 +62,8 @@ def test_every_command_of_the_pages_exists():
     from siamloc.cli.help import COMMANDS
 
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    words = {word for page in pages for word in re.findall(r"\bsiamloc ([a-z]+)\b[^.]", page.read_text(encoding="utf-8"))}
+    words = {
+        word for page in pages for word in re.findall(r"\bsiamloc ([a-z]+)\b[^.]", page.read_text(encoding="utf-8"))
+    }
     text = {"COMMAND"}
     assert words - text <= {name.partition(" ")[0] for name in COMMANDS} | {"does", "says", "itself", "wrote"}

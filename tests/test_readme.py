@@ -40,7 +40,7 @@ def robot(tmp_path, monkeypatch):
 def test_the_lines_of_the_readme_run_as_written(robot, capsys):
     names = {"siamloc": siamloc}
     for code in blocks():
-        exec(compile(code, str(README), "exec"), names)  # noqa: S102
+        exec(compile(code, str(README), "exec"), names)
     assert (robot / "runs/robot/run.json").is_file()
     assert names["result"].measures["queries"] == FRAMES
     assert names["location"].room in ("office", "corridor")
