@@ -26,6 +26,7 @@ from analytic.threads import each
 
 Spectra = NDArray[np.complex64]  # (frequencies, B, F)
 _CLOSE = 2e-2  # a squared distance below this share of the squared lengths is not taken from a float32 peak
+_FAINT = 1e-5
 _VALUES = 1 << 23  # of correlations held at once: 32 MiB
 
 
@@ -95,6 +96,15 @@ def best_turns(
     return found
 
 
+def whitened_turns(queries: Description, references: Description, steps: int) -> Turns:
+    """Return the turn of the largest correlation of phases of each pair, and the scalar product itself at that turn.
+
+    Magnitudes below 1e-5 of a description's largest count as zero.
+    """
+    phases = [made.kept("phases", lambda one: whitened(one.spectrum, _FAINT)) for made in (queries, references)]
+    return best_turns(phases[0], phases[1], steps, product=(queries.spectrum, references.spectrum))
+
+
 def aligned_distances(name: str, queries: Description, references: Description, turns: Turns) -> NDArray[np.float64]:
     """Return the named distance (n, m) between orientation parts of each pair at its turn.
 
@@ -152,6 +162,20 @@ def euclidean(
 def norm(one: NDArray[Any], other: NDArray[Any]) -> float:
     """Return the Euclidean distance of two arrays of one shape: one pass over both, summed in double precision."""
     return _norm(cv2.NORM_L2, one, other)
+
+
+def whitened(spectra: Spectra, least: float) -> Spectra:
+    """Return spectra with magnitudes of 1, or of 0 where they are below a share of the largest of their row.
+
+    Correlating phases alone keeps one part of the picture from outweighing the others.
+
+    Example:
+        >>> whitened(np.array([[[3j]], [[1e-9]]]), 1e-5).ravel()
+        array([0.+1.j, 0.+0.j])
+    """
+    magnitude = np.abs(spectra)
+    floor = least * magnitude.max(axis=(0, 2), keepdims=True)
+    return np.divide(spectra, magnitude, out=np.zeros_like(spectra), where=magnitude > floor)
 
 
 def rolled(query: NDArray[Any]) -> Callable[[int], NDArray[Any]]:

@@ -31,7 +31,7 @@ class BuildingChoice:
 
 @dataclass(frozen=True)
 class BuildingSuccess:
-    """Shares of queries whose building was chosen rightly.
+    """Shares of queries whose building was chosen correctly.
 
     Attributes:
         overall: of all queries, pooled; NaN without any.
@@ -58,6 +58,12 @@ def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str
     Raises:
         AnalyticError: no maps, wrong shapes, descriptors of another length than the queries', values that are not
             finite, or an unknown distance.
+
+    Example:
+        >>> office, school = np.array([[1.0, 0.0], [0.8, 0.2]]), np.array([[0.0, 1.0]])
+        >>> found = choose_building([[0.9, 0.2], [0.1, 0.7]], [office, school])
+        >>> found.building, found.representative
+        (array([0, 1]), array([1, 0]))
     """
     between = distance_named(distance)
     asked = checks.vectors(queries, "queries")
@@ -84,7 +90,7 @@ def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str
 
 
 def building_success(chosen: ArrayLike, true: ArrayLike) -> BuildingSuccess:
-    """Return the share of queries whose building was chosen rightly ([C] figure 19), overall and by true building.
+    """Return the share of queries whose building was chosen correctly ([C] figure 19), overall and by true building.
 
     Args:
         chosen: numbers of buildings (n,), such as `BuildingChoice.building`.
@@ -92,6 +98,10 @@ def building_success(chosen: ArrayLike, true: ArrayLike) -> BuildingSuccess:
 
     Raises:
         AnalyticError: other shapes, different lengths, or numbers that are not whole or are negative.
+
+    Example:
+        >>> building_success([0, 1, 1, 0], [0, 1, 1, 1])
+        BuildingSuccess(overall=0.75, per_building={0: 1.0, 1: 0.6666666666666666}, queries={0: 1, 1: 3})
     """
     found, truth = _numbers(chosen, "chosen"), _numbers(true, "true")
     if len(found) != len(truth):

@@ -1,4 +1,4 @@
-"""What a descriptor says of images, and what comparing two such descriptions returns."""
+"""Descriptions of images, and the results of comparing two of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Description:
-    """What a descriptor says of a batch of images.
+    """A batch of images as a descriptor sees them: position parts, orientation parts, and who made them.
 
     Values that comparing needs again and again, such as the spectrum, are computed once and kept, since a map is
     compared with query after query.
@@ -67,7 +67,7 @@ class Description:
         return Description(*joined([(part.position, part.orientation) for part in parts]), parts[0].identity)
 
     def kept(self, name: str, compute: Callable[[Description], T]) -> T:
-        """Return what `compute` makes of this description, computed at the first call under that name."""
+        """Return `compute` of this description, computed at the first call under that name and kept."""
         values: dict[str, Any] = vars(self)
         if name not in values:
             values[name] = compute(self)
@@ -107,6 +107,14 @@ class Alignment:
     Attributes:
         heading: (n, m) how far the robot of the query has turned left since the reference, rad in (-pi, pi].
         distance: (n, m) between the orientation parts after turning them alike.
+
+    Example:
+        >>> import analytic
+        >>> hog = analytic.descriptor("hog")
+        >>> seen = hog.describe(np.random.default_rng(0).random((2, 128, 512)))
+        >>> found = hog.align(seen, seen)
+        >>> found.heading.shape, np.diag(found.distance)
+        ((2, 2), array([0., 0.]))
     """
 
     heading: NDArray[np.float64]
@@ -121,6 +129,13 @@ class Match:
         index: (n,) row of the map.
         distance: (n,) to it.
         heading: (n,) how far the robot has turned left since that frame, rad in (-pi, pi].
+
+    Example:
+        >>> import analytic
+        >>> hog = analytic.descriptor("hog")
+        >>> known = hog.describe(np.random.default_rng(0).random((4, 128, 512)))
+        >>> hog.localize(known.take([2]), known).index
+        array([2])
     """
 
     index: NDArray[np.int64]

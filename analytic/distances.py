@@ -24,6 +24,10 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
 
     Raises:
         AnalyticError: p below 1, weights of another length or negative, sets of different D.
+
+    Example:
+        >>> minkowski([[0, 0]], [[3, 4], [0, 2]], weights=[1, 4])
+        array([[8.54400375, 4.        ]])
     """
     a, b = _checked(a, b)
     if not p >= 1:
@@ -46,23 +50,43 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
 
 
 def manhattan(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return the Manhattan distances (n, m) ([T] eq. 3.9)."""
+    """Return the Manhattan distances (n, m) ([T] eq. 3.9).
+
+    Example:
+        >>> manhattan([[0, 0]], [[3, 4]])
+        array([[7.]])
+    """
     return minkowski(a, b, p=1)
 
 
 def euclidean(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return the Euclidean distances (n, m) ([T] eq. 3.10)."""
+    """Return the Euclidean distances (n, m) ([T] eq. 3.10).
+
+    Example:
+        >>> euclidean([[0, 0]], [[3, 4]])
+        array([[5.]])
+    """
     return minkowski(a, b, p=2)
 
 
 def cosine(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector is at 1 from everything."""
+    """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector is at 1 from everything.
+
+    Example:
+        >>> cosine([[1, 0]], [[2, 0], [0, 1], [-1, 0]])
+        array([[0., 1., 2.]])
+    """
     a, b = _checked(a, b)
     return between_units(unit_vectors(a), unit_vectors(b))
 
 
 def correlation(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.11). A constant vector is at 1 from everything."""
+    """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.11). A constant vector is at 1 from everything.
+
+    Example:
+        >>> correlation([[1, 2, 3]], [[5, 7, 9], [3, 2, 1], [4, 4, 4]]).round(6)
+        array([[0., 2., 1.]])
+    """
     a, b = _checked(a, b)
     return between_units(unit_vectors(a, centred=True), unit_vectors(b, centred=True))
 
@@ -81,6 +105,11 @@ def distance(name: str) -> Pairwise:
 
     Raises:
         AnalyticError: an unknown name.
+
+    Example:
+        >>> distance("manhattan")([[0, 0], [1, 1]], [[3, 4]])
+        array([[7.],
+               [5.]])
     """
     if name not in DISTANCES:
         raise AnalyticError(f"unknown distance {name!r}: {hint(name, DISTANCES)}")

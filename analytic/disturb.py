@@ -1,4 +1,4 @@
-"""What goes wrong with the images of a test: noise and occlusion ([T] 3.4.2). Maps are made from clean ones."""
+"""Disturbances of test images: noise and occlusion ([T] 3.4.2). Maps are made from clean images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OCCLUSION_LEVELS = (0.0, 0.05, 0.1, 0.2, 0.4)
 
 
 def noise(batch: ArrayLike, variance: float, generator: np.random.Generator) -> NDArray[Any]:
-    """Return images with white Gaussian noise of mean 0, each channel of each pixel its own draw.
+    """Return images with white Gaussian noise of mean 0, drawn separately for each channel of each pixel.
 
     Args:
         batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
@@ -27,6 +27,12 @@ def noise(batch: ArrayLike, variance: float, generator: np.random.Generator) -> 
 
     Raises:
         AnalyticError: another shape or type, values out of range, a variance that is negative or not finite.
+
+    Example:
+        >>> image = np.full((128, 512), 128, dtype=np.uint8)
+        >>> noisy = noise(image, 0.0025, np.random.default_rng(0))
+        >>> noisy.dtype, round(float(noisy.std() / 255), 3)
+        (dtype('uint8'), 0.05)
     """
     images = _images(batch, generator)
     if not (np.isfinite(variance) and variance >= 0):
@@ -49,7 +55,7 @@ def occlude(
     value: float = 0.0,
     circular: bool = True,
 ) -> NDArray[Any]:
-    """Return images with vertical bars over a share of the columns, elsewhere in each image.
+    """Return images with vertical bars over a share of the columns, in other places in each image.
 
     The bars are as high as the image, of equal widths up to one column, and do not overlap, so that they cover
     round(share * W) columns exactly. Every set of gaps between them is equally likely.
@@ -60,13 +66,18 @@ def occlude(
         generator: where the draws come from.
         bars: how many; fewer if there are not so many columns to cover.
         value: of a bar, in [0, 1]: 0 is black.
-        circular: whether a bar may go on across the seam of a panorama.
+        circular: whether a bar may continue across the seam of a panorama.
 
     Returns:
         As many images of the same shape and type.
 
     Raises:
         AnalyticError: another shape or type, values out of range, a share or value outside [0, 1], less than one bar.
+
+    Example:
+        >>> hidden = occlude(np.ones((128, 512)), 0.25, np.random.default_rng(0))
+        >>> float(hidden.mean())
+        0.75
     """
     images = _images(batch, generator)
     for key, number in (("share", share), ("value", value)):
@@ -89,7 +100,7 @@ def _covered(width: int, share: float, bars: int, circular: bool, generator: np.
     if not bars:
         return covered
     edges = np.arange(bars + 1) * total // bars
-    # Sorted places among the free columns are where the bars stand when these have no width.
+    # Sorted places among the free columns are where bars without any width would be.
     starts = np.sort(generator.integers(0, width - total + 1, bars)) + edges[:-1]
     for start, length in zip(starts, np.diff(edges), strict=True):
         covered[start : start + length] = True

@@ -1,4 +1,4 @@
-"""The homomorphic filter, which takes the light off a picture ([C] 2.4)."""
+"""The homomorphic filter, which removes slow changes of light from a picture ([C] 2.4)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def homomorphic(
     Args:
         batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
         cutoff: where the filter changes from `low` to `high`, in cycles per image width.
-        low: gain of what changes slowly, at least 0; below 1 takes it off.
+        low: gain of what changes slowly, at least 0; below 1 weakens it.
         high: gain of what changes fast, at least `low`; above 1 sharpens.
         circular: whether columns wrap around; otherwise they are continued by their mirror image.
 
@@ -40,6 +40,13 @@ def homomorphic(
 
     Raises:
         AnalyticError: another shape or type, values out of range, a cutoff that is not positive, gains out of order.
+
+    Example:
+        >>> lamp = 0.5 + 0.4 * np.cos(2 * np.pi * np.arange(64) / 64)  # light from one side
+        >>> image = np.tile(lamp, (16, 1))
+        >>> filtered = homomorphic(image)
+        >>> round(float(np.ptp(image)), 2), round(float(np.ptp(filtered)), 2)
+        (0.8, 0.65)
     """
     import torch
 
@@ -47,8 +54,7 @@ def homomorphic(
     images = with_channels(batch)
     with torch.inference_mode():
         grey = grey_tensor(unit_tensor(image_tensor(batch), "cpu"))
-        filtered = homomorphic_tensor(grey, circular=circular, cutoff=cutoff, low=low, high=high, clip=False)
-        gain = ((filtered + _BLACK) / (grey + _BLACK))[:, None].numpy()
+        gain = _gain(grey, circular=circular, cutoff=cutoff, low=low, high=high)[:, None].numpy()
     scale = 255 if images.dtype == np.uint8 else 1
     found = np.clip((images + _BLACK * scale) * gain - _BLACK * scale, 0, scale)
     if scale == 255:
@@ -62,7 +68,7 @@ def homomorphic_tensor(
     """Return grey images (B, H, W), float32 in [0, 1], after the filter.
 
     What a camera sees is light times reflectance; light changes slowly across a picture, reflectance fast. The
-    logarithm makes a sum of the product, where a linear filter tells slow from fast:
+    logarithm turns the product into a sum, in which a linear filter can separate slow from fast:
 
         exp(F^-1(T F(log(I + 1/255)))) - 1/255, cut off to [0, 1],
         T(u, v) = low + (high - low) (1 - exp(-(D / cutoff)^2 / 2)), D = W sqrt((u / N)^2 + (v / M)^2).
@@ -70,7 +76,7 @@ def homomorphic_tensor(
     F is the discrete Fourier transform of the picture continued by its mirror image in elevation (M = 2 H rows: the
     last row is followed by itself) and, unless columns wrap around (N = W), likewise in azimuth (N = 2 W). u and v are
     signed whole frequencies, so that D is in cycles per image width, the same in both directions. The mean of the
-    logarithm (D = 0) has the gain `low`, too, which brings exposures closer together.
+    logarithm (D = 0) has the gain `low` as well, which brings exposures closer together.
     """
     import torch
 
@@ -84,6 +90,17 @@ def homomorphic_tensor(
     smooth = torch.fft.irfft2(torch.fft.rfft2(log) * transfer, s=log.shape[1:])
     filtered = torch.exp(smooth[:, :height, :width]) - _BLACK
     return filtered.clamp_(0, 1) if clip else filtered
+
+
+def homomorphic_colours(images: Tensor, *, circular: bool) -> Tensor:
+    """Return colour images (B, 3, H, W), float32 in [0, 1], after the filter; see `homomorphic`."""
+    gain = _gain(grey_tensor(images), circular=circular)[:, None]
+    return ((images + _BLACK) * gain).sub_(_BLACK).clamp_(0, 1)
+
+
+def _gain(grey: Tensor, **parameters: Any) -> Tensor:
+    """Return by what the filter multiplies each pixel of grey images (B, H, W)."""
+    return (homomorphic_tensor(grey, clip=False, **parameters) + _BLACK) / (grey + _BLACK)
 
 
 @lru_cache(maxsize=8)

@@ -1,4 +1,4 @@
-"""Images of a batch side by side: one thread for each, in place of several threads for every small operation.
+"""One thread for each image of a batch, instead of several threads for every small operation.
 
 The operations on one image are so small that sharing them out costs about what it saves, and on a busy processor, where
 every thread waits for the last, many times that.
@@ -17,7 +17,11 @@ from typing import Any
 def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
     """Return the function's results, in order, computed by as many threads as torch is set to use.
 
-    Every part is computed by one thread, so that what comes out does not depend on their number.
+    Every part is computed by one thread, so that results do not depend on the number of threads.
+
+    Example:
+        >>> each(abs, [-1, 2, -3])
+        [1, 2, 3]
     """
     import torch
 
@@ -42,7 +46,7 @@ def _pool(threads: int, process: int) -> ThreadPoolExecutor:
     begun = Barrier(threads)
     for future in [pool.submit(_alone, begun) for _ in range(threads)]:
         future.result()
-    # The setting holds for the thread that makes it and for those that begin later: these shall have what there was.
+    # The setting holds for the thread that makes it and for those that start later, which get the former one back.
     torch.set_num_threads(threads)
     return pool
 

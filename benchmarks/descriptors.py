@@ -1,4 +1,4 @@
-"""Time the seven descriptors: describing, comparing with a map, batches, and beside scikit-image.
+"""Time the descriptors: describing, comparing with a map, batches, and next to scikit-image.
 
     OMP_NUM_THREADS=2 python -m benchmarks.descriptors [--out FOLDER] [--quick]
 
@@ -36,6 +36,7 @@ SETTINGS: dict[str, tuple[str, dict[str, Any], float]] = {
     "briefgist": ("briefgist", {}, 1.0),
     "radon_fourier": ("radon_fourier", {"step": 1}, np.inf),
     "radon_poc": ("radon_poc", {"step": 1}, np.inf),
+    "hsv": ("hsv", {}, np.inf),
     "gist, the best of [T]": ("gist", {}, np.inf),
     "wisurf, the best of [T]": ("wisurf", {}, np.inf),
     "radon_poc, the best of [T]": ("radon_poc", {}, np.inf),

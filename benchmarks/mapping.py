@@ -27,11 +27,12 @@ from omegaconf import OmegaConf
 
 import analytic
 from analytic import Description, Descriptor
+from benchmarks import sweeps
 from benchmarks.report import Report, parser
 from siamloc.data import read
 from siamloc.evaluation.layers import evaluate_mapping
 from siamloc.maps import VisualMap, group
-from siamloc.report import plots, sweeps
+from siamloc.report.draw.look import save
 
 CONF = Path(__file__).parents[1] / "conf"
 SEQUENCE = "*seq2_cloudy1"
@@ -184,7 +185,7 @@ def draw(folder: Path, table: list[dict[str, Any]], grid: list[dict[str, Any]], 
         (sweeps.heat_maps(grid), "mapping_sweep.png"),
         (sweeps.silhouette_against_clusters(curve, points), "clusters.png"),
     ):
-        print(f"picture: {plots.save(figure, folder / name)}")
+        print(f"picture: {save(figure, folder / name)}")
 
 
 def print_table(table: list[dict[str, Any]]) -> None:

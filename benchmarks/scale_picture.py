@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from siamloc.report.plots import save, style
+from siamloc.report.draw.look import save, style
 
 _LOOKS: Mapping[str, Mapping[str, Any]] = {
     "exact": {"color": "#0072B2", "marker": "o", "linewidth": 2},

@@ -1,5 +1,15 @@
 """siamloc: siamese place recognition and localization for robots with omnidirectional cameras.
 
+    frames = siamloc.data.read("manifest", manifest="robot.csv")
+    images = siamloc.data.PanoramaLibrary(frames)
+    monday, tuesday = frames.select(sequence="monday"), frames.select(sequence="tuesday")
+    network = siamloc.models.build("alexnet", "fc500_500_5")
+    siamloc.training.fit(network, images, monday, run="runs/robot", epochs=10)
+    known = siamloc.maps.build(network, images, monday)
+    result = siamloc.evaluation.localization(known, images, tuesday)
+    print(result.measures["error"], result.table())
+    siamloc.runtime.export(network, known, "runs/robot/bundle")
+
 Importing the package loads neither torch nor lightning; each subpackage loads what it needs when it is used.
 """
 
@@ -15,6 +25,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
+_PARTS = ("data", "evaluation", "maps", "models", "report", "runtime", "simulate", "training")
 __all__ = [
     "SiamlocError",
     "__version__",
@@ -28,4 +39,4 @@ __all__ = [
     "training",
 ]
 
-__getattr__, __dir__ = lazy(__name__, {name: "" for name in __all__ if name.islower() and "_" not in name})
+__getattr__, __dir__ = lazy(__name__, dict.fromkeys(_PARTS, ""))

@@ -221,7 +221,10 @@ def _parts(matrix: Any) -> NDArray[np.int64]:
     from scipy import sparse
     from scipy.sparse.csgraph import connected_components
 
-    return connected_components(sparse.csr_array(matrix > _NOTHING), directed=False)[1].astype(np.int64)
+    linked = matrix > _NOTHING
+    if isinstance(matrix, np.ndarray) and linked.sum(axis=1).max() == len(matrix) - 1:
+        return np.zeros(len(matrix), dtype=np.int64)  # a frame resembles all others: no need to walk a full graph
+    return connected_components(sparse.csr_array(linked), directed=False)[1].astype(np.int64)
 
 
 def _linked(similarity: Any, part: NDArray[np.int64], x: NDArray[np.float64], sigma: float) -> Any:
@@ -337,7 +340,7 @@ def _checked_similarities(similarities: Any) -> Any:
     from scipy import sparse
 
     is_sparse = sparse.issparse(similarities)
-    graph = (sparse.csr_array if is_sparse else np.asarray)(similarities, dtype=np.float64)
+    graph: Any = (sparse.csr_array if is_sparse else np.asarray)(similarities, dtype=np.float64)
     if graph.ndim != 2 or graph.shape[0] != graph.shape[1] or not graph.shape[0]:
         raise AnalyticError(f"similarities must have shape (n, n), got {graph.shape}")
     values = graph.data if is_sparse else graph

@@ -15,6 +15,7 @@ from analytic.description import Alignment, Description, Match, check_alike, joi
 from analytic.distances import between_units
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
+from analytic.filters import homomorphic_tensor
 from analytic.images import grey_tensor, image_tensor, unit_tensor
 from analytic.threads import each
 
@@ -174,6 +175,8 @@ class ImageDescriptor(Descriptor):
         (True, ((256,), (256, 16)), 1.41)
     """
 
+    colour: ClassVar[bool] = False  # whether it looks at colours, not only at luma
+
     circular: bool = True
     homomorphic: bool = False
     device: str = "cpu"
@@ -207,7 +210,7 @@ class ImageDescriptor(Descriptor):
         """Return the shapes of position and orientation of one image, as [T] table 3.2 writes them."""
 
     def describe(self, batch: ArrayLike) -> Description:
-        """Describe grey or colour images (colour becomes BT.601 luma, unless the descriptor is one of colours).
+        """Describe grey or colour images; unless the descriptor is one of colours, these become BT.601 luma.
 
         Args:
             batch: (B, H, W), (B, 3, H, W) or one image (H, W), (3, H, W); uint8, or floating point in [0, 1]. A
@@ -235,13 +238,9 @@ class ImageDescriptor(Descriptor):
             return _array(position), _array(orientation)
 
     def _seen(self, images: Tensor) -> Tensor:
-        """Return what is described of images (B, C, H, W), float32 in [0, 1]: their luma (B, H, W)."""
+        """Return what `_describe` gets of images (B, C, H, W), float32 in [0, 1]: their luma (B, H, W)."""
         grey = grey_tensor(images)
-        if self.homomorphic:
-            from analytic.filters import homomorphic_tensor
-
-            grey = homomorphic_tensor(grey, circular=self.circular)
-        return grey
+        return homomorphic_tensor(grey, circular=self.circular) if self.homomorphic else grey
 
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading and the aligned distance of every query to every reference; see `Descriptor`."""
@@ -266,7 +265,7 @@ class ImageDescriptor(Descriptor):
 
     @abstractmethod
     def _describe(self, grey: Tensor) -> tuple[Part, Part]:
-        """Return position (B, D) and orientation (B, K, F) of grey images (B, H, W), float32 in [0, 1]."""
+        """Return position (B, D) and orientation (B, K, F) of what `_seen` returns, float32 in [0, 1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -324,6 +323,32 @@ class AlignedDescriptor(ImageDescriptor):
     def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> NDArray[np.float64]:
         """Return the named distance (n, m) of each pair at its turn; a subclass that compares otherwise overrides."""
         return aligned_distances(name, queries, references, turns)
+
+
+def check_cells(made: Any, height: int, width: int, rows: str = "rows") -> None:
+    """Raise AnalyticError unless horizontal bands and the windows of a descriptor fit an image.
+
+    Args:
+        made: descriptor with a number of bands, `step` and `window`.
+        height: of the image, pixels.
+        width: of the image, pixels.
+        rows: name of the parameter that is the number of bands.
+    """
+    bands = getattr(made, rows)
+    if height % bands:
+        raise AnalyticError(
+            f"{made.name}'s {rows}={bands} bands do not divide the image's height of {height} pixels: use {rows}="
+            f"{divisors_near(height, bands)}, or resize the image"
+        )
+    if width % made.step:
+        raise AnalyticError(
+            f"{made.name}'s step={made.step} does not divide the image's width of {width} pixels: use step="
+            f"{divisors_near(width, made.step)}, or resize the image"
+        )
+    if made.window > width:
+        raise AnalyticError(
+            f"{made.name}'s window={made.window} is wider than the image of {width} columns: use at most window={width}"
+        )
 
 
 def divisors_near(number: int, wanted: int) -> str:

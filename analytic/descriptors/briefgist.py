@@ -35,8 +35,8 @@ class BriefGist(AlignedDescriptor):
 
     Position: (rows * columns,) float32 of 0 and 1, row after row: value r * columns + c is bit(r, c). It turns with
     the robot; `pairwise`, `align` and `localize` first turn each pair to its largest correlation, which is the
-    turn with the fewest different bits, and of equal ones the smallest to the left. With `circular=False` bits are
-    compared as they stand.
+    turn with the fewest different bits, or the smallest of equal ones. With `circular=False` bits are
+    compared without any turn.
     Orientation: (columns, rows), value [c, r] is bit(r, c).
 
     The default distance, "manhattan", is the number of different bits at that turn (Hamming), from 0 to
@@ -49,6 +49,15 @@ class BriefGist(AlignedDescriptor):
 
     Raises:
         AnalyticError: fewer than 1 x 2 windows.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> briefgist = analytic.descriptor("briefgist", rows=32)
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = briefgist.describe(panoramas), briefgist.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(briefgist.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name = "briefgist"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.alignment import best_turns, euclidean, norm
+from analytic.alignment import best_turns, euclidean, norm, whitened
 from analytic.alignment import heading as angle
 from analytic.description import Alignment, Description
 from analytic.descriptors.base import ImageDescriptor, divisors_near
@@ -52,7 +52,7 @@ class FourierSignature(ImageDescriptor):
       that of the reference and that of the query turned back by t, whose phases are those of
       Q[r, u] exp(2 pi i u t / turns) ([T] eq. 3.3-3.6, read with the matrix of the map's image as the other
       factor). The aligned distance is the Euclidean one of the two phase matrices. Phases next to pi and -pi count as
-      far apart, so that noise tells more here, and the largest sum need not be at the true turn.
+      far apart, so that noise matters more here, and the largest sum need not be at the true turn.
 
     Args:
         rows: rows in the position part, k1 in [T] table 3.1. They divide the height of an image.
@@ -62,14 +62,23 @@ class FourierSignature(ImageDescriptor):
         turns: how many turns are compared; a multiple or a divisor of the width of an image, so that whole columns
             are whole turns. [T] compares one for each of its 512 columns.
         heading: "correlation" or "phase_product".
-        whitened: whether a correlation is that of phases alone; a product of phases always is. It is an addition to the
-            seeds, which bars across the picture mislead much less; False is the plain correlation.
+        whitened: whether a correlation is that of phases alone; a product of phases always is. This is an addition to
+            the seeds that bars across the picture mislead much less; False is the plain correlation.
 
-    The defaults are the best of [T] 3.5.1 for the position; for the heading, [T] 3.5.3 only says an intermediate or
+    The defaults are the best of [T] 3.5.1 for the position; for the heading, [T] 3.5.3 only asks for an intermediate or
     high number of rows.
 
     Raises:
-        AnalyticError: numbers that are not positive, more frequencies than turns can tell, an unknown `heading`.
+        AnalyticError: numbers that are not positive, more frequencies than turns can resolve, an unknown `heading`.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> fs = analytic.descriptor("fs", turns=256)
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = fs.describe(panoramas), fs.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(fs.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name = "fs"
@@ -116,7 +125,11 @@ class FourierSignature(ImageDescriptor):
         turn = 2j * pi / self.turns * np.arange(len(rows[0]))[:, None]
 
         def turned(row: int) -> Callable[[int], NDArray[Any]]:
-            return cache(lambda step: queries.turnable[row] * np.exp(turn * step).astype(np.complex64))
+            @cache
+            def back(step: int) -> NDArray[Any]:
+                return queries.turnable[row] * np.exp(turn * step).astype(np.complex64)
+
+            return back
 
         product = self.turns * found.peak  # the inverse transform divides by the number of turns
         return found.step, euclidean(product, lengths, found.step, turned, references.turnable, _between_rows)
@@ -139,7 +152,8 @@ class FourierSignature(ImageDescriptor):
             best = step[part] = product.argmax(axis=2)
             peak = np.take_along_axis(product, best[..., None], axis=2)[..., 0].astype(np.float64)
             lengths = np.take_along_axis(_squares(query), best, axis=1) + _squares(known)[None]
-            distance[part] = euclidean(peak, lengths, best, lambda row, q=query: q[row].__getitem__, known)
+            at_turn = [phases.__getitem__ for phases in query]
+            distance[part] = euclidean(peak, lengths, best, at_turn.__getitem__, known)
         return step, distance
 
     def _check_parameters(self) -> None:
@@ -148,7 +162,7 @@ class FourierSignature(ImageDescriptor):
                 raise AnalyticError(f"fs needs {key} of at least 1, got {getattr(self, key)}")
         if 2 * (self.orientation_columns - 1) >= self.turns:
             raise AnalyticError(
-                f"fs with turns={self.turns} tells at most {(self.turns + 1) // 2} frequencies apart, got "
+                f"fs with turns={self.turns} resolves at most {(self.turns + 1) // 2} frequencies, got "
                 f"orientation_columns={self.orientation_columns}: use more turns or fewer columns"
             )
         if self.heading not in _HEADINGS:
@@ -203,11 +217,8 @@ def _by_frequency(description: Description) -> NDArray[np.complex64]:
 
 
 def _white(description: Description) -> NDArray[np.complex64]:
-    """Return the coefficients (U, B, R) with magnitudes of 1, or of 0 where there is next to nothing."""
-    values = description.kept("rows", _by_frequency)
-    magnitude = np.abs(values)
-    least = _NOTHING * magnitude.max(axis=(0, 2), keepdims=True)
-    return np.divide(values, magnitude, out=np.zeros_like(values), where=magnitude > least)
+    """Return the phases of the coefficients (U, B, R)."""
+    return whitened(description.kept("rows", _by_frequency), _NOTHING)
 
 
 def _power(description: Description) -> NDArray[np.float64]:

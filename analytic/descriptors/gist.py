@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import ImageDescriptor, Part, divisors_near
+from analytic.descriptors.base import ImageDescriptor, Part, check_cells
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:
@@ -81,6 +81,15 @@ class Gist(ImageDescriptor):
     Raises:
         AnalyticError: numbers that are not positive, more levels than 2, or a single filter in windows that are
             normalized, of which nothing would be left.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> gist = analytic.descriptor("gist", orientations=8)
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = gist.describe(panoramas), gist.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(gist.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name = "gist"
@@ -111,25 +120,12 @@ class Gist(ImageDescriptor):
             raise AnalyticError(f"gist has 1 or 2 levels in its orientation part, got {self.orientation_levels}")
         if self.normalized and self.orientation_filters == 1:
             raise AnalyticError(
-                "gist needs orientation_filters of at least 2 to tell which one prevails, got 1: use more of them, or "
+                "gist needs orientation_filters of at least 2 to show which one prevails, got 1: use more of them, or "
                 "normalized=False"
             )
 
     def _check_size(self, height: int, width: int) -> None:
-        if height % self.blocks:
-            raise AnalyticError(
-                f"gist's blocks={self.blocks} do not divide the image's height of {height} pixels: use blocks="
-                f"{divisors_near(height, self.blocks)}, or resize the image"
-            )
-        if width % self.step:
-            raise AnalyticError(
-                f"gist's step={self.step} does not divide the image's width of {width} pixels: use step="
-                f"{divisors_near(width, self.step)}, or resize the image"
-            )
-        if self.window > width:
-            raise AnalyticError(
-                f"gist's window={self.window} is wider than the image of {width} columns: use at most window={width}"
-            )
+        check_cells(self, height, width, rows="blocks")
 
     def _describe(self, grey: Tensor) -> tuple[Part, Part]:
         import torch

@@ -7,18 +7,13 @@ from functools import lru_cache
 from math import pi
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from analytic.alignment import Turns, best_turns
+from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
-from analytic.descriptors.base import ImageDescriptor, divisors_near
+from analytic.descriptors.base import ImageDescriptor, check_cells
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-_NOTHING = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,14 +50,23 @@ class Hog(ImageDescriptor):
         window: width of a vertical window in columns, l1. [T] 3.5.3 finds wide ones best.
         step: columns between the windows, d1; it divides the width of an image. It is the angular resolution.
         orientation_bins: directions in the orientation part, b2.
-        whitened: whether the heading comes from phases alone. It is an addition to the seeds, which bars across the
+        whitened: whether the heading comes from phases alone. This is an addition to the seeds that bars across the
             picture mislead much less; False is the scalar product of [T] 3.3.2.
 
-    The defaults are the best of [T] 3.5.1 for the position, and step and bins of [I] 6.1 for the heading; how wide its
-    windows are, neither says. The mapper of [I] 6.1 and [T] 4.5.1 has rows=16, bins=16, step=2, orientation_bins=16.
+    The defaults are the best of [T] 3.5.1 for the position, and step and bins of [I] 6.1 for the heading; neither gives
+    the width of its windows. The mapper of [I] 6.1 and [T] 4.5.1 has rows=16, bins=16, step=2, orientation_bins=16.
 
     Raises:
         AnalyticError: numbers that are not positive.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> hog = analytic.descriptor("hog")
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = hog.describe(panoramas), hog.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(hog.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name = "hog"
@@ -89,20 +93,7 @@ class Hog(ImageDescriptor):
                 raise AnalyticError(f"hog needs {key} of at least 1, got {getattr(self, key)}")
 
     def _check_size(self, height: int, width: int) -> None:
-        if height % self.rows:
-            raise AnalyticError(
-                f"hog's rows={self.rows} bands do not divide the image's height of {height} pixels: use rows="
-                f"{divisors_near(height, self.rows)}, or resize the image"
-            )
-        if width % self.step:
-            raise AnalyticError(
-                f"hog's step={self.step} does not divide the image's width of {width} pixels: use step="
-                f"{divisors_near(width, self.step)}, or resize the image"
-            )
-        if self.window > width:
-            raise AnalyticError(
-                f"hog's window={self.window} is wider than the image of {width} columns: use at most window={width}"
-            )
+        check_cells(self, height, width)
 
     def _describe(self, grey: Tensor) -> tuple[Tensor, Tensor]:
         height, width = int(grey.shape[1]), int(grey.shape[2])
@@ -117,32 +108,28 @@ class Hog(ImageDescriptor):
         else:
             place = direction(angle, self.orientation_bins).add_(column)
         each = histograms(place, magnitude, width, self.orientation_bins)
-        return position.flatten(1), self._windows(each)
+        return position.flatten(1), window_sums(each, self.window, self.step, self.circular)
 
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
-        if not self.whitened:
-            return super()._best_turns(queries, references, steps)
-        phases = queries.kept("phases", _phases), references.kept("phases", _phases)
-        return best_turns(*phases, steps, product=(queries.spectrum, references.spectrum))
-
-    def _windows(self, each: Tensor) -> Tensor:
-        """Return the sums (B, W / step, b) over windows of the histograms of columns (B, W, b)."""
-        import torch
-
-        width = each.shape[1]
-        # The column before the first is where a running sum starts; it counts in no window.
-        ends = each[:, : self.window] if self.circular else torch.zeros_like(each[:, : self.window])
-        total = torch.cat([torch.zeros_like(each[:, :1]), each, ends], dim=1).cumsum(dim=1, dtype=torch.float64)
-        last = total[:, self.window : self.window + width : self.step]
-        return (last - total[:, : width : self.step]).to(torch.float32)
+        find = whitened_turns if self.whitened else super()._best_turns
+        return find(queries, references, steps)
 
 
-def _phases(description: Description) -> NDArray[np.complex64]:
-    """Return the spectrum with magnitudes of 1, or of 0 where there is next to nothing."""
-    magnitude = np.abs(description.spectrum)
-    least = _NOTHING * magnitude.max(axis=(0, 2), keepdims=True)
-    zeros = np.zeros_like(description.spectrum)
-    return np.divide(description.spectrum, magnitude, out=zeros, where=magnitude > least)
+def window_sums(columns: Tensor, window: int, step: int, circular: bool) -> Tensor:
+    """Return the sums (B, W / step, F) over windows of the values of columns (B, W, F).
+
+    Example:
+        >>> import torch
+        >>> window_sums(torch.arange(4.0).reshape(1, 4, 1), window=2, step=1, circular=True).ravel()
+        tensor([1., 3., 5., 3.])
+    """
+    import torch
+
+    width = columns.shape[1]
+    # The column before the first is where a running sum starts; it counts in no window.
+    ends = columns[:, :window] if circular else torch.zeros_like(columns[:, :window])
+    total = torch.cat([torch.zeros_like(columns[:, :1]), columns, ends], dim=1).cumsum(dim=1, dtype=torch.float64)
+    return (total[:, window : window + width : step] - total[:, :width:step]).to(torch.float32)
 
 
 def differences(grey: Tensor, circular: bool) -> tuple[Tensor, Tensor]:

@@ -27,8 +27,8 @@ class RadonFourier(ImageDescriptor):
 
         c[u, k] = (1 / T) sum_t q[t, k] exp(-2 pi i u t / T),    u = 0 ... T - 1.
 
-    Position (T * lines,): value u * lines + k is |c[u, k]|. As q is real, the values of u and T - u are equal; they are
-    kept both, so that the size is the one of [T] table 3.2. Those above the frequencies of the transform are 0.
+    Position (T * lines,): value u * lines + k is |c[u, k]|. As q is real, the values of u and T - u are equal; both are
+    kept, so that the size is the one of [T] table 3.2. Those above the frequencies of the transform are 0.
     Orientation (T, orientation_lines): the matrix that has the same phases and no magnitudes, from the mean lines of
     `orientation_lines`: value [t, k] is
 
@@ -39,7 +39,7 @@ class RadonFourier(ImageDescriptor):
     adds would decide.
 
     The default distance is Manhattan's, with which [T] 3.5.1 has its best result. A turn by any number of columns
-    leaves the position part; one that is no multiple of `step` is told to within half a step.
+    leaves the position part; one that is no multiple of `step` is found to within half a step.
 
     With `circular=False` each row of a panorama is followed by its mirror image first, and there is no heading.
 
@@ -53,6 +53,15 @@ class RadonFourier(ImageDescriptor):
     Raises:
         AnalyticError: a step that does not divide 360, an odd size, lines that do not divide half of it, an unknown
             source.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> radon_fourier = analytic.descriptor("radon_fourier", step=4.5, size=64)
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = radon_fourier.describe(panoramas), radon_fourier.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(radon_fourier.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name: ClassVar[str] = "radon_fourier"
@@ -124,7 +133,7 @@ class RadonPoc(AlignedDescriptor):
     The distance is 1 - max over s of poc[s], in [0, 2]: "cosine" at the best turn, as the lengths are 1. Other
     distances are taken at that turn. r itself is what `radon_transform` returns.
 
-    Turns by multiples of `step` leave the distances. Those by another angle lower the peak, and are told to
+    Turns by multiples of `step` leave the distances. Those by another angle lower the peak, and are found to
     within half a step.
 
     With `circular=False` each row of a panorama is followed by its mirror image first, only s = 0 is compared, and
@@ -137,6 +146,15 @@ class RadonPoc(AlignedDescriptor):
 
     Raises:
         AnalyticError: a step that does not divide 360, an odd size, an unknown source.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> radon_poc = analytic.descriptor("radon_poc", step=4.5, size=64)
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = radon_poc.describe(panoramas), radon_poc.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(radon_poc.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name: ClassVar[str] = "radon_poc"
@@ -174,7 +192,7 @@ class RadonPoc(AlignedDescriptor):
 
 
 def _at_least(size: Tensor, largest: Tensor) -> Tensor:
-    """Return magnitudes to divide by: none is zero, nor small beside the largest."""
+    """Return magnitudes to divide by: none is zero, or small compared with the largest."""
     import torch
 
     return size.maximum((_LEAST * largest).clamp_min_(torch.finfo(size.dtype).tiny))

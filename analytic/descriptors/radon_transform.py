@@ -69,6 +69,10 @@ def radon_transform(
     Raises:
         AnalyticError: images that `describe` does not take, a step that does not divide 360, an odd size, images of
             the source "omnidirectional" that are not square.
+
+    Example:
+        >>> radon_transform(np.ones((64, 256)), step=90, size=32)[0, 0, :3].round(1)
+        array([26., 26., 28.], dtype=float32)
     """
     import torch
 

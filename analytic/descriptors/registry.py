@@ -17,6 +17,7 @@ DESCRIPTORS: dict[str, tuple[str, str]] = {
     "briefgist": ("briefgist", "BriefGist"),
     "radon_fourier": ("radon", "RadonFourier"),
     "radon_poc": ("radon", "RadonPoc"),
+    "hsv": ("hsv", "Hsv"),
 }
 
 
@@ -25,10 +26,19 @@ def descriptor(name: str, **params: Any) -> ImageDescriptor:
 
     Args:
         name: one of DESCRIPTORS.
-        params: see the class; what is left out has the configuration that [T] found best.
+        params: see the class; the defaults are what [T] found best.
 
     Raises:
         AnalyticError: an unknown name or parameter, or a value that fits no image.
+
+    Example:
+        >>> import numpy as np
+        >>> hog = descriptor("hog", rows=16, bins=16)
+        >>> panoramas = np.random.default_rng(0).integers(0, 256, (4, 3, 128, 512), dtype=np.uint8)
+        >>> known, turned = hog.describe(panoramas), hog.describe(np.roll(panoramas, 128, axis=3))
+        >>> found = hog.localize(turned, known)
+        >>> found.index, np.degrees(found.heading)
+        (array([0, 1, 2, 3]), array([90., 90., 90., 90.]))
     """
     made = _class(name)
     valid = [field.name for field in fields(made)]
@@ -43,6 +53,10 @@ def parameters(name: str) -> dict[str, Any]:
 
     Raises:
         AnalyticError: an unknown name.
+
+    Example:
+        >>> parameters("briefgist")
+        {'circular': True, 'homomorphic': False, 'device': 'cpu', 'rows': 64, 'columns': 16}
     """
     return {field.name: field.default for field in fields(_class(name))}
 

@@ -17,7 +17,7 @@ from analytic.images import as_grey
 class Thumbnail(Descriptor):
     """The grey image, averaged down to a few pixels.
 
-    It has no position part in the strict sense: turning the robot shifts it. It stands in tables as what one gets
+    It has no position part in the strict sense: turning the robot shifts it. Tables list it to show what one gets
     without any method.
 
     Args:
@@ -26,6 +26,10 @@ class Thumbnail(Descriptor):
 
     Raises:
         AnalyticError: sizes that are not positive, or larger than the image described.
+
+    Example:
+        >>> Thumbnail(2, 4).describe(np.full((128, 512), 0.5)).position
+        array([[0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5]], dtype=float32)
     """
 
     name = "thumbnail"

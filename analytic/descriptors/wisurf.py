@@ -55,7 +55,7 @@ class WiSurf(AlignedDescriptor):
     3.5.1, followed by "correlation".
 
     With `circular=False` the first and the last column are repeated beyond the borders for the wavelets, pixels of a
-    window beyond the last column count as having no response, and descriptions are compared as they stand.
+    window beyond the last column count as having no response, and descriptions are compared without any turn.
 
     Args:
         rows: horizontal bands, k9 of [T] table 3.1; 4 * rows divides the height of an image.
@@ -66,6 +66,15 @@ class WiSurf(AlignedDescriptor):
 
     Raises:
         AnalyticError: fewer than 1 x 2 windows.
+
+    Example:
+        >>> import analytic
+        >>> import numpy as np
+        >>> wisurf = analytic.descriptor("wisurf", windows=32)
+        >>> panoramas = np.random.default_rng(0).random((2, 64, 256))
+        >>> known, turned = wisurf.describe(panoramas), wisurf.describe(np.roll(panoramas, -64, axis=2))
+        >>> np.degrees(wisurf.relative_heading(turned, known))
+        array([-90., -90.])
     """
 
     name: ClassVar[str] = "wisurf"

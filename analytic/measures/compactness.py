@@ -158,7 +158,9 @@ def _blocks(x: NDArray[np.float64], distance: str) -> Iterator[tuple[slice, NDAr
     if between is DISTANCES["euclidean"]:
         x, _ = checks.to_unit_range(x)  # a silhouette is a ratio
         if x.shape[1] > _FEW_DIMENSIONS:
-            from sklearn.metrics.pairwise import euclidean_distances as between
+            from sklearn.metrics.pairwise import euclidean_distances
+
+            between = euclidean_distances
     for rows in checks.row_slices(len(x), len(x)):
         block = between(x[rows], x)
         block[np.arange(len(block)), np.arange(rows.start, rows.stop)] = 0

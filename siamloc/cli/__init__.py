@@ -20,8 +20,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = [word for word in words if word != "--debug"]
     try:
         return _dispatch(words)
-    except KeyboardInterrupt:
-        print("siamloc: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        if not error.args:  # who stops with a word of how to go on has said it already
+            print("siamloc: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
         sys.stderr.close()
@@ -40,6 +41,11 @@ def _dispatch(words: list[str]) -> int:
         return 0
     if words[0] in ("-V", "--version"):
         print(f"siamloc {__version__}")
+        return 0
+    if words[0] == "completion":
+        from siamloc.cli.completion import completion
+
+        print(completion(words[1:]))
         return 0
     command, overrides = _command(words)
     if command is None:

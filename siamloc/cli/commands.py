@@ -17,6 +17,7 @@ from siamloc.cli.objects import (
     images_named,
     needs_network,
     open_roles,
+    preprocessing_of,
     run_of,
     suggestion,
     training_folder,
@@ -43,11 +44,11 @@ def simulate(config: DictConfig) -> None:
 
 def prepare(config: DictConfig) -> None:
     """Check a data set and decode its images once."""
-    from siamloc.data import check
+    from siamloc.data import check, summary
 
     data = data_of(config)
     frames = data.read()
-    print(frames.summary())
+    print(summary(frames))
     images = data.library(frames, plain(config.unwrap))
     rows, columns = images.image_size
     print(f"decoded: {len(images)} panoramas of {rows} x {columns} px in {images.settings()['cache']}")
@@ -58,6 +59,7 @@ def prepare(config: DictConfig) -> None:
 def train(config: DictConfig) -> None:
     """Train a siamese network."""
     from siamloc import models, training
+    from siamloc.training.fitting import process_rank
 
     settings = training.Training.of(
         {
@@ -86,7 +88,8 @@ def train(config: DictConfig) -> None:
         overwrite=config.overwrite,
         settings=settings,
     )
-    print(f"checkpoint: {run.checkpoint('best')}; next: siamloc map run={run.folder}")
+    if process_rank() == 0:
+        print(f"checkpoint: {run.checkpoint('best')}; next: siamloc map run={run.folder}")
 
 
 def map_frames(config: DictConfig) -> None:
@@ -95,8 +98,8 @@ def map_frames(config: DictConfig) -> None:
 
     run, label = run_of(config), label_of(config.descriptor)
     images, roles = open_roles(config, "map")
-    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config))
-    known = known.with_record(role=plain(config.protocol.map))
+    made = {"role": plain(config.protocol.map)}
+    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config), made=made)
     target = map_file(run, label)
     known.save(target)
     run.record_written([target])
@@ -110,7 +113,7 @@ def map_frames(config: DictConfig) -> None:
     folder = run.layer(label, label_of(config.build))
     built = maps.group(known, folder=folder, **way_of(config))
     run.record_written(files_in(folder))
-    print(f"layer: {folder}, {built.summary()}")
+    print(built.summary(folder))
     print(f"next: siamloc evaluate run={run.folder} task=hierarchical build={label_of(config.build)}")
 
 
@@ -127,7 +130,7 @@ def evaluate(config: DictConfig) -> None:
     folder = run.evaluation(name)
     pictures = result.save(folder, pictures=config.task.plots)
     run.record_written(files_in(folder))
-    print(f"data: {config.data.name}")
+    print(f"data: {data_of(config).summary()}")
     print(result.table())
     for path in pictures:
         print(f"picture: {path}")
@@ -148,7 +151,7 @@ def export(config: DictConfig) -> None:
     network = descriptor_of(config, run)
     known = VisualMap.load(run.map, network) if run.map.is_file() else None
     errors = saved_errors(run.evaluation(label_of(config.descriptor)) / "error_model.json", known)
-    images = {} if known is not None else {"preprocessing": data_of(config).preprocessing(plain(config.unwrap))}
+    images = {} if known is not None else {"preprocessing": preprocessing_of(config)}
     folder = Path(config.bundle) if config.bundle is not None else run.bundle
     bundle = runtime.export(network, known, folder, errors=errors, **images)
     if folder == run.bundle:
@@ -225,15 +228,14 @@ def preview(config: DictConfig) -> None:
     import torch
 
     import augment
-    from siamloc import data, simulate
+    from siamloc import simulate
     from siamloc.files import write_picture
 
     paths = [str(path) for path in images_named(config.images)] if config.images else []
     if not paths and (config.data.get("manifest") or config.data.get("root")):
         paths = data_of(config).read().path.tolist()
     if paths:
-        decode = data.Preprocessing.checked(tuple(config.data.image_size), plain(config.unwrap))
-        panoramas = decode.panoramas(paths, config.count)
+        panoramas = preprocessing_of(config).panoramas(paths, config.count)
     else:
         panoramas = simulate.panoramas(config.count)
     write_picture(config.out, augment.preview(torch.from_numpy(panoramas)))

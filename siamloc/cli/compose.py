@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
 from siamloc.cli.help import COMMANDS
 from siamloc.cli.schema import register
@@ -44,8 +44,8 @@ def run(command: str, main: Main, words: list[str]) -> int:
     Raises:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
     """
-    given = words
     _check_words(words)
+    given = words = [_network_of_a_run(word) for word in words]
     words = _sweep(words) if {"-m", "--multirun"} & set(words) else words
     words = _flags_first([*_HYDRA, *words])
     import hydra
@@ -68,7 +68,7 @@ def run(command: str, main: Main, words: list[str]) -> int:
     arguments = sys.argv
     sys.argv = [f"siamloc {command}", *words]
     try:
-        hydra.main(version_base="1.3", config_path=str(_folder_of(name)), config_name=name)(job)()
+        hydra.main(version_base="1.3", config_path=str(folder_of(name)), config_name=name)(job)()
     except Exception as error:
         raise _explained(error, given, name) from error
     finally:
@@ -87,6 +87,7 @@ def composed(command: str, words: list[str]) -> DictConfig:
     """
     name = COMMANDS[command].config
     _check_words(words)
+    words = [_network_of_a_run(word) for word in words]
     try:
         return finished(command, _hydra_compose(name, words), words)
     except Exception as error:
@@ -96,24 +97,29 @@ def composed(command: str, words: list[str]) -> DictConfig:
 def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
     """Return a configuration with the settings of the run that it names, and everything set.
 
-    A command that works on a run takes that run's settings; what is said on the command line wins. A group that is
-    chosen there, such as data=cold, replaces the run's altogether, but for the size of the images, which is that of
-    the network.
-
     Raises:
         ConfigError: a key that has no value.
     """
+    keys = [_key(word) for word in words if not word.startswith("-")]
+    groups = [key for key in keys if (config_folder() / key).is_dir()]
+    for key in keys:
+        if "." in key and (config_folder() / key.replace(".", "/")).is_dir():
+            raise ConfigError(f"{key} is a choice of files: write {key.replace('.', '/')}=NAME, with a slash")
     resumed = command == "train" and config.get("resume") is True
     if (COMMANDS[command].inherits or resumed) and config.get("run") is not None:
-        from siamloc.cli.inherit import settings_of
+        from siamloc.cli.inherit import with_settings_of_the_run
 
-        kept = settings_of(config, whole=resumed)
-        if kept is not None:
-            config = _with_settings(config, kept, words)
+        dotted = [group.replace("/", ".") for group in groups]
+        config = with_settings_of_the_run(config, [key.replace("/", ".") for key in keys], dotted, resumed=resumed)
     missing = sorted(OmegaConf.missing_keys(config))
     if missing:
         raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=VALUE")
     return config
+
+
+def composed_defaults(name: str) -> DictConfig:
+    """Return a configuration as its files have it, values without a default among them."""
+    return _hydra_compose(name, [])
 
 
 def plain(config: DictConfig) -> dict[str, Any]:
@@ -132,30 +138,6 @@ def sweep_suffix() -> str:
     return re.sub(r"[^\w.+-]+", "-", swept)
 
 
-def _with_settings(config: DictConfig, kept: dict[str, Any], words: list[str]) -> DictConfig:
-    given = [_key(word) for word in words if not word.startswith("-")]
-    chosen = {key.replace("/", ".") for key in given if (config_folder() / key.replace(".", "/")).is_dir()}
-    if chosen & {"data", "experiment"}:  # they choose how to unwrap and the protocol as well
-        chosen |= {"data", "unwrap", "protocol"}
-    said = {key: OmegaConf.select(config, key) for key in given if key not in chosen and "." in key}
-    size = kept.get("data", {}).get("image_size")
-    result = config.copy()
-    with open_dict(result):
-        for section, values in kept.items():
-            if section not in chosen and section not in given:
-                OmegaConf.update(result, section, values, merge=False)
-        if "data" in chosen and size is not None and _needs_network(config):
-            result.data.image_size = size
-        for key, value in said.items():
-            if not any(key.startswith(f"{group}.") for group in chosen) or key == "data.image_size":
-                OmegaConf.update(result, key, value, merge=False)
-    return result
-
-
-def _needs_network(config: DictConfig) -> bool:
-    return config.get("descriptor", {}).get("name", "network") in ("network", "untrained")
-
-
 def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
     """Compose while a Hydra job may be running, whose state is put back afterwards."""
     from hydra import compose as hydra_compose
@@ -167,13 +149,13 @@ def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
     state = Singleton.get_state()
     GlobalHydra.instance().clear()
     try:
-        with initialize_config_dir(version_base="1.3", config_dir=str(_folder_of(name))):
+        with initialize_config_dir(version_base="1.3", config_dir=str(folder_of(name))):
             return hydra_compose(name, overrides=overrides)
     finally:
         Singleton.set_state(state)
 
 
-def _folder_of(name: str) -> Path:
+def folder_of(name: str) -> Path:
     """Return where a command's configuration lies: in a folder of its own if its keys are named as groups are."""
     folder = config_folder() / name
     return folder if folder.is_dir() else config_folder()
@@ -216,6 +198,13 @@ def _check_words(words: list[str]) -> None:
                 f"the value of {word!r} cannot be read: put texts with blanks, brackets or other signs in quotes, "
                 f"such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
             ) from error
+
+
+def _network_of_a_run(word: str) -> str:
+    """Read `descriptor=FOLDER` as the trained network of that run."""
+    key, _, value = word.partition("=")
+    value = value.strip("'\"")
+    return f"descriptor.run={_quoted(value)}" if key == "descriptor" and (Path(value) / "run.json").is_file() else word
 
 
 def _flags_first(words: list[str]) -> list[str]:

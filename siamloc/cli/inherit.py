@@ -1,77 +1,70 @@
-"""What a command takes over from the run that is named: the settings stored in the run and in its map."""
+"""What a command takes over from the run that is named: the settings stored in the run and in its map.
+
+What is said on the command line wins: a key such as `protocol.map.every=2` over the stored one, and a group such as
+`data=cold` over everything that it chooses. The size of the images comes along with the network in any case.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf, open_dict
 
+from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.runs import Run
 
+# What a group of the command line chooses besides itself: files in `conf/data` and `conf/experiment` choose others.
+_CHOOSES = {
+    "data": ("data", "unwrap", "protocol"),
+    "experiment": (
+        *("data", "unwrap", "protocol", "protocol.map", "model", "pairs", "optimizer", "loss"),
+        *("augment", "epochs", "batch_size", "seed"),
+    ),
+    "protocol": ("protocol", "protocol.map"),
+}
 
-def settings_of(config: DictConfig, *, whole: bool) -> dict[str, Any] | None:
-    """Return the settings of the named run by section of the configuration; None where there is no such run yet.
+
+def with_settings_of_the_run(
+    config: DictConfig, keys: Sequence[str], groups: Sequence[str], *, resumed: bool
+) -> DictConfig:
+    """Return a configuration with the settings of the run that it names; unchanged where there is no such run yet.
 
     Args:
         config: with `run`, and `descriptor` where the command has one.
-        whole: those of the training as well, to resume it.
+        keys: what was said on the command line, such as "protocol.map.every".
+        groups: those among the keys that are groups, with dots, such as "data" or "model.branch".
+        resumed: whether the settings of the training are wanted too.
+
+    Raises:
+        ConfigError: an empty name of a run.
+        FormatError: a run or a map of another version.
     """
     if not str(config.run).strip():
         raise ConfigError("run= is empty: name a folder, such as run=runs/robot")
     run = Run(Path(config.run))
-    other = config.get("descriptor", {}).get("run")
-    record = run if run.record.is_file() or other is None else Run(Path(other))
-    kept: dict[str, Any] = {}
-    if record.record.is_file():
-        kept = _of_record(record.settings, whole)
-    made = _made(run, config)
-    if made is not None and not whole:
-        if "data" not in kept and "data" in made:
-            kept |= _of_data(made["data"])
-        if "role" in made:
-            kept["protocol.map"] = made["role"]
-    return kept or None
-
-
-def _of_record(settings: dict[str, Any], whole: bool) -> dict[str, Any]:
-    model, training = settings.get("model", {}), settings.get("training", {})
-    kept = {
-        **_of_data(settings.get("data", {})),
-        "protocol": settings.get("protocol", {}),
-        "seed": training.get("seed", 0),
-    }
-    if "branch" in model:
-        kept |= {"model.branch.name": model["branch"], "model.head.name": model["head"]}
-    if not whole:
-        return kept
-    return {
-        **kept,
-        "model.branch.weights": model.get("weights"),
-        "pairs": training["pairs"],
-        "optimizer": training["optimizer"],
-        "loss.margin": training["margin"],
-        "augment": {**(settings.get("augment") or {"name": "none"}), "where": training["augment_where"]},
-        **{key: training[key] for key in ("epochs", "batch_size")},
-    }
-
-
-def _of_data(data: dict[str, Any]) -> dict[str, Any]:
-    held = dict(data)
-    unwrap = held.pop("unwrap", None) or {"kind": "none"}
-    return {"data": held, "unwrap": unwrap} if held.get("kind") else {}
-
-
-def _made(run: Run, config: DictConfig) -> dict[str, Any] | None:
-    """Return how the map of the named descriptor was made, where the run has one."""
-    from siamloc.maps import VisualMap
-
-    if "descriptor" not in config:
-        return None
-    path = map_file(run, label_of(config.descriptor))
-    return dict(VisualMap.load(path).made) if path.is_file() else None
+    network = config.get("descriptor", {}).get("run")
+    trained = Run(Path(network)) if network is not None else run
+    record = trained.settings if trained.record.is_file() else {}
+    made = None if resumed else _map_made(run, config)
+    kept = _kept(record, made, resumed=resumed)
+    chosen = {part for group in groups for part in _CHOOSES.get(group, (group,))}
+    said = {key: OmegaConf.select(config, key) for key in keys if key not in groups}
+    result = config.copy()
+    with open_dict(result):
+        for section, values in kept.items():
+            if not any(
+                section == part or (section != "protocol.map" and section.startswith(f"{part}.")) for part in chosen
+            ):
+                OmegaConf.update(result, section, values, merge=False)
+        size = record.get("model", {}).get("image_size") or record.get("data", {}).get("image_size")
+        if size is not None and "experiment" not in groups and _by_network(config):
+            result.data.image_size = size
+        for key, value in said.items():
+            OmegaConf.update(result, key, value, merge=False)
+    return result
 
 
 def label_of(options: Mapping[str, Any]) -> str:
@@ -82,3 +75,50 @@ def label_of(options: Mapping[str, Any]) -> str:
 def map_file(run: Run, label: str) -> Path:
     """Return where the map of a descriptor lies in a run."""
     return run.map if label == "network" else run.evaluation(label) / "map.npz"
+
+
+def _kept(record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed: bool) -> dict[str, Any]:
+    """Return what is stored, by section of the configuration."""
+    model, training = record.get("model", {}), record.get("training", {})
+    kept = _of_data(record.get("data") or (made or {}).get("data") or {})
+    if "protocol" in record:
+        kept["protocol"] = Protocol.of(record["protocol"]).plain()
+    if made is not None and "role" in made:
+        kept["protocol.map"] = made["role"]
+    if "seed" in training:
+        kept["seed"] = training["seed"]
+    if "branch" in model:
+        kept |= {"model.branch.name": model["branch"], "model.head.name": model["head"]}
+    if resumed:
+        kept |= {
+            "model.branch.weights": model.get("weights"),
+            "loss.margin": training["margin"],
+            "augment": {**(record.get("augment") or {"name": "none"}), "where": training["augment_where"]},
+            **{key: training[key] for key in ("pairs", "optimizer", "epochs", "batch_size")},
+        }
+    return kept
+
+
+def _of_data(data: Mapping[str, Any]) -> dict[str, Any]:
+    if not data.get("kind"):
+        return {}
+    held = dict(data)
+    return {"unwrap": held.pop("unwrap", None) or {"kind": "none"}, "data": held}
+
+
+def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
+    """Return how the map of the named descriptor was made, where the run has one."""
+    if "descriptor" not in config:
+        return None
+    path = map_file(run, label_of(config.descriptor))
+    if not path.is_file():
+        return None
+    from siamloc.maps import VisualMap
+
+    known = VisualMap.load(path)
+    made = dict(known.made)
+    return {**made, "data": {**made["data"], "unit": known.unit}} if "data" in made else made
+
+
+def _by_network(config: DictConfig) -> bool:
+    return config.get("descriptor", {}).get("name", "network") in ("network", "untrained")

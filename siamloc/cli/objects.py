@@ -12,9 +12,11 @@ from omegaconf import DictConfig, OmegaConf
 from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
 from siamloc.cli.compose import config_folder, plain, sweep_suffix
 from siamloc.cli.inherit import label_of
-from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol, concatenate
+from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
+from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.maps import VisualMap
 from siamloc.runs import Run, newest_run
 
 
@@ -23,12 +25,31 @@ def data_of(config: DictConfig) -> DataSettings:
     return DataSettings.of(plain(config.data))
 
 
-def open_roles(config: DictConfig, *names: str) -> tuple[PanoramaLibrary, dict[str, FrameTable]]:
-    """Return the panoramas of the sequences that these roles of the protocol need, and the roles' readable frames."""
+def preprocessing_of(config: DictConfig) -> Preprocessing:
+    """Return how images become panoramas."""
+    return Preprocessing.checked(tuple(config.data.image_size), plain(config.unwrap))
+
+
+def open_roles(
+    config: DictConfig, *names: str, known: VisualMap | None = None
+) -> tuple[PanoramaLibrary, dict[str, FrameTable]]:
+    """Return the panoramas of the sequences that these roles of the protocol need, and the roles' readable frames.
+
+    Args:
+        config: the configuration.
+        names: roles to fill.
+        known: a map that was saved before: its sequences are opened too.
+
+    Raises:
+        ConfigError: a role without frames, or data that no longer hold the map's frames, or not as the map knows them.
+    """
     data, protocol = data_of(config), Protocol.of(plain(config.protocol))
     table = data.read()
     roles = protocol.roles(table, *names)
-    sequences = list(concatenate(list(roles.values())).rows_by("sequence"))
+    if known is not None:
+        known.check_frames(table)
+    tables = [*roles.values(), *([] if known is None else [known.frames])]
+    sequences = sorted({name for frames in tables for name in frames.sequence.tolist()})
     images = data.library(table.take(np.isin(table.sequence, sequences)), plain(config.unwrap))
     return images, {name: images.readable(frames) for name, frames in roles.items()}
 

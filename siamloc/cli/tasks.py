@@ -13,6 +13,7 @@ from siamloc.cli.compose import plain
 from siamloc.cli.inherit import label_of, map_file
 from siamloc.cli.objects import (
     baselines_of,
+    data_of,
     descriptor_of,
     files_in,
     heading_of,
@@ -20,7 +21,7 @@ from siamloc.cli.objects import (
     options_of,
     way_of,
 )
-from siamloc.data import FrameTable, PanoramaLibrary, Protocol
+from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
 from siamloc.errors import ConfigError
 from siamloc.evaluation import Result
 from siamloc.evaluation.disturbed import Robustness
@@ -148,35 +149,51 @@ def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
 def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, PanoramaLibrary, dict[str, FrameTable]]:
     """Return the saved map, or one made of the configured frames, with the frames of some roles.
 
+    Nothing is written: only `siamloc map` makes and replaces maps.
+
     Raises:
         ConfigError: the saved map is by another descriptor, or of other frames than protocol.map asks for.
     """
-    label, described, heading = label_of(config.descriptor), descriptor_of(config, run), heading_of(config)
-    path = map_file(run, label)
+    described, heading = descriptor_of(config, run), heading_of(config)
+    path = map_file(run, label_of(config.descriptor))
+    known = VisualMap.load(path, described) if path.is_file() else None
+    if known is not None and _is_wanted(known, config):
+        images, frames = open_roles(config, *roles, known=known)
+        if heading is not None:
+            known = known.with_heading(heading)
+        return known, images, frames
+    if known is not None and roles:
+        raise ConfigError(
+            f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "
+            "protocol.map keys that are wanted"
+        )
     images, frames = open_roles(config, "map", *roles)
-    if not path.is_file():
-        return maps.build(described, images, frames["map"], heading=heading), images, frames
-    known = VisualMap.load(path, described)
-    role = known.made.get("role")
-    if role is not None and Protocol.of({"map": role}).map != _protocol(config).map:
-        if roles:
-            raise ConfigError(
-                f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "
-                "protocol.map keys that are wanted"
-            )
-        return maps.build(described, images, frames["map"], heading=heading), images, frames
-    if heading is not None:
-        known.check_heading(heading)
-    return known, images, frames
+    return maps.build(described, images, frames["map"], heading=heading), images, frames
+
+
+def _is_wanted(known: VisualMap, config: DictConfig) -> bool:
+    """Return whether a saved map was made of the frames that the configuration asks for."""
+    wanted, role = _protocol(config), known.made.get("role")
+    if role is not None:
+        return Protocol.of({"map": role}).map == wanted.map
+    if wanted.map == Role():  # a map that was made in Python, and nothing else is asked for
+        return True
+    asked = wanted.frames("map", data_of(config).read())
+    return asked.identities() == known.frames.identities()
 
 
 def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[Built, Path]:
-    """Return the configured layer over a map and its folder: the one that was built before, if it fits."""
+    """Return the configured layer over a map and its folder: the one that was built before, if it fits.
+
+    The layer of another map than the saved one does not take the place of the saved map's.
+    """
     if config.build.name == "none":
         raise ConfigError(
             f"task={config.task.names[0]} needs a coarse layer: choose one with build={'|'.join(maps.WAYS)}"
         )
-    folder = run.layer(label, label_of(config.build))
+    folder, saved = run.layer(label, label_of(config.build)), map_file(run, label)
+    if saved.is_file() and VisualMap.load(saved).digest != known.digest:
+        folder = run.evaluation(f"layer-{folder.name}")
     built = maps.group(known, folder=folder, **way_of(config))
     run.record_written(files_in(folder))
     return built, folder

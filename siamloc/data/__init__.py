@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from siamloc.data.checks import check
+from siamloc.data.checks import check, summary
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
@@ -43,6 +43,7 @@ __all__ = [
     "concatenate",
     "expand",
     "read",
+    "summary",
     "unwrap",
 ]
 

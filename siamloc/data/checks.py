@@ -1,4 +1,4 @@
-"""`check`: what is wrong with a data set, or will surprise its user, found before anything is trained."""
+"""`summary` and `check`: what a data set holds and what is wrong with it, found before anything is trained."""
 
 from __future__ import annotations
 
@@ -39,6 +39,33 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
     return [*_headings(frames), *_missing(frames), *_drives(frames), *_sizes(frames, images), *_copies(frames)]
+
+
+def summary(frames: FrameTable) -> str:
+    """Describe a data set in a line for each drive: frames, lighting, rooms, and how far apart the frames lie.
+
+    Example:
+        >>> frames = FrameTable(path=["1.jpg", "2.jpg"], x=[0, 1], y=[0, 0], room=["hall"] * 2, sequence=["monday"] * 2)
+        >>> print(summary(frames))
+        2 frames
+          monday: 2 frames, lighting unknown, 1 room (hall), path of 1.0 m, median step 1 m
+    """
+    lines = [f"{len(frames)} frames"]
+    for name, rows in frames.rows_by("sequence").items():
+        part = frames.take(rows)
+        lightings = ", ".join(sorted(set(part.lighting.tolist()) - {""})) or "lighting unknown"
+        rooms = sorted(set(part.room.tolist()) - {""})
+        named = f"{len(rooms)} room{'s' * (len(rooms) > 1)} ({', '.join(rooms)})" if rooms else "no rooms"
+        lines.append(f"  {name or '(no sequence)'}: {len(part)} frames, {lightings}, {named}, {_spacing(part)}")
+    return "\n".join(lines)
+
+
+def _spacing(frames: FrameTable) -> str:
+    known = frames.xy[frames.has_position]
+    if len(known) < 2:
+        return "one position" if len(known) else "no positions"
+    steps = np.linalg.norm(np.diff(known, axis=0), axis=1)
+    return f"path of {steps.sum():.1f} {frames.unit}, median step {np.median(steps):.3g} {frames.unit}"
 
 
 def _headings(frames: FrameTable) -> Iterator[str]:

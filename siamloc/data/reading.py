@@ -51,16 +51,14 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     if kind not in READERS:
         raise ConfigError(f"there is no reader for data of kind {kind!r}; {hint(kind, READERS)}")
     parameters = inspect.signature(READERS[kind]).parameters
-    for name in where:
-        if name not in parameters:
-            raise ConfigError(f"data of kind {kind!r} are not described by {name!r}; {hint(name, parameters)}")
-    for name, parameter in parameters.items():
-        if parameter.default is inspect.Parameter.empty and where.get(name) is None:
-            raise ConfigError(f"data of kind {kind!r} need {name}=...; {hint(name, parameters)}")
-    given = {name: value for name, value in where.items() if value is not None}
-    source = {
-        name: str(Path(value).expanduser().absolute()) if name in _PATHS else value for name, value in given.items()
-    }
+    for key in where:
+        if key not in parameters:
+            raise ConfigError(f"data of kind {kind!r} are not described by {key!r}; {hint(key, parameters)}")
+    for key, parameter in parameters.items():
+        if parameter.default is inspect.Parameter.empty and where.get(key) is None:
+            raise ConfigError(f"data of kind {kind!r} need {key}=...; {hint(key, parameters)}")
+    given = {key: value for key, value in where.items() if value is not None}
+    source = {key: str(Path(value).expanduser().absolute()) if key in _PATHS else value for key, value in given.items()}
     named = name or next((Path(source[key]).stem for key in _PATHS if key in source), kind)
     return replace(READERS[kind](**given), unit=unit, source={"kind": kind, "name": named, **source})
 
@@ -103,6 +101,11 @@ class DataSettings(Settings):
     circular: bool = True
     on_error: Literal["skip", "raise"] = "skip"
     cache: Path | None = None
+
+    def summary(self) -> str:
+        """Name the data and where they lie, such as "robot, /data/robot.csv"."""
+        where = self.manifest or self.places or self.root
+        return self.name or self.kind if where is None else f"{self.name or self.kind}, {where.absolute()}"
 
     def read(self) -> FrameTable:
         """Read the frames. See `siamloc.data.read`."""

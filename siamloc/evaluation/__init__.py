@@ -14,7 +14,7 @@ from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
     from siamloc.evaluation import metrics
-    from siamloc.evaluation.building_choice import buildings
+    from siamloc.evaluation.building_choice import buildings, by_building
     from siamloc.evaluation.disturbed import robustness
     from siamloc.evaluation.hierarchy import hierarchical
     from siamloc.evaluation.layers import mapping
@@ -26,6 +26,7 @@ __all__ = [
     "Result",
     "Session",
     "buildings",
+    "by_building",
     "error_model",
     "hierarchical",
     "localization",
@@ -39,6 +40,7 @@ _HOMES = {
     "Result": "result",
     "Session": "session",
     "buildings": "building_choice",
+    "by_building": "building_choice",
     "error_model": "localize",
     "hierarchical": "hierarchy",
     "localization": "localize",

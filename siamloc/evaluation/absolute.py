@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import retrieve, room_names
+from siamloc.evaluation.columns import map_columns, retrieve, room_names
 from siamloc.evaluation.metrics import (
     error_floor,
     first_rank_within,
@@ -59,7 +59,7 @@ def evaluate_absolute(
     radii, ks = _checked_settings(radii, ks)
     _require_positions(frames, "queries")
     _require_positions(visual_map.frames, "map frames")
-    k = neighbours(ks, len(visual_map))
+    k = most_neighbours(neighbours(ks, len(visual_map)), len(visual_map), excluded)
     found = retrieve(visual_map, descriptors, frames, k, retrieval)
     if len(found) != len(frames) or found.indices.shape[1] < k:
         raise DataError(f"the retrieval must hold {k} neighbours of {len(frames)} queries, got {found.indices.shape}")
@@ -76,15 +76,13 @@ def evaluate_absolute(
         columns["heading_error"] = np.degrees(error)
     for radius in radii:
         columns[rank_column(radius)] = first_rank_within(found.indices[:, :k], known.xy, frames.xy, radius)
-    rooms = room_names(known, frames)[0]
-    map_columns = {"path": known.path, "x": known.x, "y": known.y, "theta": known.theta, "room": rooms}
     counts = {
         by: {label: len(rows) for label, rows in rows_by_label(columns[by]).items()} for by in ("lighting", "room")
     }
     return Result(
         name="absolute",
         parts={"absolute": measures_of(columns, radii, ks, len(known), visual_map.unit)},
-        tables={"queries": columns, "map": map_columns},
+        tables={"queries": columns, "map": map_columns(known, frames)},
         denominators={"queries": len(frames), "map_frames": len(known), **counts},
     )
 
@@ -115,6 +113,18 @@ def with_baseline(result: Result, name: str, baseline: Result) -> Result:
 def neighbours(ks: Sequence[int], map_frames: int) -> int:
     """Return how many neighbours of each query the recalls need."""
     return min(max(*ks, one_percent(map_frames)), map_frames)
+
+
+def most_neighbours(k: int, map_frames: int, excluded: NDArray[np.bool_] | None) -> int:
+    """Return how many of k neighbours every query can have in a map, of which it may not find some frames.
+
+    Raises:
+        DataError: a query may find none at all.
+    """
+    most = map_frames if excluded is None else int((~excluded).sum(axis=1).min(initial=map_frames))
+    if most < 1:
+        raise DataError("a query is too near to every map frame to be compared with any: exclude less")
+    return min(k, most)
 
 
 def measures_of(

@@ -9,12 +9,19 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
+from siamloc.results import Columns
 
 
 def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
     """Return each table's rooms by names that tell them apart: with their building only where there are several."""
     buildings = {building for table in tables for building in np.unique(table.building).tolist()}
     return [table.room if len(buildings) <= 1 else table.place for table in tables]
+
+
+def map_columns(known: FrameTable, queries: FrameTable) -> Columns:
+    """Return what `map.csv` holds of a map's frames, for the pictures and for comparing runs."""
+    rooms = room_names(known, queries)[0]
+    return {"path": known.path, "x": known.x, "y": known.y, "theta": known.theta, "room": rooms}
 
 
 def missing_rooms(known: FrameTable, queries: FrameTable) -> str:

@@ -217,7 +217,7 @@ class Disturbance:
             key: strong[key] if span.neutral is not None else torch.cat([draw[key] for draw in draws])
             for key, span in effect.spans(height, width).items()
         }
-        changed: Images = effect.apply(batch, effect.complete(params, height, width)).numpy()
+        changed: Images = effect.apply(batch, effect.complete(params, len(batch), height, width)).numpy()
         return changed
 
     def _effect(self) -> Any:

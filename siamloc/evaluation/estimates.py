@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import calibration
-from siamloc.evaluation.absolute import neighbours
+from siamloc.evaluation.absolute import most_neighbours, neighbours
 from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.interpolation import interpolate_poses
 from siamloc.evaluation.metrics import heading_error, localization_error, recall_from_ranks, summarize
@@ -74,7 +74,7 @@ def prepared(settings: Localization, search: Search) -> Search:
     wanted = max(search.k, interpolated, MATCHES if settings.error_model else 0)
     return replace(
         search,
-        k=min(wanted, len(search.known)),
+        k=most_neighbours(wanted, len(search.known), search.excluded),
         headings_of=max(1, min(interpolated, len(search.known))),
         with_distances=settings.filter,
     )

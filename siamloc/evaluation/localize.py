@@ -14,7 +14,7 @@ from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.evaluation import room_retrieval
-from siamloc.evaluation.absolute import evaluate_absolute, neighbours, with_baseline
+from siamloc.evaluation.absolute import evaluate_absolute, most_neighbours, neighbours, with_baseline
 from siamloc.evaluation.columns import missing_rooms
 from siamloc.evaluation.estimates import (
     MATCHES,
@@ -252,7 +252,7 @@ def _search(session: Session, what: str, task: str, known: VisualMap, k: int, sk
             skipped[f"{task}, {where}"] = text
     inside, rows = (known if in_map.all() else known.take(in_map)), np.flatnonzero(in_queries)
     excluded = session.excluded(session.queries.take(rows), inside.frames)
-    return Search(inside, rows, min(k, len(inside)), excluded=excluded)
+    return Search(inside, rows, most_neighbours(k, len(inside), excluded), excluded=excluded)
 
 
 def _located(result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable) -> Result:

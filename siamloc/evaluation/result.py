@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,7 +92,9 @@ class Result:
         Raises:
             DataError: no such picture; those there are are named.
         """
-        drawn = self._pictures()
+        from siamloc.report.draw import pictures
+
+        drawn = pictures(plain(self.parts), self.tables, self.layer, self.name)
         if not drawn or (name is not None and name not in drawn):
             raise DataError(f"there is no picture {name!r} of {self!r}: there is {', '.join(drawn) or 'none'}")
         return drawn[name if name is not None else next(iter(drawn))]()
@@ -114,13 +115,11 @@ class Result:
         if self.error_model is not None:
             self.error_model.save(folder / "error_model.json")
         write_results(folder, self.as_dict(), tables={**self.tables, **extra})
-        return self.draw(folder) if pictures else []
+        if not pictures:
+            return []
+        from siamloc.report.draw import save_all
 
-    def draw(self, folder: str | Path) -> list[Path]:
-        """Write every picture that suits the result into a folder and return their paths."""
-        from siamloc.report.draw import save_pictures
-
-        return save_pictures(self._pictures(), Path(folder))
+        return save_all(folder, self.layer)
 
     def as_dict(self) -> dict[str, Any]:
         """Return what `results.json` holds, without the tables."""
@@ -161,13 +160,9 @@ class Result:
         return replace(
             self,
             parts={**self.parts, **other.parts},
-            tables={**self.tables, **other.tables},
+            tables={**self.tables, **{name: table for name, table in other.tables.items() if name not in self.tables}},
             denominators={**other.denominators, **self.denominators},
             skipped={**self.skipped, **other.skipped},
+            about={**self.about, **other.about},
+            error_model=self.error_model or other.error_model,
         )
-
-    def _pictures(self) -> Mapping[str, Any]:
-        from siamloc.report.draw import pictures
-
-        measures = {**plain(self.parts), "baselines": {m: plain(o.parts) for m, o in self.baselines.items()}}
-        return pictures(measures, self.tables, self.layer)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import retrieve, room_names
+from siamloc.evaluation.columns import map_columns, retrieve, room_names
 from siamloc.evaluation.metrics import confusion_matrix, pair_accuracy, pair_dissimilarity, pair_threshold_curve
 from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
@@ -201,7 +201,7 @@ def evaluate_rooms(
     return Result(
         name="room_retrieval",
         parts={"room_retrieval": room_measures(columns, labels, missing)},
-        tables={"rooms": columns},
+        tables={"rooms": columns, "map": map_columns(visual_map.frames, frames)},
         denominators={"queries": len(frames)},
     )
 

@@ -233,6 +233,28 @@ class VisualMap:
             "evaluate with heading=none"
         )
 
+    def check_frames(self, frames: FrameTable) -> None:
+        """Make sure that a data set still holds the map's frames where the map knows them.
+
+        Raises:
+            ConfigError: a frame is not there any more, or has another position or room than in the map.
+        """
+        rows = {key: row for row, key in enumerate(frames.identities())}
+        missing = [key for key in self.frames.identities() if key not in rows]
+        if missing:
+            raise ConfigError(
+                f"{len(missing)} of the map's {len(self)} frames are not in the data, the first is {missing[0][1]}: "
+                "use the data that the map was made of, or make the map again"
+            )
+        found = frames.take([rows[key] for key in self.frames.identities()])
+        moved = ~np.isclose(found.xy, self.frames.xy, rtol=0, atol=1e-9, equal_nan=True).all(axis=1)
+        changed = self.frames.path[moved | (found.room != self.frames.room)]
+        if len(changed):
+            raise ConfigError(
+                f"{len(changed)} of the map's {len(self)} frames have another position or room in the data now, the "
+                f"first is {changed[0]}: make the map again with `siamloc map`"
+            )
+
     def check_images(self, preprocessing: Mapping[str, Any]) -> None:
         """Make sure that the panoramas of queries are made as those of the map were.
 

@@ -27,7 +27,7 @@ class NetworkDescriptor(Descriptor):
             its mode and the random state stay as they are.
     """
 
-    name = "siamese"
+    name = "network"
     default_distance = "euclidean"
 
     def __init__(self, module: nn.Module) -> None:

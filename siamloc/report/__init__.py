@@ -1,4 +1,4 @@
-"""Plots and pages made from result files. Loads matplotlib only when something is drawn."""
+"""Pictures and pages made from results. Matplotlib is loaded only when something is drawn."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc.report import plots
+    from siamloc.report import draw, page
+    from siamloc.report.page.write import write_report
 
-__all__ = ["plots"]
+__all__ = ["draw", "page", "write_report"]
 
-__getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, ""))
+__getattr__, __dir__ = lazy(__name__, {"draw": "", "page": "", "write_report": "page.write"})

@@ -11,7 +11,7 @@ from analytic import DISTANCES, AnalyticError, descriptor, distance
 from analytic.descriptors.radon_transform import radon_transform
 from analytic.distances import minkowski
 from analytic.filters import homomorphic
-from tests.oracles.descriptors import briefgist, fourier, gist, hog, radon, turns, wisurf
+from tests.oracles.descriptors import briefgist, fourier, gist, hog, hsv, radon, turns, wisurf
 from tests.oracles.descriptors.cases import ODD, SHAPES, SWEEP
 from tests.oracles.descriptors.images import grey, homomorphic_colour
 from tests.oracles.descriptors.images import homomorphic as slow_homomorphic
@@ -35,6 +35,7 @@ DESCRIBE = {
     "briefgist": briefgist.describe,
     "radon_fourier": radon.fourier,
     "radon_poc": radon.poc,
+    "hsv": hsv.describe,
 }
 
 
@@ -59,14 +60,18 @@ def compare(name, params, pictures, circular, **options):
     assert shapes == SHAPES[name](params, pictures.shape[-1])
     assert described.position.shape == (len(pictures), np.prod(shapes[0]))
     for position, orientation, picture in zip(described.position, described.orientation, pictures, strict=True):
-        image = grey(picture)
+        image = hsv.colours(picture) if name == "hsv" else grey(picture)
         if options.get("homomorphic"):
-            image = slow_homomorphic(image, circular=circular)
+            image = (homomorphic_colour if name == "hsv" else slow_homomorphic)(image, circular=circular)
         by_loops = DESCRIBE[name](image, **params, circular=circular)
-        is_hog = name == "hog"
-        same(position, by_loops[0], hog.undecided(image, params["bins"], circular) if is_hog else 0)
-        apart = hog.undecided(image, params["orientation_bins"], circular) if is_hog else 0
-        same(orientation, by_loops[1], apart)
+        apart = [0.0, 0.0]  # what pixels add whose bin depends on rounding
+        if name == "hog":
+            apart = [hog.undecided(image, params[bins], circular) for bins in ("bins", "orientation_bins")]
+        elif name == "hsv":
+            count = hsv.undecided(image, **params, within=1e-5 if options.get("homomorphic") else 1e-6)
+            apart = [(count * params["rows"] / image[0].size) ** 0.5, count / (len(image[0]) * params["window"])]
+        same(position, by_loops[0], apart[0])
+        same(orientation, by_loops[1], apart[1])
         assert orientation.shape == (shapes[1] if name != "fs" else shapes[1][::-1])
 
 
@@ -86,8 +91,11 @@ def test_photographs_are_described_as_written(name, circular):
         compare(name, params, photographs(), circular)
 
 
+LOOPS_ARE_FAST = ["fs", "hog", "wisurf", "briefgist", "radon_poc", "hsv"]
+
+
 @pytest.mark.data
-@pytest.mark.parametrize("name", ["fs", "hog", "wisurf", "briefgist", "radon_poc"])  # the others' loops take long
+@pytest.mark.parametrize("name", LOOPS_ARE_FAST)
 def test_a_whole_panorama_is_described_as_written_by_default(name):
     made = descriptor(name)
     (panorama,) = photographs((40,), (512, 128))
@@ -137,6 +145,7 @@ ALIGN = [  # name, parameters, and what is largest at the best turn, of two orie
     ("briefgist", {}, turns.scores),
     ("radon_fourier", {}, turns.scores),
     ("radon_poc", {}, turns.scores),
+    ("hsv", {}, lambda q, r: turns.scores(turns.whitened(q, 1e-5), turns.whitened(r, 1e-5))),
 ]
 PARAMS = {
     "fs": SWEEP["fs"][1],
@@ -146,6 +155,7 @@ PARAMS = {
     "briefgist": SWEEP["briefgist"][3],
     "radon_fourier": SWEEP["radon_fourier"][0],
     "radon_poc": SWEEP["radon_poc"][1],
+    "hsv": SWEEP["hsv"][1],
 }
 
 

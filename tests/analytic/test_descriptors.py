@@ -27,6 +27,7 @@ SMALL = {
     "briefgist": {"rows": 4, "columns": 16},
     "radon_fourier": {"step": 11.25, "size": 32, "lines": 4, "orientation_lines": 8},
     "radon_poc": {"step": 11.25, "size": 32},
+    "hsv": {"rows": 4, "hues": 8, "saturations": 4, "values": 4, "window": 16, "step": 2},
 }
 PUBLISHED = {
     "gist": {"orientations": 16},
@@ -42,6 +43,7 @@ OTHER = {
     "briefgist": {"rows": 2},
     "radon_fourier": {"lines": 2},
     "radon_poc": {"size": 64},
+    "hsv": {"rows": 2},
 }
 
 every = pytest.mark.parametrize("name", DESCRIPTORS)
@@ -110,9 +112,12 @@ def test_a_turn_changes_the_heading_alone(name):
 def test_the_heading_survives_bars_and_noise_on_photographs(name):
     if not PHOTOGRAPHS.is_dir():
         pytest.skip(f"needs the photographs in {PHOTOGRAPHS}")
-    pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(PHOTOGRAPHS.glob("*.jpg"))[::6]]
-    pictures = np.stack([cv2.resize(picture, (512, 128), interpolation=cv2.INTER_AREA) for picture in pictures])
     made = descriptor(name, **PUBLISHED.get(name, {}))
+    kind = cv2.IMREAD_COLOR if made.colour else cv2.IMREAD_GRAYSCALE
+    pictures = [cv2.imread(str(path), kind) for path in sorted(PHOTOGRAPHS.glob("*.jpg"))[::6]]
+    pictures = np.stack([cv2.resize(picture, (512, 128), interpolation=cv2.INTER_AREA) for picture in pictures])
+    if made.colour:
+        pictures = pictures[..., ::-1].transpose(0, 3, 1, 2)
     step = columns_per_step(made, 512)
     here = made.describe(pictures)
     good = []
@@ -143,7 +148,8 @@ def test_colour_grey_bytes_and_tensors_agree(name):
     whole = made.describe(COLOUR)
     share = COLOUR.astype(np.float32) / 255
     luma = np.einsum("bchw,c->bhw", share.astype(np.float64), [0.299, 0.587, 0.114])
-    for same in (share, share.astype(np.float64), luma, luma.astype(np.float32), torch.from_numpy(COLOUR)):
+    greys = () if made.colour else (luma, luma.astype(np.float32))
+    for same in (share, share.astype(np.float64), *greys, torch.from_numpy(COLOUR)):
         assert_alike(made.describe(same), whole, 1e-3)
     grey = np.rint(luma * 255).astype(np.uint8)
     assert_alike(made.describe(grey), made.describe(np.repeat(grey[:, None], 3, axis=1)), 1e-3)
@@ -280,7 +286,7 @@ def test_what_other_descriptors_made_is_named():
         small("hog").pairwise(small("hog").describe(COLOUR), small("fs").describe(COLOUR))
 
 
-@pytest.mark.parametrize("name", ["fs", "hog", "gist", "wisurf", "briefgist"])
+@pytest.mark.parametrize("name", ["fs", "hog", "gist", "wisurf", "briefgist", "hsv"])
 def test_a_picture_smaller_than_the_cells_is_refused_in_one_sentence(name):
     with pytest.raises(AnalyticError, match=r"\b1\b"):  # its height
         descriptor(name).describe(np.zeros((1, 512)))
@@ -298,7 +304,7 @@ def test_a_graphics_card_gives_the_same_values(name):
     ("call", "says"),
     [
         (lambda: descriptor("hogg"), "unknown descriptor 'hogg': did you mean 'hog'"),
-        (lambda: descriptor("sift"), "valid: fs, hog, gist, wisurf, briefgist, radon_fourier, radon_poc"),
+        (lambda: descriptor("sift"), "valid: fs, hog, gist, wisurf, briefgist, radon_fourier, radon_poc, hsv"),
         (lambda: descriptor("hog", windows=3), "'hog' has no parameter 'windows': did you mean 'window'"),
         (lambda: descriptor("fs", k1=3), "'fs' has no parameter 'k1': valid: "),
     ],

@@ -141,7 +141,7 @@ def test_a_description_without_orientation_tells_no_heading():
     ("params", "says"),
     [
         ({"columns": 0}, "columns of at least 1, got 0"),
-        ({"turns": 38}, "turns=38 tells at most 19 frequencies apart, got orientation_columns=20"),
+        ({"turns": 38}, "turns=38 resolves at most 19 frequencies, got orientation_columns=20"),
         ({"heading": "phase"}, "unknown heading 'phase'.*correlation, phase_product"),
         ({"rows": 5}, "rows=5 .* height of 16 pixels: use rows=4 or 8"),
         ({"orientation_rows": 32}, "orientation_rows=32 .* height of 16 pixels: use orientation_rows=16"),

@@ -178,7 +178,7 @@ def test_heading_in_spite_of_noise_and_bars():
         ({"orientation_filters": 0}, "orientation_filters of at least 1"),
         ({"orientation_levels": 3}, "1 or 2 levels in its orientation part, got 3"),
         ({"orientation_filters": 1}, "normalized=False"),
-        ({"blocks": 5}, "blocks=5 do not divide the image's height of 24 pixels: use blocks=4 or 6"),
+        ({"blocks": 5}, "blocks=5 bands do not divide the image's height of 24 pixels: use blocks=4 or 6"),
         ({"step": 7, "blocks": 4}, "step=7 does not divide the image's width of 60 pixels: use step=6 or 10"),
         ({"window": 61, "blocks": 4}, "wider than the image of 60 columns: use at most window=60"),
     ],

@@ -10,6 +10,7 @@ def named(keys, *rows):
 FS = "rows columns orientation_rows orientation_columns turns"
 HOG = "rows bins window step orientation_bins"
 GIST = "blocks orientations window step orientation_filters orientation_levels normalized"
+HSV = "rows hues saturations values window step"
 RADON = "step size lines orientation_lines"
 
 # For heights that 16 divides and widths that 64 divides.
@@ -27,6 +28,7 @@ SWEEP = {
     "briefgist": named("rows columns", (1, 64), (2, 16), (8, 2), (16, 8)),
     "radon_fourier": named(RADON, (15.0, 16, 4, 8), (4.0, 32, 16, 2), (3.0, 24, 1, 12), (120.0, 8, 4, 4)),
     "radon_poc": named("step size", (15.0, 16), (4.0, 32), (2.5, 12), (120.0, 8)),
+    "hsv": named(HSV, (1, 1, 1, 2, 1, 1), (4, 12, 4, 8, 6, 2), (16, 7, 3, 5, 64, 8), (8, 24, 8, 1, 5, 4)),
 }
 # For 12 x 45 pixels.
 ODD = {
@@ -37,6 +39,7 @@ ODD = {
     "briefgist": named("rows columns", (6, 15), (1, 45)),
     "radon_fourier": named(RADON, (8.0, 20, 5, 2), (7.2, 14, 7, 7)),
     "radon_poc": named("step size", (8.0, 14), (7.2, 20)),
+    "hsv": named(HSV, (3, 5, 7, 3, 9, 3), (4, 16, 2, 5, 3, 5)),
 }
 SHAPES = {  # [T] table 3.2 for images of a width
     "fs": lambda p, w: ((p["rows"], p["columns"]), (p["orientation_rows"], p["orientation_columns"])),
@@ -50,6 +53,10 @@ SHAPES = {  # [T] table 3.2 for images of a width
     "radon_fourier": lambda p, w: (
         (round(360 / p["step"]), p["lines"]),
         (round(360 / p["step"]), p["orientation_lines"]),
+    ),
+    "hsv": lambda p, w: (
+        (p["rows"] * (p["hues"] * p["saturations"] + p["values"]),),
+        (w // p["step"], p["hues"] + p["values"]),
     ),
     "radon_poc": lambda p, w: ((round(360 / p["step"]), p["size"] // 2),) * 2,
 }

@@ -12,7 +12,7 @@ SMALLER = {
     "briefgist": ["descriptor.rows=8"],
     "gist": ["descriptor.orientations=16"],
 }
-NAMES = ["hog", "fs", "gist", "wisurf", "briefgist", "radon_fourier", "radon_poc", "hog_mapping", "gist_mapping"]
+NAMES = ["hog", "fs", "gist", "wisurf", "briefgist", "radon_fourier", "radon_poc", "hsv", "hog_mapping", "gist_mapping"]
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 import csv
 import json
-from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -84,7 +83,7 @@ def test_one_unreadable_image_is_left_out_and_said(manifest, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("word", "sentence"),
     [
-        ("depth=0", "depth must be a whole number from 1, got 0"),
+        ("depth=0", "depth must be a whole number of variants per frame, at least 1, got 0"),
         ("sequences=[evening]", "no frame has sequence 'evening'"),
         ("dept=3", "did you mean 'depth'"),
         ("out={folder}", "holds images that are to be expanded"),
@@ -125,7 +124,6 @@ def test_a_preview_of_data_and_of_files(manifest, tmp_path, capsys):
 
 
 def test_the_two_commands_are_named_where_one_is_missing(capsys):
-    import_module("siamloc.cli.map")  # becomes an attribute of the package, with the name of a builtin
     assert main(["augment", "depth=3"]) == 2
     assert "unknown command 'augment': use one of augment expand, augment preview" in capsys.readouterr().err
     assert main(["augment", "--help"]) == 0

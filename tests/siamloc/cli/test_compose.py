@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from siamloc.cli import main
-from siamloc.cli.compose import compose, config_folder, plain
-from siamloc.data.roles import Protocol
+from siamloc.cli.compose import composed, config_folder, plain
+from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.models import BRANCHES, HEADS
 
@@ -27,8 +27,8 @@ def options(group):
 def test_every_configuration_file_composes(override):
     where = ["data.manifest=x"] if override == "data=manifest" else ["data.root=x"]
     data = [] if override.startswith("data=") else ["data=folder"]
-    config = compose([*data, override, *where])
-    Protocol.from_config(plain(config.protocol))
+    config = composed("train", [*data, override, *where])
+    Protocol.of(plain(config.protocol))
 
 
 def test_configured_branches_and_heads_are_the_registered_ones():
@@ -37,8 +37,8 @@ def test_configured_branches_and_heads_are_the_registered_ones():
 
 
 def test_omnidirectional_data_is_unwrapped_by_default():
-    assert compose(["data=cold", "data.root=x"]).unwrap.kind == "polar"
-    assert compose(["data=cold", "data.root=x", "unwrap=none"]).unwrap.kind == "none"
+    assert composed("train", ["data=cold", "data.root=x"]).unwrap.kind == "polar"
+    assert composed("train", ["data=cold", "data.root=x", "unwrap=none"]).unwrap.kind == "none"
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_mistakes_are_one_line_with_the_nearest_name(words, says, capsys):
 
 def test_compose_raises_what_the_command_line_prints():
     with pytest.raises(ConfigError, match="did you mean 'vgg16'"):
-        compose(["model/branch=vg16"])
+        composed("train", ["model/branch=vg16"])
 
 
 def test_configuration_lies_in_the_package_or_beside_it():
@@ -77,11 +77,11 @@ def test_configuration_lies_in_the_package_or_beside_it():
     ("name", "words"),
     [
         ("demo", []),
-        ("expand", ["data=cold", "data.root=x", "out=y"]),
-        ("preview", []),
+        ("augment expand", ["data=cold", "data.root=x", "out=y"]),
+        ("augment preview", []),
         ("report", []),
         ("simulate", []),
     ],
 )
 def test_the_commands_with_a_file_of_their_own_compose(name, words):
-    assert plain(compose(words, name))
+    assert plain(composed(name, words))

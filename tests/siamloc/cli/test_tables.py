@@ -1,6 +1,7 @@
 """What is printed after an evaluation."""
 
-from siamloc.cli.tables import print_summary
+from siamloc.evaluation import Result
+from siamloc.evaluation.tables import text_of
 
 
 def measured(told):
@@ -16,27 +17,36 @@ def measured(told):
     return {"absolute": {"unit": "m", "radii": [], "map_frames": 8, "overall": group, "lighting": {"night": group}}}
 
 
-def test_headings_of_some_queries_say_how_many(capsys):
-    print_summary({"hog": measured(10), "fs": measured(32), "thumbnail": measured(0)})
-    said = capsys.readouterr().out.splitlines()
-    assert [line.split()[-2:] for line in said if line.startswith(("hog", "fs", "thumbnail"))] == [
+def said(first, **others):
+    baselines = {name: Result(name, parts, {}) for name, parts in others.items()}
+    return text_of(Result("hog", first, {}, baselines=baselines)).splitlines()
+
+
+def test_headings_of_some_queries_say_how_many():
+    lines = said(measured(10), fs=measured(32), thumbnail=measured(0))
+    assert [line.split()[-2:] for line in lines if line.startswith(("hog", "fs", "thumbnail"))] == [
         ["2.1", "32"],
         ["2.1", "32"],
         ["-", "32"],
     ]
-    assert [line for line in said if line.startswith("heading,")] == [
+    assert [line for line in lines if line.startswith("heading,")] == [
         "heading, hog: 10 of 32 queries, where theta is known on both sides"
     ]
 
 
-def test_rooms_count_under_lightings_without_any_position(capsys):
-    accuracy = {label: {"accuracy": share} for label, share in (("cloudy", 0.5), ("night", 1.0))}
-    rooms = {"room_retrieval": {"overall": {"accuracy": 0.75}, "lighting": accuracy}}
-    print_summary({"hog": {**measured(10), **rooms}, "fs": {**measured(0), **rooms}})
-    said = capsys.readouterr().out.splitlines()
-    lines = [line.split() for line in said if line.startswith(("hog", "fs "))]
+def test_rooms_count_under_lightings_without_any_position():
+    def group(share):
+        return {"accuracy": share, "top": {"5": 1.0}, "mean_average_precision": 0.4, "chance": 0.25, "queries": 32}
+
+    by_lighting = {"cloudy": group(0.5), "night": group(1.0)}
+    rooms = {"room_retrieval": {"overall": group(0.75), "lighting": by_lighting}}
+    def cells(share):
+        return [word for number in (share, "100.0", "40.0", "25.0") for word in (number, "%")]
+
+    fs = {**measured(0), **rooms}
+    lines = [line.split() for line in said({**measured(10), **rooms}, fs=fs) if line.startswith(("hog", "fs "))]
     assert [line[1] for line in lines] == ["cloudy", "night", "all"] * 2
-    assert lines[0][2:] == ["-"] * 7 + ["50.0", "%"]
-    assert lines[1][-3:] == ["32", "100.0", "%"]
-    assert lines[2][-3:] == ["32", "75.0", "%"]
-    assert lines[3][2:] == ["-"] * 7 + ["50.0", "%"]
+    assert lines[0][2:] == ["-"] * 7 + cells("50.0")
+    assert lines[1][-9:] == ["32", *cells("100.0")]
+    assert lines[2][-9:] == ["32", *cells("75.0")]
+    assert lines[3][2:] == ["-"] * 7 + cells("50.0")

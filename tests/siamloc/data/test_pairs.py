@@ -209,18 +209,8 @@ def test_balance_by_room_gives_each_room_its_turn():
         (["A"], {}, DataError, "at least two frames, got 1"),
         (["A", "A"], {"same_room_share": 0.5}, ConfigError, "one room, A"),
         (["A", "B"], {"same_room_share": 0.5}, ConfigError, "one frame only"),
-        (
-            ["A", "A", "B"],
-            {"same_room_share": 1.2},
-            ConfigError,
-            r"pairs\.same_room_share must be a number from 0 to 1, or null, got 1\.2",
-        ),
-        (
-            ["A", "A", "B"],
-            {"epoch_pairs": 0},
-            ConfigError,
-            r"pairs\.epoch_pairs must be a whole number from 1, or null, got 0",
-        ),
+        (["A", "A", "B"], {"same_room_share": 1.2}, ConfigError, r"pairs\.same_room_share must be .*got 1\.2"),
+        (["A", "A", "B"], {"epoch_pairs": 0}, ConfigError, r"pairs\.epoch_pairs must be a whole number"),
         (["A", "A", "B"], {"seed": -1}, ConfigError, "whole number from 0, got -1"),
     ],
 )

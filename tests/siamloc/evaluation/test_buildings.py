@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
 from siamloc.evaluation.building_choice import evaluate_buildings
-from siamloc.report import buildings as pictures
+from siamloc.report.draw import pictures, save_all
 from siamloc.results import write_results
 
 NAMES = (["p", "q"], ["r", "s", "t"])
@@ -66,22 +66,21 @@ def test_without_lightings_there_are_no_groups_and_one_panel(tmp_path):
     assert measures["lighting"] == {}
     assert measures["overall"]["accuracy"] == 0
     assert not math.isnan(measures["overall"]["accuracy"])
-    figure = pictures.confusion(measures)
-    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == ["all (n = 2)"]
+    made = pictures({"buildings": measures}, {})
+    assert [axes.get_title("left") for axes in made["confusion"]().axes] == ["all queries\n0.0 % of 2 right"]
     write_results(tmp_path, {"config": {}, "measures": {"buildings": measures}, "denominators": {}})
-    assert pictures.draw_all(tmp_path)[0].read_bytes().startswith(b"\x89PNG")
-    write_results(tmp_path, {"config": {}, "measures": {}, "denominators": {}})
-    with pytest.raises(DataError, match="holds no choice of buildings"):
-        pictures.draw_all(tmp_path)
+    assert save_all(tmp_path)[0].read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_panel_for_each_lighting_and_one_for_all():
     measures = result(["a", "b", "b"], [[0, 1], [1, 0], [0, 1]], ["cloudy", "night", "night"]).parts["buildings"]
-    figure = pictures.confusion(measures)
-    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
-    assert titles == ["cloudy (n = 1)", "night (n = 2)", "all (n = 3)"]
-    shown = [text.get_text() for axes in figure.axes for text in axes.texts]
-    assert shown == ["100.0 %\n1", "50.0 %\n1", "50.0 %\n1", "100.0 %\n1", "50.0 %\n1", "50.0 %\n1"]
+    made = pictures({"buildings": measures}, {})
+    assert list(made) == ["confusion", "confusion_by_lighting"]
+    every = [axes for draw in made.values() for axes in draw().axes]
+    titles = [axes.get_title("left").split("\n")[0] for axes in every]
+    assert titles == ["all queries", "cloudy", "night"]
+    shown = [text.get_text() for axes in every for text in axes.texts]
+    assert shown == ["100 %\n1", "50 %\n1", "50 %\n1", "100 %\n1", "50 %\n1", "50 %\n1"]
 
 
 @pytest.mark.parametrize(

@@ -108,5 +108,15 @@ def test_what_cannot_be_measured():
     with pytest.raises(DataError, match="the layer has 80 frames and the map 79"):
         evaluate_mapping(known.take(np.arange(79)), layer, THUMBNAIL)
     lost = VisualMap(known.descriptors, known.frames.with_columns(x=np.full(80, np.nan)))
-    with pytest.raises(DataError, match="80 of 80 map frames have no position"):
-        evaluate_mapping(lost, layer, THUMBNAIL)
+    measured = evaluate_mapping(lost, layer, THUMBNAIL).parts["mapping"]
+    assert math.isnan(measured["silhouette"]["pooled"])
+    assert math.isnan(measured["inertia"])
+    assert math.isnan(measured["closures"]["recall"])
+    whole = evaluate_mapping(known, layer, THUMBNAIL).parts["mapping"]
+    assert measured["purity"] == whole["purity"]
+    half = known.frames.x.copy()
+    half[1::2] = np.nan
+    some = VisualMap(known.descriptors, known.frames.with_columns(x=half))
+    measured = evaluate_mapping(some, layer, THUMBNAIL).parts["mapping"]
+    assert measured["inertia"] > 0
+    assert math.isnan(measured["closures"]["precision"])

@@ -26,7 +26,7 @@ def draw(count=8, seed=0):
 def test_it_is_a_descriptor():
     module = make()
     assert isinstance(module, Descriptor)
-    assert (module.name, module.default_distance) == ("siamese", "euclidean")
+    assert (module.name, module.default_distance) == ("network", "euclidean")
     assert module.identity == module.module.identity
     images = draw()
     described = module.describe(images)

@@ -15,7 +15,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
-from siamloc.report.html import write_report
+from siamloc.report.page.write import write_report
 from siamloc.results import read_rows, write_results
 from tests.siamloc.evaluation import scenes
 

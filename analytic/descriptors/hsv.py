@@ -1,0 +1,158 @@
+"""Histograms of colours: how often each hue, saturation and brightness occurs in bands and in windows of a panorama."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING, ClassVar
+
+from analytic.alignment import Turns, whitened_turns
+from analytic.description import Description
+from analytic.descriptors.base import ImageDescriptor, Part, check_cells
+from analytic.descriptors.hog import window_sums
+from analytic.errors import AnalyticError
+from analytic.filters import homomorphic_colours
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+_TIE = 1e-4  # of a bin; shares of 8-bit values are equal to an edge, or further from it than this
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hsv(ImageDescriptor):
+    """Histograms of hue, saturation and value: in horizontal bands for the position, in windows for the heading.
+
+    Colours go into the HSV cone: the value v is the largest of red, green and blue, the saturation s = (v - m) / v with
+    m the smallest (0 for black), and the hue h in [0, 1) the angle on the colour circle from red by way of green and
+    blue, as a share of it (0 for grey).
+
+    Of n bins, hue takes bin floor(n h), saturation bin floor(n s) and value bin floor(n v), the last one if that is n.
+    Edges lie 1e-4 of a bin lower, so that rounding does not decide about the colours of 8-bit images that lie on one.
+    Each band has two histograms, one of hue and saturation together and one of values, as shares of its pixels:
+
+    Position (B, rows * (hues * saturations + values)): band after band from above, first the share of pixels with hue
+    bin i and saturation bin j at i * saturations + j, then a quarter of the shares of the value bins. Each entry is the
+    square root of that, so that one wide wall does not outweigh the many small things by which two places differ;
+    values weigh little because light changes them most.
+
+    Orientation (B, W / step, hues + values): for each window, as high as the image, of the columns k * step to
+    k * step + window - 1, which wrap around: the sums of saturation in each hue bin, then the numbers of pixels in each
+    value bin, both divided by the number of pixels in a full window. With `circular=False` windows end at the last
+    column. The relative heading is found from phases, as that of `hog` with `whitened`.
+
+    Hue and saturation do not change with the brightness of the light but with its colour; nothing is done about that.
+    A grey image has hue and saturation 0, so that only values distinguish its place. With `homomorphic` the three
+    channels of a pixel get the same gain, which leaves its hue.
+
+    The thesis has no descriptor of colours: this one is an addition. Its defaults were chosen on photographs of a
+    corridor and in a simulated building; `analytic/descriptors/README.md` has the figures.
+
+    Args:
+        rows: horizontal bands. They divide the height of an image.
+        hues: bins of hue.
+        saturations: bins of saturation.
+        values: bins of value.
+        window: width of a vertical window in columns.
+        step: columns between the windows; it divides the width of an image. It is the angular resolution.
+
+    Raises:
+        AnalyticError: numbers that are not positive.
+
+    Example:
+        >>> import numpy as np
+        >>> red, blue = np.zeros((2, 3, 128, 512))
+        >>> red[0], blue[2] = 1, 1
+        >>> hsv = Hsv()
+        >>> hsv.pairwise(hsv.describe(red), hsv.describe(np.stack([red, blue]))).round(2)
+        array([[ 0., 16.]])
+    """
+
+    name: ClassVar[str] = "hsv"
+    default_distance: ClassVar[str] = "manhattan"
+    colour: ClassVar[bool] = True
+
+    rows: int = 8
+    hues: int = 24
+    saturations: int = 8
+    values: int = 8
+    window: int = 32
+    step: int = 2
+
+    def resolution(self, width: int) -> float:
+        """Return the turn of one step, rad."""
+        return 2 * pi * self.step / width
+
+    def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return (rows * (hues * saturations + values),) and (W / step, hues + values)."""
+        position = self.rows * (self.hues * self.saturations + self.values)
+        return (position,), (width // self.step, self.hues + self.values)
+
+    def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
+        return whitened_turns(queries, references, steps)
+
+    def _check_parameters(self) -> None:
+        for key in ("rows", "hues", "saturations", "values", "window", "step"):
+            if getattr(self, key) < 1:
+                raise AnalyticError(f"hsv needs {key} of at least 1, got {getattr(self, key)}")
+
+    def _check_size(self, height: int, width: int) -> None:
+        check_cells(self, height, width)
+
+    def _seen(self, images: Tensor) -> Tensor:
+        colours = images.expand(-1, 3, -1, -1)
+        return homomorphic_colours(colours, circular=self.circular) if self.homomorphic else colours
+
+    def _describe(self, colours: Tensor) -> tuple[Part, Part]:
+        import torch
+
+        height, width = int(colours.shape[2]), int(colours.shape[3])
+        hue, saturation, value = cone(colours)
+        colour = _bins(hue, self.hues) % self.hues
+        brightness = _bins(value, self.values).clamp_(max=self.values - 1)
+        both = colour * self.saturations + _bins(saturation, self.saturations).clamp_(max=self.saturations - 1)
+        row = torch.arange(height, device=colours.device)[:, None] // (height // self.rows)
+        column = torch.arange(width, device=colours.device)
+        one = torch.ones_like(value)
+        of_band = height // self.rows * width
+        shares = [
+            _sums(row, self.rows, both, self.hues * self.saturations, one) / of_band,
+            _sums(row, self.rows, brightness, self.values, one) / (4 * of_band),
+        ]
+        columns = [
+            _sums(column, width, colour, self.hues, saturation),
+            _sums(column, width, brightness, self.values, one),
+        ]
+        windows = window_sums(torch.cat(columns, dim=2), self.window, self.step, self.circular)
+        return torch.cat(shares, dim=2).sqrt().flatten(1), windows / (height * self.window)
+
+
+def cone(colours: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return hue in [-1/6, 5/6], saturation and value in [0, 1] of colours (B, 3, H, W), (B, H, W) each.
+
+    Example:
+        >>> import torch
+        >>> [float(part) for part in cone(torch.tensor([0.25, 0.5, 0.25]).reshape(1, 3, 1, 1))]
+        [0.3333333432674408, 0.5, 0.5]
+    """
+    import torch
+
+    red, green, blue = colours.unbind(1)
+    value = colours.amax(dim=1)
+    chroma = value - colours.amin(dim=1)
+    scale = chroma + (chroma == 0)
+    hue = torch.where(value == green, (blue - red) / scale + 2, (red - green) / scale + 4)
+    hue = torch.where(value == red, (green - blue) / scale, hue)
+    return hue / 6, chroma / (value + (value == 0)), value
+
+
+def _bins(share: Tensor, count: int) -> Tensor:
+    import torch
+
+    return (share * count + _TIE).floor_().to(torch.int64)
+
+
+def _sums(cell: Tensor, cells: int, place: Tensor, bins: int, weight: Tensor) -> Tensor:
+    """Return the sums of weights (B, H, W) by cell and bin (B, cells, bins)."""
+    found = weight.new_zeros((len(weight), cells * bins))
+    return found.scatter_add_(1, (cell * bins + place).flatten(1), weight.flatten(1)).unflatten(1, (cells, bins))

@@ -1,0 +1,83 @@
+"""Tab completion: `siamloc completion bash`, and the candidates that the shell asks for, which are Hydra's."""
+
+from __future__ import annotations
+
+from siamloc.cli.help import COMMANDS
+from siamloc.errors import ConfigError, hint
+
+_BASH = """\
+_siamloc() {
+    local line="${COMP_LINE:0:COMP_POINT}" IFS=$'\\n'
+    local word="${line##* }"
+    COMPREPLY=($(siamloc completion query "$line" 2>/dev/null))
+    # Where "=" ends a word for the shell, it replaces only what follows it.
+    if [[ $COMP_WORDBREAKS == *=* ]]; then
+        local before="${word%"${word##*=}"}"
+        COMPREPLY=("${COMPREPLY[@]#"$before"}")
+    fi
+}
+complete -o nospace -o default -F _siamloc siamloc
+"""
+SCRIPTS = {
+    "bash": _BASH,
+    "zsh": f"autoload -U +X compinit && compinit\nautoload -U +X bashcompinit && bashcompinit\n{_BASH}",
+    "fish": "complete -c siamloc -f -a '(siamloc completion query (commandline -cp | string collect))'\n",
+}
+HELP = """\
+siamloc completion: complete commands, groups and keys with the tab key
+
+  bash   eval "$(siamloc completion bash)"       in ~/.bashrc
+  zsh    eval "$(siamloc completion zsh)"        in ~/.zshrc
+  fish   siamloc completion fish | source        in ~/.config/fish/config.fish"""
+
+_INTERNAL = ("hydra", "settings", "parameters", "building", "simulate")
+
+
+def completion(words: list[str]) -> str:
+    """Return the script of a shell, or for `query LINE` the candidates, one in each line.
+
+    Raises:
+        ConfigError: an unknown shell.
+    """
+    if len(words) == 2 and words[0] == "query":
+        return "\n".join(candidates(words[1]))
+    if not words or words[0] in ("-h", "--help"):
+        return HELP
+    if words[0] not in SCRIPTS:
+        raise ConfigError(f"no completion for {words[0]!r}: {hint(words[0], SCRIPTS)}")
+    return SCRIPTS[words[0]]
+
+
+def candidates(line: str) -> list[str]:
+    """Return what may stand in place of the last word of a command line, such as "siamloc train mod".
+
+    >>> candidates("siamloc ev")
+    ['evaluate ']
+    >>> candidates("siamloc train model/head=fc500")
+    ['model/head=fc500_100_10', 'model/head=fc500_500_5']
+    """
+    words = [*line.split()[1:], *([""] if line.endswith(" ") else [])]
+    for count in (1, 2):
+        if len(words) > count and " ".join(words[:count]) in COMMANDS:
+            return _of_command(" ".join(words[:count]), words[count:])
+    before, word = words[:-1], words[-1] if words else ""
+    known = [name.split() for name in (*COMMANDS, "completion")]
+    follow = {parts[len(before)] for parts in known if len(parts) > len(before) and parts[: len(before)] == before}
+    return sorted(f"{name} " for name in follow if name.startswith(word))
+
+
+def _of_command(command: str, words: list[str]) -> list[str]:
+    """Return Hydra's candidates for the last of the words that follow a command."""
+    from hydra import initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.plugins.completion_plugin import DefaultCompletionPlugin
+
+    from siamloc.cli.compose import folder_of
+    from siamloc.cli.schema import register
+
+    name = COMMANDS[command].config
+    register(name)
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(version_base="1.3", config_dir=str(folder_of(name))):
+        found = DefaultCompletionPlugin(GlobalHydra.instance().config_loader())._query(name, " ".join(words))
+    return [one for one in found if not one.startswith(_INTERNAL) or one.startswith("building=")]

@@ -1,0 +1,138 @@
+"""Where queries are and where they were taken to be: on the floor plan, or along a line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, require_rows, style
+from siamloc.results import rows_by_label
+
+Table = Mapping[str, NDArray]
+
+_FLATTEST = 0.02  # extents in a smaller ratio than this are drawn as a line
+_MOST_ROOM_NAMES = 16
+_LARGE = "#e31a1c"  # of an error, in the legend
+
+
+@style()
+def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
+    """Draw each query where it truly is, coloured by its error, with a line to where it was taken to be.
+
+    Frames that lie on a line (a corridor without metric poses) are drawn along that line instead.
+
+    Args:
+        columns: of `queries.csv`: x, y, est_x, est_y, error, floor, lighting.
+        map_columns: of `map.csv`: x, y, room.
+        unit: of x and y.
+
+    Raises:
+        DataError: no queries or no map frames.
+    """
+    require_rows(columns, map_columns)
+    groups = rows_by_label(columns["lighting"]) or {"": np.arange(len(columns["error"]))}
+    return (_along_line if is_line(columns, map_columns) else _on_plan)(columns, map_columns, groups, unit)
+
+
+def is_line(columns: Table, map_columns: Table) -> bool:
+    """Check whether all frames lie on a line parallel to an axis, as far as a picture could show."""
+    extent = _extent(columns, map_columns)
+    return bool(extent.min() <= _FLATTEST * extent.max())
+
+
+def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str) -> Picture:
+    """Draw one plan per lighting with a common scale of colours; colours end at the 95th percentile of the errors."""
+    width, height = np.maximum(_extent(columns, map_columns), 1e-9)
+    # Panels are side by side where the building is tall, on top of each other where it is wide.
+    across = width <= 1.6 * height or len(groups) == 1
+    rows, cols = (1, len(groups)) if across else (len(groups), 1)
+    panel = min(11.0 / cols, 7.0)
+    figure = Picture(figsize=(panel * cols + 0.9, max(min(panel * height / width, 6.5), 1.6) * rows + 0.9))
+    # Large errors are dark and stand out; the palest end of the colours would vanish on white.
+    colours = ListedColormap(colormaps["YlOrRd"](np.linspace(0.3, 1, 256)))
+    top = float(np.percentile(columns["error"], 95)) or 1.0
+    shade = ScalarMappable(Normalize(0, top), colours)
+    plans = figure.subplots(rows, cols, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes, (label, members) in zip(plans, groups.items(), strict=True):
+        members = members[np.argsort(columns["error"][members], kind="stable")]
+        part = {name: columns[name][members] for name in ("x", "y", "est_x", "est_y", "error")}
+        true, estimated = np.column_stack([part["x"], part["y"]]), np.column_stack([part["est_x"], part["est_y"]])
+        axes.scatter(map_columns["x"], map_columns["y"], s=5, color=PALE, linewidths=0, zorder=1)
+        rgba = shade.to_rgba(part["error"])
+        segments = np.stack([true, estimated], axis=1)
+        axes.add_collection(LineCollection(list(segments), colors=rgba, linewidths=0.7, alpha=0.5, zorder=2))
+        axes.scatter(*true.T, s=9, c=rgba, linewidths=0, zorder=3)
+        _name_rooms(axes, map_columns)
+        axes.set_aspect("equal")
+        axes.margins(0.06)
+        mean = f"{len(members):,} queries, mean error {part['error'].mean():.2f} {unit}"
+        axes.set_title(f"{label}: " * bool(label) + mean)
+    for axes in plans if not across else plans[:1]:
+        axes.set_ylabel(f"y [{unit}]")
+    for axes in plans if across else plans[-1:]:
+        axes.set_xlabel(f"x [{unit}]")
+    extend = "max" if columns["error"].max() > top else "neither"
+    bar = figure.colorbar(shade, ax=list(plans), extend=extend, shrink=0.85, pad=0.015, aspect=30)
+    bar.set_label(f"error [{unit}]")
+    bar.outline.set_visible(False)  # type: ignore[operator]
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str) -> Picture:
+    """Draw the estimated against the true position, and below it the error, along the longer axis."""
+    axis = "xy"[int(np.argmax(_extent(columns, map_columns)))]
+    figure = Picture(figsize=(6.6, 5.0))
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
+    known = map_columns[axis]
+    ends = [min(known.min(), columns[axis].min()), max(known.max(), columns[axis].max())]
+    upper.plot(ends, ends, color=PALE, linewidth=0.9, label="right answer", zorder=1)
+    for (label, rows), colour in zip(groups.items(), lighting_colours(groups), strict=True):
+        rows = rows[np.argsort(columns[axis][rows], kind="stable")]
+        place, error = columns[axis][rows], columns["error"][rows]
+        text = f"{label}: " * bool(label) + f"{len(rows):,} queries, mean error {error.mean():.2f} {unit}"
+        upper.scatter(place, columns[f"est_{axis}"][rows], s=12, color=colour, linewidths=0, label=text, zorder=3)
+        lower.vlines(place, 0, error, color=colour, linewidth=1, alpha=0.6)
+        lower.scatter(place, error, s=8, color=colour, linewidths=0, zorder=3)
+    order = np.argsort(columns[axis], kind="stable")
+    lower.plot(columns[axis][order], columns["floor"][order], "--", color=SOFT, linewidth=0.9, label="floor", zorder=4)
+    for axes in (upper, lower):
+        axes.grid(True)
+    upper.set_ylabel(f"estimated {axis} [{unit}]")
+    lower.set(xlabel=f"true {axis} [{unit}]", ylabel=f"error [{unit}]")
+    lower.set_ylim(bottom=0)
+    figure.legend(loc="outside upper center", ncols=3 if len(groups) == 1 else 2)
+    return figure
+
+
+def _extent(columns: Table, map_columns: Table) -> NDArray[np.float64]:
+    return np.array([np.ptp(np.concatenate([columns[name], map_columns[name]])) for name in ("x", "y")])
+
+
+def _name_rooms(axes: Axes, map_columns: Table) -> None:
+    rooms = {label: rows for label, rows in rows_by_label(map_columns["room"]).items() if map_columns["room"][rows[0]]}
+    if len(rooms) > _MOST_ROOM_NAMES:
+        return
+    for label, rows in rooms.items():
+        x, y = map_columns["x"][rows].mean(), map_columns["y"][rows].mean()
+        halo = [withStroke(linewidth=2, foreground=PAPER)]
+        axes.text(x, y, label, fontsize=6.5, color=TEXT, ha="center", va="center", path_effects=halo, zorder=5)
+
+
+def _legend() -> Sequence[Line2D]:
+    point: dict[str, Any] = {"marker": "o", "linestyle": "none", "markeredgewidth": 0, "markersize": 4}
+    return [
+        Line2D([], [], color=PALE, label="map frame", **point),
+        Line2D([], [], color=_LARGE, label="query, true position", **point),
+        Line2D([], [], color=_LARGE, linewidth=0.8, label="to the estimated position"),
+    ]

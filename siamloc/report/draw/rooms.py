@@ -1,0 +1,86 @@
+"""Which room, or building, was taken for which: confusion matrices, one or a panel for each lighting."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import DataError
+from siamloc.report.draw.look import GRID, INK, PAPER, SERIES, SOFT, Picture, panels, percent, style
+
+_CELL = 0.52  # inches; enough for a share and a count
+_LARGEST = 9.0  # inches of a matrix
+_MOST_TEXTS = 40  # rooms; the shares in more cells could not be read
+
+
+@style()
+def confusion(
+    labels: Sequence[str], counts: Mapping[str, ArrayLike], missing: Sequence[str] = (), what: str = "room"
+) -> Picture:
+    """Draw confusion matrices side by side: the share of each row as shade and text, and the count where it has room.
+
+    Args:
+        labels: names of the L rooms, or of whatever was told apart.
+        counts: by title (L, L), row = true room, column = room of the match.
+        missing: rooms that the map lacks, marked as such.
+        what: is told apart.
+
+    Raises:
+        DataError: no labels, no counts, or counts of another shape.
+
+    Example:
+        >>> figure = confusion(["kitchen", "office"], {"night": [[3, 1], [0, 4]]})
+        >>> figure.axes[0].get_title("left")
+        'night\\n87.5 % of 8 right'
+    """
+    n = len(labels)
+    matrices = {title: np.asarray(part) for title, part in counts.items()}
+    shapes = [part.shape for part in matrices.values()]
+    if not n or not matrices or any(shape != (n, n) for shape in shapes):
+        raise DataError(f"a confusion matrix of {n} {what}s needs counts of shape ({n}, {n}), got {shapes}")
+    cell = _CELL if len(matrices) == 1 else 0.8 * _CELL
+    side = float(np.clip(cell * n, 1.5, _LARGEST if len(matrices) == 1 else 4.0))
+    fits = side / n >= 0.36
+    names = [f"{label}\n(not in map)" if label in missing else label for label in labels]
+    alone, longest = len(matrices) == 1, max(map(len, labels))
+    margin = (0.35 + 0.075 * (longest + (11 if alone else 0)), 0.45 + 0.055 * longest)
+    figure, every, across = panels(len(matrices), side + 0.15, side + 0.5, sharex=True, sharey=True, margin=margin)
+    for place, (axes, (title, part)) in enumerate(zip(every, matrices.items(), strict=True)):
+        _matrix(axes, part, fits, n <= _MOST_TEXTS)
+        total = int(part.sum())
+        right = f"{100 * np.trace(part) / total:.1f} % of {total:,} right" if total else "no queries"
+        axes.set_title(f"{title}\n{right}")
+        axes.set_xticks(range(n), names, rotation=45, ha="right", rotation_mode="anchor")
+        rows = [f"{name}  (n = {rows:,})" for name, rows in zip(names, part.sum(axis=1), strict=True)]
+        axes.set_yticks(range(n), rows if alone else names)
+        if place % across == 0:
+            axes.set_ylabel(f"true {what} of the query")
+    figure.supxlabel(f"{what} of the match", fontsize=9)
+    return figure
+
+
+def _matrix(axes: Axes, counts: NDArray, with_counts: bool, with_shares: bool) -> None:
+    shares = counts / np.maximum(counts.sum(axis=1), 1)[:, None]
+    n = len(counts)
+    for row, column in zip(*np.nonzero(counts), strict=True):
+        share = float(shares[row, column])
+        place: Any = (column - 0.5, row - 0.5)
+        axes.add_patch(Rectangle(place, 1, 1, facecolor=SERIES[0], alpha=max(share, 0.02), linewidth=0))
+        if not with_shares:
+            continue
+        words = f"{percent(100 * share)} %\n{counts[row, column]:,}" if with_counts else percent(100 * share)
+        look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7 if with_counts else 5.5}
+        axes.text(column, row, words, color=PAPER if share > 0.55 else INK, linespacing=1.05, **look)
+    for i in range(n):
+        axes.add_patch(Rectangle((i - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=SOFT, linewidth=0.8))
+    for edge in np.arange(n + 1) - 0.5:
+        axes.axhline(edge, color=GRID, linewidth=0.6, zorder=0)
+        axes.axvline(edge, color=GRID, linewidth=0.6, zorder=0)
+    axes.set(xlim=(-0.5, n - 0.5), ylim=(n - 0.5, -0.5), aspect="equal")
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)

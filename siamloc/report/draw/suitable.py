@@ -1,0 +1,137 @@
+"""Which pictures suit a result: drawn from its measures and tables, or from its files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from siamloc.report.draw.calibration import calibration_curve
+from siamloc.report.draw.decision import explain, instructive
+from siamloc.report.draw.errors import error_curve, estimate_curve
+from siamloc.report.draw.floor_plan import floor_plan
+from siamloc.report.draw.growth import animate, read_story
+from siamloc.report.draw.look import Picture, save
+from siamloc.report.draw.node_errors import node_errors
+from siamloc.report.draw.nodes import node_plan, nodes_on_plan
+from siamloc.report.draw.pairs import pair_curves
+from siamloc.report.draw.robustness import robustness_curves
+from siamloc.report.draw.rooms import confusion
+from siamloc.results import Columns, read_results, read_rows
+
+Made = dict[str, Callable[[], Picture]]
+
+_TABLES = ("queries", "map", "frames", "nodes")
+# Errors of the same queries that hierarchical results hold.
+_OTHER_SEARCHES = {"baseline_whole map": "error_absolute", "baseline_perfect nodes": "error_perfect_coarse"}
+
+
+def pictures(
+    measures: Mapping[str, Any], tables: Mapping[str, Columns], layer: str | Path | None = None, name: str = "measured"
+) -> Made:
+    """Return what draws each picture that suits a result, by the name of its file; nothing is drawn yet.
+
+    Args:
+        measures: of the result, as in `results.json` under "measures".
+        tables: of the result, as `read_rows` returns them: "queries" and "map" for localization, "frames" and "nodes"
+            for a compact map.
+        layer: folder of a coarse layer; the log in it explains a decision of an incremental map.
+        name: of what was measured, in legends and titles.
+
+    Returns:
+        Of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "calibration", "node_errors",
+        "confusion", "confusion_by_lighting", "pairs", "robustness", "nodes" and "decision" those that there are numbers
+        for, each with a function of no arguments that returns a matplotlib figure.
+
+    Raises:
+        FormatError: of a compact map: measures or columns are missing, or the layer is damaged or another one.
+
+    Example:
+        >>> rooms = {"confusion": {"labels": ["kitchen"], "counts": [[2]]}}
+        >>> made = pictures({"room_retrieval": rooms}, {})
+        >>> list(made), made["confusion"]().axes[0].get_title("left")
+        (['confusion'], 'all queries\\n100.0 % of 2 right')
+    """
+    made: Made = {}
+    located = measures.get("absolute") or measures.get("hierarchical")
+    if located is not None and {"queries", "map"} <= set(tables) and len(tables["queries"]["error"]):
+        made |= _of_localization(measures, tables, located["unit"], name)
+    if "calibration" in measures:
+        unit = (located or {}).get("unit", "m")
+        made["calibration"] = partial(calibration_curve, measures["calibration"], unit)
+    if "hierarchical" in measures and measures["hierarchical"]["overall"]["error"]["mean"]:
+        made["node_errors"] = partial(node_errors, measures["hierarchical"])
+    for key, what in (("room_retrieval", "room"), ("buildings", "building")):
+        if key in measures:
+            made |= _of_confusion(measures[key], what)
+    if "room_pairs" in measures:
+        made["pairs"] = partial(pair_curves, measures["room_pairs"])
+    if "robustness" in measures:
+        made["robustness"] = partial(robustness_curves, measures["robustness"])
+    if "mapping" in measures and {"frames", "nodes"} <= set(tables):
+        plan = node_plan(measures["mapping"], tables["frames"], tables["nodes"], name)
+        made["nodes"] = partial(nodes_on_plan, plan)
+        if layer is not None and (Path(layer) / "events.jsonl").is_file():
+            story = read_story(Path(layer) / "events.jsonl", plan)
+            explained = instructive(story, Path(layer) / "mapper.npz")
+            if explained is not None:
+                made["decision"] = partial(explain, explained, story)
+    return made
+
+
+def save_all(folder: str | Path, layer: str | Path | None = None) -> list[Path]:
+    """Draw every picture that a result folder has the numbers for into it, and return the files.
+
+    Args:
+        folder: what an evaluation wrote: `results.json` and its tables.
+        layer: folder of the coarse layer that was measured: of an incremental map, `events.jsonl` also gives
+            `growth.gif`, and `mapper.npz` explains a decision.
+
+    Raises:
+        FormatError: files that are missing, not whole, or of different maps.
+        StorageError: the disk refuses.
+    """
+    results, target = read_results(folder), Path(folder)
+    tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
+    name = name_of(results)
+    made = pictures(results["measures"], tables, layer, name)
+    drawn = [save(draw(), target / f"{key}.png") for key, draw in made.items()]
+    if "nodes" in made and layer is not None and (Path(layer) / "events.jsonl").is_file():
+        plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name)
+        drawn.append(animate(read_story(Path(layer) / "events.jsonl", plan), target / "growth.gif"))
+    return drawn
+
+
+def name_of(results: Mapping[str, Any]) -> str:
+    """Return what was measured: the name of a compact map, or else of the descriptor."""
+    layer = results.get("layer") or {}
+    if "mapping" in results["measures"] and "name" in layer:
+        version = layer.get("version")
+        return f"map by {layer['name']}" if version is None else f"incremental map, version {version}"
+    chosen = (results.get("config") or {}).get("descriptor")
+    chosen = chosen if isinstance(chosen, Mapping) else {}
+    return str(chosen.get("label") or chosen.get("name") or (results.get("descriptor") or {}).get("name", "measured"))
+
+
+def _of_localization(measures: Mapping[str, Any], tables: Mapping[str, Columns], unit: str, name: str) -> Made:
+    queries, known = tables["queries"], tables["map"]
+    others = {key: queries[column] for key, column in _OTHER_SEARCHES.items() if column in queries}
+    made: Made = {
+        "floor_plan": partial(floor_plan, queries, known, unit),
+        "error_curve": partial(error_curve, {**queries, **others}, unit, name),
+    }
+    for estimate in ("filtered", "interpolated"):
+        if f"absolute_{estimate}" in measures:
+            made[f"{estimate}_curve"] = partial(estimate_curve, queries, estimate, unit)
+    return made
+
+
+def _of_confusion(found: Mapping[str, Any], what: str) -> Made:
+    labels, counts = found["confusion"]["labels"], {"all queries": found["confusion"]["counts"]}
+    by_lighting = found["confusion"].get("lighting", {})
+    missing = found.get("rooms_missing_in_map", [])
+    made: Made = {"confusion": partial(confusion, labels, counts, missing, what)}
+    if len(by_lighting) > 1:
+        made["confusion_by_lighting"] = partial(confusion, labels, by_lighting, missing, what)
+    return made

@@ -1,0 +1,134 @@
+"""What a page says first about several evaluations: their table and curves, and where comparing them would mislead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.report.draw.errors import compared_curves
+from siamloc.report.draw.robustness import robustness_curves
+from siamloc.report.page import tables
+from siamloc.report.page.gathered import Evaluation
+from siamloc.report.page.inline import inline
+from siamloc.report.page.markup import Markup, count, section, tag
+from siamloc.report.page.parts import Part
+from siamloc.report.page.robustness import robustness_section
+from siamloc.results import Columns
+
+_MOST_METHODS = 8
+
+Frames = set[tuple[Any, ...]]
+
+
+def comparison(parts: list[Part]) -> Markup | None:
+    """Return the tables and curves of what several evaluations measured; None where none of it is measured twice."""
+    measured = [part for part in parts if part.evaluation.measured]
+    disturbed = _robustness({part.method: part.evaluation for part in parts if part.evaluation.kind == "robustness"})
+    own = _localization(measured) if len(measured) > 1 else None
+    return tag("article.overview", own, disturbed) if own or disturbed else None
+
+
+def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
+    """Return what makes evaluations hard to compare, one sentence for each that differs from the first.
+
+    Frames are the same where the ends of their paths and their positions (where they are known) are: the
+    folder that a data set lies in, the order of the frames and the descriptor do not matter.
+
+    Args:
+        evaluations: by title.
+    """
+    first, *others = evaluations
+    found = []
+    for title in others:
+        one, other = evaluations[first], evaluations[title]
+        differing = [_queries(one, other), _maps(one, other)]
+        if what := " and ".join(filter(None, differing)):
+            found.append(f"Compare {title} with {first} with care, since they differ in their {what}.")
+    return found
+
+
+def _localization(parts: list[Part]) -> Markup:
+    """Return the table of all evaluations and their curves, with a warning where they are not about the same."""
+    evaluations = {part.title: part.evaluation for part in parts}
+    notes = differences(evaluations)
+    if len({str(evaluation.results.get("protocol")) for evaluation in evaluations.values()}) > 1:
+        text = "These evaluations follow different protocols: their errors must not be compared with each other."
+        notes.insert(0, text)
+    by_unit: dict[str, dict[str, Columns]] = {}
+    for title, evaluation in evaluations.items():
+        if evaluation.queries is not None and len(evaluation.queries["error"]):
+            by_unit.setdefault(evaluation.unit, {})[title] = evaluation.queries
+    curves = [
+        inline(compared_curves(columns, unit), f"compared-{i}", "cumulative errors of all evaluations")
+        for i, (unit, columns) in enumerate(by_unit.items())
+    ]
+    return section(
+        "Comparison",
+        tables.comparison({part.title: (part.evaluation, part.anchor) for part in parts}),
+        *(tag("p.note", note) for note in notes),
+        *curves,
+        name="compared",
+    )
+
+
+def _robustness(evaluations: Mapping[str, Evaluation]) -> Markup | None:
+    """Return the curves of several evaluations in one part; None for fewer than two.
+
+    Disturbances that not all have measured at the same levels are left out.
+    """
+    found = {title: evaluation.results["measures"]["robustness"] for title, evaluation in evaluations.items()}
+    if len(found) < 2:
+        return None
+    first = next(iter(found.values()))
+    same = [kind for kind in first["disturbances"] if all(kind in one["disturbances"] for one in found.values())]
+    if not same or len({_basis(one) for one in found.values()}) > 1:
+        text = "Robustness was measured on different queries, maps or levels in these evaluations, and is not compared."
+        return section("Robustness compared", tag("p.note", text), name="robustness")
+    methods = {title: next(iter(one["methods"].values())) for title, one in list(found.items())[:_MOST_METHODS]}
+    together = {**first, "disturbances": same, "methods": methods}
+    figure = inline(robustness_curves(together), "compared-robustness", "errors of disturbed queries")
+    return robustness_section("Robustness compared", together, figure)
+
+
+def _basis(found: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return what is the same for equal queries in equal maps; their floor differs between buildings and drives."""
+    entry = next(iter(next(iter(found["methods"].values())).values()))[0]
+    return (*(found[key] for key in ("unit", "radius", "queries", "map_frames")), round(entry["floor"], 6))
+
+
+def _difference(what: str, one: Frames, other: Frames) -> str:
+    """Return how two sets of frames differ; nothing where they are the same."""
+    if one == other:
+        return ""
+    return f"{what} ({count(len(other))} and {count(len(one))}, {count(len(one & other))} of them the same)"
+
+
+def _queries(one: Evaluation, other: Evaluation) -> str:
+    if one.queries is not None and other.queries is not None:
+        return _difference("queries", _frames(one.queries), _frames(other.queries))
+    rooms = [evaluation.tables.get("rooms") for evaluation in (one, other)]
+    return _difference("queries", _frames(rooms[0]), _frames(rooms[1])) if rooms[0] and rooms[1] else ""
+
+
+def _maps(one: Evaluation, other: Evaluation) -> str:
+    if one.known is not None and other.known is not None:
+        return _difference("map frames", _frames(one.known), _frames(other.known))
+    # Results without a map's frames still say which frames were asked for.
+    chosen = [((e.results.get("config") or {}).get("protocol") or {}).get("map") for e in (one, other)]
+    return "map frames (protocol.map)" if None not in chosen and chosen[0] != chosen[1] else ""
+
+
+def _frames(columns: Columns) -> Frames:
+    """Return what frames are recognized by: folder and file name, and where they were taken."""
+    ends = [PurePath(path).parts[-2:] for path in columns["path"].tolist()]
+    places = zip(_rounded(columns, "x"), _rounded(columns, "y"), strict=True)
+    return {(*end, *place) for end, place in zip(ends, places, strict=True)}
+
+
+def _rounded(columns: Columns, name: str) -> list[float | None]:
+    values: NDArray[np.float64] = columns.get(name, np.full(len(columns["path"]), np.nan))
+    return [None if value != value else value for value in np.round(values, 6).tolist()]

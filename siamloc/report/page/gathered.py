@@ -1,0 +1,216 @@
+"""What a report is made from: the result files of runs, read and put together."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.results import Columns, read_results, read_rows, rows_by_label
+from siamloc.runs import Run
+
+ALL = "all"
+FURTHER = {"filtered": "filter", "interpolated": "interpolation"}
+_KINDS = ("localization", "hierarchical", "robustness", "mapping", "buildings")
+_TABLES = ("queries", "map", "rooms", "frames", "nodes")
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The results of one descriptor.
+
+    Attributes:
+        name: of the descriptor; its row in the tables.
+        kind: what was measured: "localization", which room retrieval belongs to, "hierarchical", "robustness", or
+            another task.
+        results: what `results.json` holds.
+        tables: columns of the tables that are there, of "queries", "map", "rooms", "frames" and "nodes".
+    """
+
+    name: str
+    kind: str
+    results: dict[str, Any]
+    tables: dict[str, Columns]
+
+    @property
+    def queries(self) -> Columns | None:
+        """Columns of `queries.csv`; None where nothing was localized."""
+        return self.tables.get("queries") if self.absolute is not None and "map" in self.tables else None
+
+    @property
+    def known(self) -> Columns | None:
+        """Columns of `map.csv`; None where there is none."""
+        return self.tables.get("map")
+
+    @property
+    def title(self) -> str:
+        """The descriptor, and what was measured with it where the two are not the same."""
+        if self.kind == "localization":
+            return self.name
+        build, coarse = ((self.results.get(key) or {}).get("name") for key in ("layer", "coarse_descriptor"))
+        own = (self.results.get("descriptor") or {}).get("name")
+        of = f" of {coarse}" if coarse not in (None, own) else ""
+        settings = self.results.get("config") or {}
+        called = (settings.get("build") or {}).get("label") or build
+        by = ((settings.get("task") or {}).get("coarse") or {}).get("by")
+        found = " by vote" if by == "vote" else ""
+        nodes = "rooms" if build == "rooms" else f"{called} nodes"
+        return f"{self.name}, {self.kind}" + (f" over {nodes}{of}{found}" if build else "")
+
+    @property
+    def methods(self) -> dict[str, dict[str, Any]]:
+        """The measures of the descriptor, of its further estimates and of its baselines by name, its own first."""
+        own = dict(self.results["measures"])
+        if self.absolute is not None:
+            own["absolute"] = self.absolute
+        further = {
+            f"{self.name} + {sign}": {"absolute": own[f"absolute_{name}"]}
+            for name, sign in FURTHER.items()
+            if f"absolute_{name}" in own
+        }
+        return {self.name: own, **further, **self.results.get("baselines", {})}
+
+    @property
+    def absolute(self) -> dict[str, Any] | None:
+        """The measures of localization, in the whole map or in nodes first, if any."""
+        measures = self.results["measures"]
+        return measures.get("absolute") or measures.get("hierarchical")
+
+    @property
+    def measured(self) -> bool:
+        """Whether queries were localized or their rooms looked for."""
+        return self.absolute is not None or self.rooms is not None
+
+    @property
+    def located(self) -> int:
+        """Queries that were located without a known pose to compare with."""
+        return int(self.results.get("tables", {}).get("located", {}).get("rows", 0))
+
+    @property
+    def rooms(self) -> dict[str, Any] | None:
+        """The measures of room retrieval, if any."""
+        return self.results["measures"].get("room_retrieval")
+
+    @property
+    def unit(self) -> str:
+        """What positions and errors count."""
+        return str((self.absolute or {}).get("unit", "m"))
+
+    @property
+    def lightings(self) -> list[str]:
+        """The lightings of the queries; none where they carry no label."""
+        return list((self.absolute or self.rooms or {}).get("lighting", {}))
+
+    @cached_property
+    def rows_by_lighting(self) -> dict[str, NDArray[np.int64]]:
+        """The rows of `queries.csv` by lighting; nothing where they carry no label."""
+        return {} if self.queries is None else rows_by_label(self.queries["lighting"])
+
+
+@dataclass(frozen=True, eq=False)
+class RunFiles:
+    """A run as the report shows it.
+
+    Attributes:
+        title: a name that no other run of the report has.
+        evaluations: at least one.
+        curves: columns of `metrics.csv`; None for what was not trained.
+        overrides: words that the run was trained with; None as well.
+    """
+
+    title: str
+    evaluations: tuple[Evaluation, ...]
+    curves: dict[str, NDArray[np.float64]] | None
+    overrides: tuple[str, ...] | None
+
+
+def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
+    """Read the result files of runs.
+
+    Args:
+        folders: of runs, or of single evaluations; one that is named twice counts once.
+
+    Raises:
+        ConfigError: no folders, or one that is missing or holds no evaluation.
+        FormatError: files that are not whole.
+    """
+    chosen = list({Path(folder).resolve(): Path(folder) for folder in folders}.values())
+    if not chosen:
+        raise ConfigError("a report needs at least one run: name it with run=FOLDER, or several with runs=[A,B]")
+    return [_gather(folder, title) for folder, title in zip(chosen, _titles(chosen), strict=True)]
+
+
+def _gather(folder: Path, title: str) -> RunFiles:
+    if not folder.is_dir():
+        raise ConfigError(f"there is no folder {folder}: name the folder of a run")
+    single = (folder / "results.json").is_file()
+    found = [folder] if single else [path.parent for path in folder.glob("evaluation/*/results.json")]
+    if not found:
+        raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
+    run = Run(folder.resolve().parents[1] if single and folder.resolve().parent.name == "evaluation" else folder)
+    record = run.load_record() if run.record.is_file() else None
+    evaluations = [_evaluation(path) for path in sorted(found, key=lambda path: (path.name != "network", path.name))]
+    evaluations.sort(key=lambda one: _KINDS.index(one.kind) if one.kind in _KINDS else len(_KINDS))
+    return RunFiles(
+        title,
+        tuple(evaluations),
+        _curves(run.metrics) if run.metrics.is_file() else None,
+        None if record is None else tuple(map(str, record["overrides"])),
+    )
+
+
+def _evaluation(folder: Path) -> Evaluation:
+    results = read_results(folder)
+    tables = results.get("tables", {})
+    measures = results.get("measures")
+    if not isinstance(measures, dict) or not (any(measures.values()) or "located" in tables):
+        raise DataError(f"{folder / 'results.json'} holds no measures: evaluate again")
+    kind = _kind(folder, results)
+    found = {name: read_rows(folder, name) for name in _TABLES if name in tables}
+    if {"queries", "map"} <= set(found):
+        match, frames = found["queries"]["match"], len(found["map"]["x"])
+        if len(match) and not (match.min() >= 0 and match.max() < frames):
+            raise FormatError(f"{folder / 'queries.csv'} names map frames that map.csv lacks: evaluate again")
+    name = (results.get("config") or {}).get("descriptor") or {}
+    label = name.get("label") or name.get("name") if isinstance(name, dict) else None
+    return Evaluation(str(label or folder.name), kind, results, found)
+
+
+def _kind(folder: Path, results: dict[str, Any]) -> str:
+    measures = results["measures"]
+    if not measures:
+        return "hierarchical" if folder.name.startswith("hierarchical-") else "localization"
+    if measures.keys() & {"absolute", "room_retrieval"}:
+        return "localization"
+    return next((kind for kind in _KINDS if kind in measures), str(next(iter(measures))).replace("_", " "))
+
+
+def _curves(path: Path) -> dict[str, NDArray[np.float64]] | None:
+    """Read the training curves; None for a file without a finished epoch."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        columns = {
+            name: np.array([float(row[name]) if row[name] else math.nan for row in rows]) for name in (rows or [{}])[0]
+        }
+    except (ValueError, TypeError, csv.Error, UnicodeDecodeError) as error:
+        raise FormatError(f"{path} is not a table of training curves ({error}): remove it, or train again") from error
+    return columns if "epoch" in columns else None
+
+
+def _titles(folders: list[Path]) -> list[str]:
+    """Return the shortest ends of the paths that differ from each other."""
+    parts = [folder.resolve().parts for folder in folders]
+    for depth in range(1, max(map(len, parts)) + 1):
+        titles = ["/".join(part[-depth:]) for part in parts]
+        if len(set(titles)) == len(titles):
+            break
+    return titles

@@ -1,0 +1,113 @@
+"""Figures as part of a page: SVG that keeps its text, follows the page's colours and clashes with no other figure."""
+
+from __future__ import annotations
+
+import re
+from itertools import count
+
+from siamloc.report.draw import look
+from siamloc.report.draw.look import Picture
+from siamloc.report.page.markup import Markup, tag
+
+# Colours of the pictures that the page's style sheet has a name for, and others on dark paper.
+_NAMED = {
+    look.INK: "ink",
+    look.TEXT: "text",
+    look.SOFT: "soft",
+    look.GRID: "grid",
+    look.PALE: "map",
+    look.PAPER: "paper",
+    **{colour: f"k{i}" for i, colour in enumerate(look.SERIES)},
+}
+_COLOUR = re.compile("|".join(_NAMED), re.IGNORECASE)
+_REFERENCE = re.compile(r'(?:url\(#|href="#)([^)"]+)')
+_STYLE = re.compile(r'style="([^"]*)"')
+_PATH = re.compile(r' d="([^"]*)"')
+_GROUP = re.compile(r"<g(\s[^>]*)?>|</g>")
+_PLACE = re.compile(r' (?:d|x|y|transform)="[^"]*"')
+_LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
+
+
+def inline(figure: Picture, name: str, title: str) -> Markup:
+    """Return a figure of the page.
+
+    Args:
+        figure: what to draw; equal figures give equal text.
+        name: of the figure, different from all others of the page.
+        title: says what it shows to those who do not see it.
+
+    Example:
+        >>> figure = Picture(figsize=(2, 1))
+        >>> text = inline(figure, "empty", "nothing")
+        >>> text.startswith('<figure class="picture"><div class="scroll" tabindex="0"><svg'), "http" in text
+        (True, False)
+    """
+    text = figure.rendered("svg", transparent=True).decode()
+    text = text[text.index("<svg") :]
+    width, height = (float(part) for part in re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text).groups())  # type: ignore[union-attr]
+    body = text[text.index(">") + 1 : text.rindex("</svg>")]
+    body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", body, flags=re.DOTALL)
+    body = _own_names(body.replace("xlink:href", "href"), name)
+    body = _STYLE.sub(lambda found: f'style="{_restyled(found[1])}"', body)
+    body = _PLACE.sub(lambda found: _LONG_NUMBER.sub(_rounded, found[0]), body)
+    body = _PATH.sub(lambda found: f' d="{_shortened(found[1])}"', body)
+    body = re.sub(r">\s+<", "><", _without_bare_groups(body)).strip()
+    svg = tag(
+        "svg",
+        Markup(body),
+        viewBox=f"0 0 {width:g} {height:g}",
+        role="img",
+        aria_label=title,
+        # As large as it was made, smaller where the page is narrower; below two thirds it scrolls.
+        style=f"width:{width:g}pt;min-width:{min(width, 0.67 * width + 60):.0f}pt",
+    )
+    return tag("figure.picture", tag("div.scroll", svg, tabindex=0))
+
+
+def _own_names(body: str, name: str) -> str:
+    """Return the elements with names that only this figure has, and only where something refers to them."""
+    numbers = count()
+    names = {found: f"{name}-{next(numbers)}" for found in dict.fromkeys(_REFERENCE.findall(body))}
+    body = re.sub(r' id="([^"]*)"', lambda found: f' id="{names[found[1]]}"' if found[1] in names else "", body)
+    return _REFERENCE.sub(lambda found: found[0].replace(found[1], names[found[1]]), body)
+
+
+def _shortened(path: str) -> str:
+    """Return a path in fewer letters: the command of a line is not repeated."""
+    words, last = [], ""
+    for word in path.split():
+        if word.isalpha():
+            if not (word == "L" and last in ("M", "L")):
+                words.append(word)
+            last = word
+        else:
+            words.append(word)
+    return " ".join(words)
+
+
+def _without_bare_groups(body: str) -> str:
+    """Return the elements without groups that say nothing."""
+    bare: list[bool] = []
+
+    def kept(found: re.Match[str]) -> str:
+        if found[0] != "</g>":
+            bare.append(not (found[1] or "").strip())
+            return "" if bare[-1] else found[0]
+        return "" if bare.pop() else found[0]
+
+    return _GROUP.sub(kept, body)
+
+
+def _restyled(style: str) -> str:
+    """Return a style with the page's font and colours."""
+    style = re.sub(r"font-family: [^;]*;?|(font: [^;]*?[\d.]+px) [^;]*", _font, style)
+    style = re.sub(r"\s*([:;,])\s*", r"\1", style)
+    return _COLOUR.sub(lambda found: f"var(--{_NAMED[found[0].lower()]})", style)
+
+
+def _rounded(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.1f}".removesuffix(".0")
+
+
+def _font(found: re.Match[str]) -> str:
+    return f"{found[1]} var(--font)" if found[1] else ""

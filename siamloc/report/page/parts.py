@@ -1,0 +1,158 @@
+"""The evaluations of a report page on their way into it: their figures, and which of their images find room."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import zip_longest
+
+from siamloc.report.draw.look import Picture
+from siamloc.report.draw.suitable import name_of, pictures
+from siamloc.report.page.gathered import Evaluation, RunFiles
+from siamloc.report.page.inline import inline
+from siamloc.report.page.markup import Markup, count, plural
+from siamloc.report.page.pictures import Decoder, Sheets, make_large, make_sheets
+from siamloc.report.page.plan import Plan, make_plan
+
+_MOST_QUERIES = 12_000  # on all plans of a page together; their numbers are 1.3 MB
+
+
+@dataclass(eq=False)
+class Part:
+    """An evaluation on its way into the page.
+
+    Attributes:
+        run: what it belongs to.
+        evaluation: its results.
+        alone: whether the page is about this run alone.
+        number: of the part, from 0.
+        plan: what the floor plan shows, if there is one.
+        decoder: reads its pictures.
+        sheets: number of its set of small pictures, -1 for none.
+    """
+
+    run: RunFiles
+    evaluation: Evaluation
+    alone: bool
+    number: int
+    plan: Plan | None
+    decoder: Decoder
+    sheets: int = -1
+    _inlined: dict[str, Markup] = field(default_factory=dict)
+
+    def figure(self, key: str, title: str) -> Markup | None:
+        """Return the figure of a name, as `draw.pictures` gives it; None where there are no numbers for it."""
+        if key not in self._figures:
+            return None
+        if key not in self._inlined:
+            self._inlined[key] = inline(self._figures[key](), f"{key}-{self.number}", f"{title}, {self.title}")
+        return self._inlined[key]
+
+    @cached_property
+    def _figures(self) -> dict[str, Callable[[], Picture]]:
+        evaluation = self.evaluation
+        name = name_of(evaluation.results) if evaluation.kind == "mapping" else evaluation.name
+        return pictures(evaluation.results["measures"], evaluation.tables, name=name)
+
+    @property
+    def anchor(self) -> str:
+        """Its name in links on the page."""
+        return f"part-{self.number}"
+
+    @property
+    def title(self) -> str:
+        """What was measured, with its run unless that is the only one or says the same."""
+        name = self.evaluation.title
+        return name if self.alone or self.run.title == self.evaluation.name else f"{self.run.title} · {name}"
+
+    @property
+    def method(self) -> str:
+        """The descriptor, with its run unless that is the only one or says the same."""
+        name = self.evaluation.name
+        return name if self.alone or self.run.title == name else f"{self.run.title} · {name}"
+
+
+def parts_of(runs: list[RunFiles]) -> list[Part]:
+    """Return the parts of a page, run by run."""
+    evaluations = [(run, evaluation) for run in runs for evaluation in run.evaluations]
+    most = max(500, _MOST_QUERIES // len(evaluations))
+    decoders: dict[str, Decoder] = {}
+    parts = []
+    for number, (run, evaluation) in enumerate(evaluations):
+        decoder = Decoder(evaluation.results["config"])
+        decoder = decoders.setdefault(json.dumps(decoder.parameters, sort_keys=True), decoder)
+        parts.append(Part(run, evaluation, len(runs) == 1, number, make_plan(evaluation, most), decoder))
+    return parts
+
+
+def large_pictures(parts: list[Part], budget: int) -> dict[tuple[int, str], str]:
+    """Return the pictures of the worst queries, as `make_large`."""
+    wanted = [
+        (part.decoder, path)
+        for part in parts
+        if part.plan is not None
+        for row in part.plan.worst.tolist()
+        for path in part.plan.triple(row)
+    ]
+    return make_large(wanted, budget)
+
+
+def reserve(parts: list[Part]) -> int:
+    """Return bytes for what is written when the pictures are known: their numbers, and notes on them."""
+    frames = sum(len(part.plan.rows) + len(part.plan.known["x"]) for part in parts if part.plan is not None)
+    return 5 * frames + 2000 * len(parts)
+
+
+def sheets_of(parts: list[Part], budget: int) -> list[Sheets]:
+    """Return a set of sheets per decoder; frames that several evaluations show are in it once."""
+    sets: dict[int, list[Part]] = {}
+    for part in parts:
+        if part.plan is not None:
+            sets.setdefault(id(part.decoder), []).append(part)
+    orders = []
+    for members in sets.values():
+        # In turn, so that every evaluation has some pictures where there is not room for all.
+        turns = zip_longest(*(part.plan.picture_order() for part in members if part.plan is not None))
+        orders.append(list(dict.fromkeys(path for turn in turns for path in turn if path is not None)))
+    total = sum(map(len, orders))
+    sheets = []
+    for number, (members, order) in enumerate(zip(sets.values(), orders, strict=True)):
+        for part in members:
+            part.sheets = number
+        sheets.append(make_sheets(members[0].decoder, order, budget * len(order) // total))
+    return sheets
+
+
+def notes_on(part: Part, uris: dict[str, str], sheets: list[Sheets]) -> list[str]:
+    """Say what the plan does not show."""
+    plan = part.plan
+    if plan is None:
+        return []
+    notes = []
+    if len(plan.rows) < plan.total:
+        notes.append(
+            f"The plan shows {count(len(plan.rows))} of {count(plan.total)} queries, the worst among them, to keep "
+            "this page small. The tables and curves rest on all."
+        )
+    bare = [path for row in plan.worst.tolist() for path in plan.triple(row) if path not in uris]
+    if not set(bare) <= set(part.decoder.missing):
+        notes.append("Some of the worst queries are shown without pictures to keep this page small.")
+    if not sheets:
+        return notes
+    place = sheets[part.sheets].place
+    order = plan.picture_order()
+    missing = [path for path in order if path in part.decoder.missing]
+    if missing:
+        notes.append(
+            f"{plural(len(missing), 'picture')} of {count(len(order))} could not be read, the first is {missing[0]} "
+            f"({part.decoder.missing[missing[0]]})."
+        )
+    without = sum(path not in place for path in plan.queries["path"].tolist())
+    if without:
+        notes.append(
+            f"Pictures are thinned out to keep this page small: {count(len(plan.rows) - without)} of "
+            f"{count(len(plan.rows))} queries have one, the worst among them."
+        )
+    return notes

@@ -1,0 +1,193 @@
+"""What the interactive floor plan needs: positions, errors and picture numbers, as short as they can be said."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from siamloc.report.draw.floor_plan import is_line
+from siamloc.report.draw.look import series_1_2_5
+from siamloc.report.page.gathered import Evaluation
+from siamloc.results import Columns, rows_by_label
+
+WORST = 20
+_CLASSES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The queries that a floor plan shows.
+
+    Attributes:
+        queries: columns of `queries.csv`, those rows that are shown.
+        known: columns of `map.csv`.
+        rows: which rows of the whole table they are (n,).
+        total: rows of the whole table.
+        nearest: the map frame nearest to each query's true position (n,): the right answer.
+        unit: of the positions.
+    """
+
+    queries: Columns
+    known: Columns
+    rows: NDArray[np.int64]
+    total: int
+    nearest: NDArray[np.int64]
+    unit: str
+
+    @property
+    def along(self) -> str | None:
+        """The axis that all frames lie along, "x" or "y"; None where they spread over a plan."""
+        if not is_line(self.queries, self.known):
+            return None
+        extent = {name: np.ptp(np.concatenate([self.queries[name], self.known[name]])) for name in ("x", "y")}
+        return "x" if extent["x"] >= extent["y"] else "y"
+
+    @property
+    def worst(self) -> NDArray[np.int64]:
+        """The queries with the largest errors, the largest first."""
+        return np.argsort(-self.queries["error"], kind="stable")[:WORST]
+
+    def picture_order(self) -> list[str]:
+        """Return the paths of all pictures: of the worst queries first, then of queries spread ever more densely.
+
+        Each query brings its match and the right answer along, so that the beginning of the list shows some queries
+        whole rather than all by halves.
+        """
+        order = dict.fromkeys([*self.worst.tolist(), *spread(len(self.rows)).tolist()])
+        return list(dict.fromkeys(path for row in order for path in self.triple(row)))
+
+    def triple(self, row: int) -> tuple[str, str, str]:
+        """Return the paths of a query's picture, of its match and of the right answer."""
+        known = self.known["path"]
+        return str(self.queries["path"][row]), str(known[self.queries["match"][row]]), str(known[self.nearest[row]])
+
+    def plain(self, place: Mapping[str, int], sheets: int) -> dict[str, Any]:
+        """Return everything as plain values.
+
+        Args:
+            place: number of each file's picture; files without one are not shown.
+            sheets: which set of sheets the numbers belong to.
+        """
+        queries, known = self.queries, self.known
+        digits = _digits(queries, known)
+        lightings, lighting = _numbered(queries["lighting"])
+        rooms, both = _numbered(np.concatenate([queries["room"], known["room"]]))
+
+        def lengths(values: NDArray) -> list[float | None]:
+            return _short(values, digits)
+
+        heading = queries.get("heading_error")
+        return {
+            "unit": self.unit,
+            "digits": digits,
+            "along": self.along,
+            "classes": error_classes(queries["error"]),
+            "lightings": lightings,
+            "rooms": rooms,
+            "sheets": sheets,
+            "query": {
+                "x": lengths(queries["x"]),
+                "y": lengths(queries["y"]),
+                "ex": lengths(queries["est_x"]),
+                "ey": lengths(queries["est_y"]),
+                "error": lengths(queries["error"]),
+                "floor": lengths(queries["floor"]),
+                "match": queries["match"].tolist(),
+                "nearest": self.nearest.tolist(),
+                "lighting": lighting.tolist(),
+                "room": both[: len(self.rows)].tolist(),
+                "heading": None if heading is None else _short(heading, 1),
+                "row": self.rows.tolist(),
+                "name": [PurePath(path).name for path in queries["path"].tolist()],
+                "picture": [place.get(path, -2) for path in queries["path"].tolist()],
+            },
+            "map": {
+                "x": lengths(known["x"]),
+                "y": lengths(known["y"]),
+                "room": both[len(self.rows) :].tolist(),
+                "name": self._map_names(),
+                "picture": [place.get(path, -2) for path in known["path"].tolist()],
+            },
+            "labels": _room_labels(known),
+        }
+
+    def _map_names(self) -> list[str]:
+        """Return the names of the map frames that some query shows; the others are never read."""
+        shown = set(self.queries["match"].tolist()) | set(self.nearest.tolist())
+        return [PurePath(path).name if i in shown else "" for i, path in enumerate(self.known["path"].tolist())]
+
+
+def make_plan(evaluation: Evaluation, most: int) -> Plan | None:
+    """Return the plan of an evaluation with at most so many queries; None where nothing was localized.
+
+    Of more queries it keeps those with the largest errors and others evenly along the table.
+    """
+    queries, known = evaluation.queries, evaluation.known
+    if queries is None or known is None or not len(queries["error"]) or not len(known["x"]):
+        return None
+    total = len(queries["error"])
+    rows = np.arange(total)
+    if total > most:
+        worst = np.argsort(-queries["error"], kind="stable")[:WORST]
+        even = np.linspace(0, total - 1, max(most - WORST, 1)).round().astype(np.int64)
+        rows = np.unique(np.concatenate([worst, even]))
+    shown = {name: column[rows] for name, column in queries.items()}
+    tree = cKDTree(np.column_stack([known["x"], known["y"]]))
+    nearest = np.asarray(tree.query(np.column_stack([shown["x"], shown["y"]]))[1], dtype=np.int64)
+    return Plan(shown, known, rows, total, nearest, evaluation.unit)
+
+
+def spread(n: int) -> NDArray[np.int64]:
+    """Return 0 ... n-1 in an order whose every beginning is spread evenly over the whole."""
+    if n == 0:
+        return np.empty(0, dtype=np.int64)
+    bits = max(1, int(n - 1).bit_length())
+    order = np.zeros(1, dtype=np.int64)
+    for bit in range(bits):
+        order = np.concatenate([order, order + (1 << (bits - 1 - bit))])
+    return order[order < n]
+
+
+def error_classes(error: NDArray) -> list[float]:
+    """Return the limits between classes of errors, in the series 1, 2, 5: the last class holds about 2 %."""
+    high = float(np.percentile(error, 98))
+    if high <= 0:
+        high = float(error.max()) or 1.0
+    series = series_1_2_5(high / 1e4, high)
+    series = series if series[-1] <= high * (1 + 1e-9) or len(series) == 1 else series[:-1]
+    return series[-(_CLASSES - 1) :]
+
+
+def _room_labels(known: Columns) -> list[list[Any]]:
+    """Return where to write each room's name: at its map frame nearest to the middle of them all."""
+    labels = []
+    for room, rows in rows_by_label(known["room"]).items():
+        if known["room"][rows[0]] == "":
+            continue
+        x, y = known["x"][rows], known["y"][rows]
+        at = rows[np.argmin(np.hypot(x - x.mean(), y - y.mean()))]
+        labels.append([room, int(at), len(rows)])
+    return labels
+
+
+def _digits(queries: Columns, known: Columns) -> int:
+    """Return decimals that no eye misses: a hundred-thousandth of the extent, and three at the most."""
+    extent = max(float(np.ptp(np.concatenate([queries[name], known[name]]))) for name in ("x", "y"))
+    return int(np.clip(np.ceil(5 - np.log10(extent)) if extent > 0 else 3, 0, 3 if extent >= 1 else 9))
+
+
+def _short(values: NDArray, digits: int) -> list[float | None]:
+    """Return rounded numbers, whole ones without a decimal point, None for those that are unknown."""
+    rounded = np.round(values.astype(np.float64), digits).tolist()
+    return [None if value != value else int(value) if value == int(value) else value for value in rounded]
+
+
+def _numbered(labels: NDArray) -> tuple[list[str], NDArray[np.int64]]:
+    names, numbers = np.unique(labels, return_inverse=True)
+    return names.tolist(), numbers.reshape(-1)

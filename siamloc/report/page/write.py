@@ -1,0 +1,174 @@
+"""The report: one HTML page with everything inside it, made from the result files of one run or several."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from pathlib import Path
+from string import Template
+
+from siamloc import __version__
+from siamloc.errors import DataError
+from siamloc.files import write_text
+from siamloc.report.page import rooms, sections
+from siamloc.report.page.compared import comparison
+from siamloc.report.page.estimates import expected_errors, further_estimate
+from siamloc.report.page.gathered import FURTHER, Evaluation, RunFiles, gather
+from siamloc.report.page.hierarchical import hierarchical
+from siamloc.report.page.mapping import mapping
+from siamloc.report.page.markup import Markup, join, plural, script_data, tag
+from siamloc.report.page.parts import Part, large_pictures, notes_on, parts_of, reserve, sheets_of
+from siamloc.report.page.pictures import Sheets
+from siamloc.report.page.robustness import robustness
+
+MAX_BYTES = 4_900_000
+_LARGE_SHARE = 0.27
+_ASSETS = Path(__file__).parent / "assets"
+
+
+def write_report(folders: Sequence[str | Path], out: str | Path, max_bytes: int = MAX_BYTES) -> Path:
+    """Write one HTML page about runs, which needs nothing but itself, and return its path.
+
+    The numbers come from the result files alone; the pictures are read from the files that they name. Pictures become
+    smaller, then fewer, until the page keeps to its size, and the page says so.
+
+    Args:
+        folders: of runs, or of single evaluations. Several are compared first, and then shown one after another.
+        out: the file to write.
+        max_bytes: the largest size of the file.
+
+    Raises:
+        ConfigError: a folder that is missing or holds no evaluation.
+        FormatError: result files that are not whole.
+        DataError: so many runs that even without pictures the page would be too large.
+        StorageError: the disk refuses.
+    """
+    runs = gather(folders)
+    parts = parts_of(runs)
+    large = large_pictures(parts, int(max_bytes * _LARGE_SHARE))
+    overview = comparison(parts)
+    trained = [sections.training(run, number) for number, run in enumerate(runs)]
+
+    def page_with(sheets: list[Sheets]) -> Markup:
+        return _page(runs, parts, overview, trained, large, sheets)
+
+    room = max_bytes - len(page_with([]).encode()) - reserve(parts)
+    page = page_with(sheets_of(parts, room) if room > 0 else [])
+    size = len(page.encode())
+    if size > max_bytes:
+        raise DataError(
+            f"a page of {plural(len(parts), 'evaluation')} would have {size:,} bytes, more than {max_bytes:,}: "
+            "report on fewer runs at once"
+        )
+    out = Path(out)
+    write_text(out, page)
+    return out
+
+
+def _page(
+    runs: list[RunFiles],
+    parts: list[Part],
+    overview: Markup | None,
+    trained: list[Markup | None],
+    large: dict[tuple[int, str], str],
+    sheets: list[Sheets],
+) -> Markup:
+    one = len(parts) == 1
+    title = runs[0].title if len(runs) == 1 else ", ".join(run.title for run in runs)
+    body = [_head(title, parts), overview]
+    for run, training in zip(runs, trained, strict=True):
+        body += [_evaluation(part, large, sheets, one) for part in parts if part.run is run]
+        body.append(tag("article.run", training, sections.configuration(run)))
+    data = [script_data("sheets", [sheet.plain() for sheet in sheets])]
+    for part in parts:
+        if part.plan is not None:
+            place = sheets[part.sheets].place if part.sheets >= 0 and sheets else {}
+            data.append(script_data(f"data-{part.number}", part.plan.plain(place, part.sheets)))
+    texts = {name: (_ASSETS / f"report.{name}").read_text(encoding="utf-8") for name in ("css", "js", "html")}
+    return Markup(
+        Template(texts["html"]).substitute(
+            title=tag("title", f"{title} · siamloc report"),
+            style=texts["css"],
+            script=texts["js"],
+            body=join(*body),
+            data=join(*data),
+            version=__version__,
+        )
+    )
+
+
+def _head(title: str, parts: list[Part]) -> Markup:
+    dates = sorted(filter(None, (_date(part.evaluation) for part in parts)))
+    when = f"measured {dates[0]}" + (f" to {dates[-1]}" if dates[-1] != dates[0] else "") if dates else None
+    facts = [when]
+    if len(parts) == 1:
+        results = parts[0].evaluation.results
+        facts.append(f"descriptor {parts[0].evaluation.name}")
+        if results.get("protocol"):
+            facts.append(f"protocol {results['protocol'].replace('_', ' ')}")
+        figures = sections.key_figures(parts[0].evaluation)
+    else:
+        facts.append(plural(len(parts), "evaluation"))
+        figures = None
+    links = [tag("a", part.title, href=f"#{part.anchor}") for part in parts] if len(parts) > 1 else []
+    return tag(
+        "header",
+        tag("p.kicker", "siamloc report"),
+        tag("h1", title),
+        tag("p.meta", " · ".join(filter(None, facts))),
+        figures,
+        tag("nav", *links, aria_label="parts of this page") if links else None,
+    )
+
+
+def _evaluation(part: Part, large: dict[tuple[int, str], str], sheets: list[Sheets], one: bool) -> Markup:
+    evaluation = part.evaluation
+    uris = {path: uri for (decoder, path), uri in large.items() if decoder == id(part.decoder)}
+    head = None
+    if not one:
+        facts = [
+            _date(evaluation),
+            f"protocol {evaluation.results['protocol']}" if "protocol" in evaluation.results else "",
+        ]
+        head = join(
+            tag("h2", part.title),
+            tag("p.meta", " · ".join(filter(None, facts)).replace("_", " ")),
+            sections.key_figures(evaluation),
+        )
+    notes = notes_on(part, uris, sheets)
+    sections_ = {
+        "summary": sections.summary(evaluation),
+        "nodes": hierarchical(part),
+        "compact map": mapping(part),
+        "buildings": rooms.buildings(part),
+        "floor plan": sections.floor_plan(evaluation, part.plan, part.number, notes),
+        "cumulative errors": sections.cumulative(part),
+        **{sign: further_estimate(part, name) for name, sign in FURTHER.items()},
+        "expected errors": expected_errors(part),
+        "worst queries": sections.worst(part.plan, uris),
+        "rooms": rooms.confusion(part),
+        "pairs": rooms.pairs(part),
+        "robustness": robustness(part),
+        "further measures": sections.further(evaluation),
+    }
+    found = {name: made for name, made in sections_.items() if made is not None}
+    places = {name: f"{part.anchor}-{name.replace(' ', '-')}" for name in found}
+    links = [tag("a", name, href=f"#{place}") for name, place in places.items()]
+    return tag(
+        "article",
+        head,
+        tag("nav.contents", *links, aria_label=f"contents, {part.title}") if len(links) > 1 else None,
+        sections.unscored(evaluation),
+        *(tag("div", made, id=places[name]) for name, made in found.items()),
+        id=part.anchor,
+        data_evaluation=part.number,
+    )
+
+
+def _date(evaluation: Evaluation) -> str:
+    """Return when an evaluation was made, in UTC, as people write it."""
+    try:
+        made = datetime.datetime.fromisoformat(str(evaluation.results.get("created")))
+    except ValueError:
+        return ""
+    return f"{made:%d %B %Y, %H:%M}" + (" UTC" if made.utcoffset() == datetime.timedelta(0) else "")

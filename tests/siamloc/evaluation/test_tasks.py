@@ -1,0 +1,174 @@
+"""The call of each task: what it measures, what it refuses, and what it leaves."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from siamloc import evaluation, maps
+from siamloc.data import Protocol
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation import Result
+from siamloc.evaluation.absolute import evaluate_absolute
+from siamloc.files import plain
+from tests.siamloc.evaluation.world import Reads, drive, library
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("world")
+    monday, tuesday, sunday = (
+        drive(folder, "monday", 40, 1),
+        drive(folder, "tuesday", 30, 2),
+        drive(folder, "sunday", 30, 3),
+    )
+    images = library(folder, monday, tuesday, sunday)
+    return images, monday, tuesday, sunday, maps.build(Reads(), images, monday, progress=False)
+
+
+def test_localization_is_the_search_of_the_map_compared_with_the_truth(world):
+    images, _, tuesday, _, known = world
+    result = evaluation.localization(known, images, tuesday, radii=(0.5,), ks=(1, 3), baselines=["thumbnail"])
+    vectors = Reads().describe(images.batch(images.rows(tuesday))).position
+    expected = evaluate_absolute(known, vectors, tuesday, (0.5,), (1, 3))
+    for name, column in expected.tables["queries"].items():
+        np.testing.assert_array_equal(result.tables["queries"][name], column, err_msg=name)
+    assert result.measures["error"] == expected.measures["error"]
+    assert list(result.parts) == ["absolute", "room_retrieval"]
+    assert "thumbnail" in result.baselines
+    assert "baseline_thumbnail" in result.tables["queries"]
+    assert result.about["protocol"] == "cross_run"
+    assert "reads has no margin" in result.skipped["room_pairs"]
+    assert "thumbnail" in result.table()
+    assert "mAP" in result.table()
+
+
+def test_a_result_is_written_and_read_back(world, tmp_path):
+    images, _, tuesday, _, known = world
+    result = evaluation.localization(known, images, tuesday, baselines=["thumbnail"])
+    result.save(tmp_path / "reads", pictures=False)
+    again = Result.load(tmp_path / "reads")
+    assert json.dumps(plain(again.parts)) == json.dumps(plain(result.parts))
+    assert again.settings == plain(result.settings)
+    for name, column in result.columns.items():
+        np.testing.assert_array_equal(again.tables["queries"][name], column, err_msg=name)
+    assert again.table().splitlines()[:4] == result.table().splitlines()[:4]
+    assert "queries" in repr(result)
+    assert result._repr_html_().startswith("<pre>")
+    assert len(result.plot("error_curve").axes) >= 1
+    with pytest.raises(DataError, match=r"no picture 'pie'.*error_curve"):
+        result.plot("pie")
+
+
+@pytest.mark.parametrize(
+    "protocol",
+    [Protocol(leave_one_out=True), Protocol(apart_seconds=3.0), Protocol(apart_metres=2.0)],
+    ids=["leave-one-out", "seconds", "metres"],
+)
+def test_queries_of_the_maps_own_drive_are_honest_where_near_frames_are_left_out(world, protocol):
+    images, monday, _, _, known = world
+    with pytest.raises(ConfigError, match="'monday' is in the map and among the queries"):
+        evaluation.localization(known, images, monday)
+    result = evaluation.localization(known, images, monday, protocol=protocol)
+    excluded = protocol.excluded(monday, monday)
+    for row in range(len(monday)):
+        allowed = [j for j in range(len(monday)) if not excluded[row, j]]
+        vectors = known.descriptors.astype(float)
+        best = min(allowed, key=lambda j: (np.linalg.norm(vectors[j] - vectors[row]), j))
+        assert result.columns["match"][row] == best
+        floor = min(math.dist(monday.xy[j], monday.xy[row]) for j in allowed)
+        assert result.columns["floor"][row] == pytest.approx(floor)
+    assert excluded.any(axis=1).all()
+
+
+def test_rooms_need_no_positions(world):
+    images, monday, tuesday, _, known = world
+    blind = np.full(len(tuesday), np.nan)
+    result = evaluation.rooms(known, images, tuesday.with_columns(x=blind, y=blind))
+    right = [monday.room[match] == room for match, room in zip(result.columns["match"], tuesday.room, strict=True)]
+    assert result.measures["accuracy"] == sum(right) / len(right) > 0.8
+    assert set(result.measures) >= {"top", "chance", "mean_average_precision", "confusion"}
+
+
+def test_filter_interpolation_and_expected_errors(world):
+    images, _, tuesday, sunday, known = world
+    result = evaluation.localization(
+        known, images, tuesday, validation=sunday, filter=True, filter_tune=True, interpolate=3, error_model=True
+    )
+    assert {"absolute_filtered", "absolute_interpolated", "calibration"} <= set(result.parts)
+    assert {"filtered_error", "interpolated_error", "error_m", "lost"} <= set(result.columns)
+    assert set(result.about["estimates"]) == {"filter", "interpolation", "error_model"}
+    assert result.error_model == evaluation.error_model(known, images, sunday)
+    with pytest.raises(ConfigError, match="give validation=FRAMES"):
+        evaluation.localization(known, images, tuesday, error_model=True)
+    own = maps.build(Reads(), images, sunday, progress=False)
+    with pytest.raises(ConfigError, match="'sunday' is in the map and in the validation"):
+        evaluation.localization(own, images, tuesday, validation=sunday, error_model=True)
+
+
+def test_hierarchical_search_of_all_nodes_is_the_search_of_the_map(world):
+    images, _, tuesday, _, known = world
+    built = maps.group(known, "sample", nodes=8)
+    every = evaluation.hierarchical(known, images, tuesday, built, candidates=8)
+    whole = evaluation.localization(known, images, tuesday)
+    np.testing.assert_array_equal(every.columns["match"], whole.columns["match"])
+    few = evaluation.hierarchical(known, images, tuesday, built, candidates=1, coarse={"by": "vote", "neighbours": 3})
+    assert few.measures["comparisons"]["frames_share"] < 0.5
+    assert "hierarchical localization" in few.table()
+
+
+def test_nodes_of_a_map_without_positions(world):
+    images, monday, _, _, _ = world
+    blind = np.full(len(monday), np.nan)
+    known = maps.build(Reads(), images, monday.with_columns(x=blind, y=blind), progress=False)
+    result = evaluation.mapping(known, maps.group(known, "sample", nodes=5))
+    assert result.measures["nodes"] == 5
+    assert math.isnan(result.measures["silhouette"]["nearest"])
+    assert math.isnan(result.measures["closures"]["precision"])
+    assert result.measures["purity"]["overall"] > 0.5
+    assert "purity by room" in result.table()
+
+
+def test_the_building_of_a_query(world, tmp_path):
+    images, monday, tuesday, _, known = world
+    near, far = (
+        frames.with_columns(building=np.where(frames.x < 15, "north", "south")) for frames in (monday, tuesday)
+    )
+    both = maps.build(Reads(), images, near, progress=False)
+    result = evaluation.buildings(both, images, far)
+    assert result.measures["accuracy"] > 0.9
+    assert result.parts["buildings"]["maps"]["north"]["frames"] == int((monday.x < 15).sum())
+    layers = {name: maps.group(part, "sample", nodes=4).layer for name, part in evaluation.by_building([both]).items()}
+    assert evaluation.buildings(both, images, far, layers=layers).measures["accuracy"] > 0.8
+    with pytest.raises(DataError, match="40 of the 40 map frames have no building"):
+        evaluation.buildings(known, images, far)
+
+
+def test_noise_makes_errors_larger_and_turns_of_a_ring_do_not_matter_to_a_mean(world):
+    images, _, tuesday, _, known = world
+    result = evaluation.robustness(known, images, tuesday, every=2, noise=(0, 0.05), occlusion=(), turn=(0, 360))
+    levels = result.parts["robustness"]["methods"]["reads"]
+    assert levels["noise"][1]["mean"] >= levels["noise"][0]["mean"]
+    assert levels["turn"][0]["mean"] == levels["turn"][1]["mean"]
+    assert result.denominators["queries"] == 15
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"radius": (1,)}, "localization has no setting 'radius': did you mean 'radii'"),
+        ({"ks": (0,)}, "task.ks must be a list, each item a whole number from 1"),
+        ({"filter_tune": True}, "task.filter_tune=true chooses the settings of the sequence filter"),
+        ({"names": ("room_retrieval",), "interpolate": 3}, "task.interpolate goes with absolute localization"),
+        ({"protocol": "honest"}, "protocol.kind must be cross_run or same_run, got 'honest'"),
+        ({"baselines": ["hogg"]}, "hogg.*hog"),
+    ],
+)
+def test_settings_that_mean_nothing_are_one_sentence(world, options, says):
+    images, _, tuesday, _, known = world
+    with pytest.raises(Exception, match=says) as caught:
+        evaluation.localization(known, images, tuesday, **options)
+    assert type(caught.value).__name__ in ("ConfigError", "AnalyticError")

@@ -1,0 +1,382 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import matplotlib
+import numpy as np
+import pytest
+from PIL import Image
+
+from analytic.mapper.closure import Similarity, prominences, similarity_curve
+from benchmarks import sweeps
+from siamloc.data.frames import FrameTable
+from siamloc.errors import DataError, FormatError
+from siamloc.evaluation.layers import evaluate_mapping
+from siamloc.maps import VisualMap
+from siamloc.report.draw import decision, growth, nodes, save_all
+from siamloc.report.draw.look import INK
+from siamloc.report.draw.node_colours import NO_NODE, POOL, contrast, ink, neighbouring, node_colours
+from siamloc.report.draw.nodes import NodePlan, node_plan, nodes_on_plan, spread_out
+from siamloc.results import read_rows, write_results
+from tests.analytic.mapper.world import World, corridor_drive
+
+CLEAR = 20.0  # distance in CIELAB, where 2.3 is just noticeable
+
+
+def mapped(folder: Path, **options: object) -> tuple[Path, Path]:
+    """Build and measure a small map as `siamloc evaluate task=mapping` does; return its two folders."""
+    world, drive = World(size=8, reach=5.0, seed=1), corridor_drive(260, seed=1)
+    found = world.at(drive, noise=0.2, seed=1)
+    x, y, theta = drive.T
+    room = np.where(x > np.median(x), "CR-A", "KT-A")
+    paths = np.array([f"{i}.jpeg" for i in range(len(x))])
+    frames = FrameTable(path=paths, x=x, y=y, theta=theta, room=room, sequence=np.full(len(x), "drive"))
+    known = VisualMap(found.position, frames, world.identity, orientation=found.orientation)
+    built = build_layer(known, world, options)
+    layer, target = folder / "layer", folder / "results"
+    layer.mkdir(parents=True)
+    if built.mapper is not None:
+        built.mapper.save(layer / "mapper.npz")
+        (layer / "events.jsonl").write_text("".join(f"{line}\n" for line in built.mapper.events))
+    result = evaluate_mapping(known, built.layer, world, seconds=built.seconds)
+    results = {"layer": built.layer.made, "edges": built.layer.edges, "measures": {"mapping": result.measures()}}
+    tables = {"frames": result.columns, "nodes": result.nodes}
+    write_results(target, {**results, "config": {}, "denominators": {}}, tables=tables)
+    return target, layer
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, tuple[Path, Path]]:
+    """Incremental maps of both versions."""
+    folder = tmp_path_factory.mktemp("maps")
+    return {v: mapped(folder / str(v), name="incremental", version=v) for v in (1, 2)}
+
+
+def read_plan(folder: Path) -> NodePlan:
+    measures = json.loads((folder / "results.json").read_text())["measures"]
+    return node_plan(measures["mapping"], read_rows(folder, "frames"), read_rows(folder, "nodes"))
+
+
+def told(folders: tuple[Path, Path]) -> growth.Story:
+    return growth.read_story(folders[1] / "events.jsonl", read_plan(folders[0]))
+
+
+def plan(node: list[int], xy: np.ndarray | None = None, edges: tuple = (), closures: tuple = ()) -> NodePlan:
+    labels = np.array(node)
+    k = int(labels.max()) + 1
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 9, (len(labels), 2)) if xy is None else xy
+    places = np.array([points[labels == i].mean(axis=0) for i in range(k)]).reshape(-1, 2)
+    pairs = np.array(edges, dtype=np.int64).reshape(-1, 2)
+    colours = node_colours(neighbouring(points, labels, pairs), range(k))
+    return NodePlan(points, labels, places, pairs, np.array(closures, dtype=np.int64).reshape(-1, 2), 1.0, colours)
+
+
+def log_of(n: int) -> growth.Story:
+    """A log of n frames: a node for every twenty, of which the second is merged into the first at the end."""
+    events, labels = [], np.arange(n) // 20
+    for frame in range(n):
+        full = frame % 20 == 19
+        changes = [{"reason": "NEW_NODE", "node": frame // 20, "frames": list(range(frame - 19, frame + 1))}]
+        events.append({"frames": [frame], "node": None, "changes": changes if full else []})
+    events[-1]["changes"] = [{"reason": "NODES_MERGED", "node": 0, "frames": [], "scores": {"gone": 1}}]
+    labels[labels == 1] = 0
+    labels[n - n % 20 if n % 20 else n - 20 :] = -1  # the last frames are too few, or their node was not made
+    ids = sorted(set(labels[labels >= 0].tolist()))
+    node = np.array([ids.index(label) if label >= 0 else -1 for label in labels.tolist()])
+    shown = plan(node.tolist(), np.column_stack([np.arange(n) / 10, np.sin(np.arange(n) / 30)]))
+    colours = node_colours([(i, i + 1) for i in range(n // 20)], range(n // 20 + 1))
+    colours |= {name: shown.colours[number] for number, name in enumerate(ids)}
+    return growth.Story(shown, tuple(events), {"version": 2}, {"name": "none"}, tuple(ids), colours)
+
+
+def text_of(figure) -> str:
+    return "\n".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
+
+
+def whole_png(path: Path) -> bool:
+    picture = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
+    return picture is not None and min(picture.shape[:2]) > 300 and picture.std() > 10
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_all_pictures_of_an_incremental_map(runs: dict, version: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    target, layer = runs[version]
+    monkeypatch.setattr(growth, "PICTURES", 8)
+    drawn = save_all(target, layer)
+    assert [path.name for path in drawn] == ["nodes.png", "decision.png", "growth.gif"]
+    assert {path.parent for path in drawn} == {target}
+    assert whole_png(drawn[0])
+    assert whole_png(drawn[1])
+    before = [path.read_bytes() for path in drawn]
+    assert [path.read_bytes() for path in save_all(target, layer)] == before
+
+
+def test_a_clustered_map_has_one_picture(tmp_path: Path) -> None:
+    target, layer = mapped(tmp_path, name="sample", nodes=7)
+    assert [path.name for path in save_all(target, layer)] == ["nodes.png"]
+    assert "7 nodes" in text_of(nodes_on_plan(read_plan(target)))
+
+
+def test_the_plan_shows_what_was_measured(runs: dict) -> None:
+    target, _ = runs[2]
+    shown, measures = read_plan(target), json.loads((target / "results.json").read_text())["measures"]["mapping"]
+    figure = nodes_on_plan(shown)
+    text = text_of(figure)
+    lost = measures["unassigned"]["frames"]
+    assert f"{measures['nodes']} nodes, {260 - lost} frames" in text
+    assert f"{lost} frames in no node ({100 * lost / 260:.1f} %)" in text
+    assert f"{measures['closures']['right']} loop closures within 1 m" in text
+    right, wrong = (axes_lines(figure, colour) for colour in (INK, nodes.WRONG))
+    assert measures["closures"]["right"] in right
+    assert wrong == [measures["closures"]["closures"] - measures["closures"]["right"]]
+    dots = figure.axes[0].collections[1]
+    expected = matplotlib.colors.to_rgba_array(nodes.frame_colours(shown)[shown.node >= 0])
+    np.testing.assert_array_equal(dots.get_facecolors(), expected)
+    np.testing.assert_array_equal(dots.get_offsets(), shown.xy[shown.node >= 0])
+
+
+def axes_lines(figure, colour: str) -> list[int]:
+    """Return how many lines each collection of lines of a colour has."""
+    collections = figure.axes[0].findobj(matplotlib.collections.LineCollection)
+    rgb = matplotlib.colors.to_rgb(colour)
+    return [len(lines.get_segments()) for lines in collections if np.allclose(lines.get_colors()[:, :3], rgb)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_neighbouring_nodes_have_clearly_different_colours(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    seats = rng.uniform(0, 20, (60, 2))
+    points = rng.uniform(0, 20, (3000, 2))
+    labels = np.linalg.norm(points[:, None] - seats[None], axis=2).argmin(axis=1)
+    pairs = neighbouring(points, labels)
+    colours = node_colours(pairs, range(60))
+    assert len(pairs) > 100
+    assert set(colours.values()) <= set(POOL)
+    assert min(contrast(colours[a], colours[b]) for a, b in pairs) >= CLEAR
+
+
+def test_colours_stay_apart_from_frames_without_a_node() -> None:
+    assert min(contrast(colour, NO_NODE) for colour in POOL) >= CLEAR
+
+
+def test_contrast_is_the_worst_of_three_sights() -> None:
+    assert contrast("#FFFFFF", "#000000") == pytest.approx(100, abs=0.5)
+    # A red and a green of one lightness differ for most, hardly for those who confuse the two.
+    assert contrast("#C04000", "#5C7F00") < 25
+    assert (ink("#FFFFFF"), ink("#000000")) == ("black", "white")
+
+
+def test_fixed_colours_are_kept() -> None:
+    colours = node_colours([(0, 1), (1, 2)], [0, 1, 2], {1: POOL[3]})
+    assert colours[1] == POOL[3]
+    assert min(contrast(colours[0], POOL[3]), contrast(colours[2], POOL[3])) >= CLEAR
+
+
+def test_neighbours_are_near_or_connected() -> None:
+    xy = np.array([[0, 0], [0.5, 0], [9, 0], [20, 0], [0.2, 0.1]])
+    assert neighbouring(xy, [0, 1, 2, 3, -1]) == {(0, 1)}
+    assert neighbouring(xy, [0, 1, 2, 3, 4], [(3, 0)]) == {(0, 1), (0, 4), (1, 4), (0, 3)}
+    assert neighbouring(np.empty((0, 2)), []) == set()
+
+
+def test_dots_stand_side_by_side() -> None:
+    rng = np.random.default_rng(0)
+    crowd = rng.uniform(0, 3, (15, 2))
+    crowd[1] = crowd[0]
+    moved = spread_out(crowd, 0.5)
+    distance = np.linalg.norm(moved[:, None] - moved[None], axis=2) + 9 * np.eye(15)
+    assert distance.min() >= 0.5
+    np.testing.assert_array_equal(spread_out(10 * np.eye(3)[:, :2], 0.5), 10 * np.eye(3)[:, :2])
+
+
+def test_one_node_without_edges_or_closures() -> None:
+    text = text_of(nodes_on_plan(plan([0] * 6)))
+    assert "1 node, 6 frames" in text
+    assert "0 ways between nodes" in text
+    assert "loop closure" not in text
+    assert "no node" not in text
+
+
+def test_right_and_wrong_closures() -> None:
+    xy = np.array([[0, 0], [5, 5], [0.5, 0.5], [9, 0]])
+    shown = plan([0, 0, 0, -1], xy, closures=((2, 0), (2, 1)))
+    assert shown.right.tolist() == [True, False]
+    text = text_of(nodes_on_plan(shown))
+    assert "1 loop closure within 1 m" in text
+    assert "1 loop closure beyond 1 m" in text
+    assert "1 frame in no node (25.0 %)" in text
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_corridor_is_drawn_along_its_line(axis: int) -> None:
+    xy = np.zeros((12, 2))
+    xy[:, axis] = np.arange(12)
+    figure = nodes_on_plan(plan([0] * 4 + [-1] * 4 + [1] * 4, xy, edges=((0, 1),)))
+    axes = figure.axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (f"{'xy'[axis]} [m]", "node")
+    np.testing.assert_array_equal(axes.collections[1].get_offsets()[:, 1], [0] * 4 + [1] * 4)
+
+
+@pytest.mark.parametrize(("frames", "pictures"), [(30, 80), (130, 80), (950, 16)])
+def test_the_animation_is_short_and_ends_with_the_map(
+    tmp_path: Path, frames: int, pictures: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert growth.PICTURES == 80
+    monkeypatch.setattr(growth, "PICTURES", pictures)
+    story = log_of(frames)
+    path = growth.animate(story, tmp_path / "growth.gif")
+    assert path.stat().st_size < 3e6 * pictures / 80
+    with Image.open(path) as picture:
+        assert picture.n_frames == min(frames, pictures)
+        held = []
+        for number in range(picture.n_frames):
+            picture.seek(number)
+            held.append(picture.info["duration"])
+        last = {tuple(colour) for colour in np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0)}
+    assert held[-1] >= 2000 > 10 * max(held[:-1])
+    wanted = {story.plan.colours[number] for number in range(len(story.ids))}
+    assert {tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5)) for colour in wanted} <= last
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_pictures_are_60_to_100_whatever_the_length() -> None:
+    for events in (100, 633, 20_000):
+        taken = growth.moments(events)
+        assert 60 <= len(taken) <= 100
+        assert (taken[0], taken[-1]) == (1, events)
+    assert growth.moments(3) == [1, 2, 3]
+
+
+def test_a_story_knows_every_node_that_ever_was(runs: dict) -> None:
+    story = told(runs[2])
+    made = {change["node"] for event in story.events for change in event["changes"] if change["reason"] == "NEW_NODE"}
+    assert set(story.colours) == made
+    assert {name: story.colours[name] for name in story.ids} == {
+        name: story.plan.colours[number] for name, number in story.numbers.items()
+    }
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_decision_is_explained_by_the_numbers_of_the_log(runs: dict, version: int) -> None:
+    story = told(runs[version])
+    found = decision.instructive(story, runs[version][1] / "mapper.npz")
+    assert found is not None
+    scores, apart = found.scores, found.frame - found.scores["match"]
+    assert apart >= 30
+    assert set(found.node.tolist()) == set(scores["candidates"])
+    np.testing.assert_array_equal(found.labels[found.frames], found.node)
+    np.testing.assert_allclose(found.position * found.orientation, found.values)
+    if version == 2:
+        means = {str(name): found.values[found.node == name].mean() for name in scores["candidates"]}
+        assert means == pytest.approx(scores["mean_similarity"], rel=1e-4)
+    else:
+        similarity = Similarity(found.frames, found.values, found.node, 0 * found.node)
+        curve, where = similarity_curve(similarity, found.labels, scores["candidates"])
+        heights = prominences(curve)[where]
+        assert heights[found.values.argmax()] == pytest.approx(scores["prominence"], rel=1e-4)
+        assert heights[found.values.argmax()] >= 5 * heights.mean()
+    text = text_of(decision.explain(found, story))
+    assert f"image {found.frame}: " in text
+    assert f"image {scores['match']}" in text
+    assert ("prominence: " in text) == (version == 1)
+    assert ("mean of the node, the highest" in text) == (version == 2)
+
+
+def test_a_curve_that_differs_from_the_log_is_not_shown(runs: dict) -> None:
+    story = told(runs[2])
+    events = [{**e, "scores": {**e["scores"], "similarity": 0.9}} for e in story.events]
+    assert decision.instructive(replace(story, events=tuple(events)), runs[2][1] / "mapper.npz") is None
+
+
+def test_no_decision_no_picture(runs: dict) -> None:
+    story = told(runs[2])
+    events = [{**event, "reason": "NO_CANDIDATE_NODE"} for event in story.events]
+    assert decision.instructive(replace(story, events=tuple(events)), runs[2][1] / "mapper.npz") is None
+
+
+def test_a_story_numbers_nodes_as_the_evaluation_does(runs: dict) -> None:
+    for target, layer in runs.values():
+        results = json.loads((target / "results.json").read_text())
+        assert list(told((target, layer)).ids) == results["layer"]["ids"]
+
+
+def test_ways_between_nodes_are_those_of_the_layer(runs: dict) -> None:
+    for target, _ in runs.values():
+        assert read_plan(target).edges.tolist() == json.loads((target / "results.json").read_text())["edges"]
+
+
+def test_errors(runs: dict, tmp_path: Path) -> None:
+    target, layer = runs[2]
+    measures = json.loads((target / "results.json").read_text())["measures"]["mapping"]
+    frames = read_rows(target, "frames")
+    with pytest.raises(FormatError, match=r"a whole evaluation of a compact map \(x is missing\)"):
+        node_plan(measures, frames, {})
+    lines = (layer / "events.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "short.jsonl").write_text("".join(lines[:-1]))
+    with pytest.raises(FormatError, match="another map"):
+        growth.read_story(tmp_path / "short.jsonl", read_plan(target))
+    (tmp_path / "cut.jsonl").write_text("".join(lines)[:-20])
+    with pytest.raises(FormatError, match="not the whole log"):
+        growth.read_story(tmp_path / "cut.jsonl", read_plan(target))
+    with pytest.raises(FormatError, match=r"missing\.npz"):
+        decision.instructive(told(runs[2]), tmp_path / "missing.npz")
+    with pytest.raises(DataError, match="nothing to draw"):
+        nodes_on_plan(replace(plan([0, 0]), node=np.empty(0, dtype=int)))
+
+
+def sweep() -> list[dict]:
+    rows = [
+        {"version": version, "y": y, "omega": omega, "nodes": 10 * version, "unassigned": 5.0, "silhouette": y / omega}
+        for version in (1, 2)
+        for y in (0.75, 1.5)
+        for omega in (1.7, 2.0, 2.3)
+    ]
+    rows[0]["silhouette"] = None
+    return rows
+
+
+def test_heat_maps() -> None:
+    figure = sweeps.heat_maps(sweep(), ("nodes", "silhouette"))
+    panels = [axes for axes in figure.axes if axes.images and axes.get_label() != "<colorbar>"]
+    assert len(panels) == 4
+    np.testing.assert_array_equal(panels[0].images[0].get_array(), np.full((2, 3), 10))
+    grid = panels[1].images[0].get_array()
+    assert grid.mask.tolist() == [[True, False, False], [False] * 3]
+    assert grid[1, 0] == 1.5 / 1.7
+    (frame,) = [patch for patch in panels[1].patches if not patch.get_fill()]
+    assert frame.get_xy() == (-0.5, 0.5)
+    rows = [{**row, "silhouette": 0.5} for row in sweep()]
+    tied = next(axes for axes in sweeps.heat_maps(rows, ("silhouette",)).axes if axes.images)
+    assert len([patch for patch in tied.patches if not patch.get_fill()]) == 6
+    text = text_of(figure)
+    assert "0.88" in text
+    assert "frames in no node" not in text
+    assert len([axes for axes in sweeps.heat_maps(sweep()).axes if axes.images]) >= 6
+
+
+def test_silhouette_against_clusters() -> None:
+    rows = [
+        {"method": method, "nodes": nodes, "silhouette": nodes / 100, "nearest": -nodes / 100}
+        for method in ("spectral", "som")
+        for nodes in (20, 5, 10)
+    ]
+    point = {"version": 2, "nodes": 12, "silhouette": 0.5, "nearest": 0.1, "unassigned": 3.4}
+    figure = sweeps.silhouette_against_clusters(rows, [point])
+    lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
+    np.testing.assert_array_equal(lines["spectral"], [[5, 0.05], [10, 0.1], [20, 0.2]])
+    np.testing.assert_array_equal(lines["incremental, version 2 (3 % of frames left out)"], [[12, 0.5]])
+    np.testing.assert_array_equal(figure.axes[1].lines[1].get_xydata()[:, 1], [-0.05, -0.1, -0.2])
+
+
+def test_sweeps_need_their_columns() -> None:
+    with pytest.raises(DataError, match="no rows"):
+        sweeps.heat_maps([])
+    with pytest.raises(DataError, match="omega is missing"):
+        sweeps.heat_maps([{"version": 1, "y": 1}], ())
+    row = {"nodes": 3, "silhouette": 0.1, "nearest": 0.1}
+    with pytest.raises(DataError, match="unassigned is missing"):
+        sweeps.silhouette_against_clusters([{**row, "method": "som"}], [{**row, "version": 1}])

@@ -1,0 +1,128 @@
+"""Confusion matrices, pairs, and what else is drawn from measures alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+from siamloc.errors import DataError
+from siamloc.report.draw.calibration import calibration_curve
+from siamloc.report.draw.node_errors import node_errors
+from siamloc.report.draw.pairs import pair_curves
+from siamloc.report.draw.robustness import robustness_curves
+from siamloc.report.draw.rooms import confusion
+from siamloc.results import read_results
+from tests.siamloc.report import rich
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return rich.write_run(tmp_path_factory.mktemp("run")) / "evaluation"
+
+
+def measures(run: Path, folder: str = "network") -> dict:
+    return read_results(run / folder)["measures"]
+
+
+def text_of(figure) -> str:
+    return "\n".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
+
+
+def test_a_confusion_matrix_shows_shares_and_counts() -> None:
+    counts = np.array([[3, 1, 0], [0, 0, 0], [0, 400, 1]])
+    figure = confusion(["KT-A", "LO-A", "TL-A"], {"all queries": counts}, ["LO-A"])
+    text = text_of(figure)
+    for words in ("75 %\n3", "25 %\n1", "99.8 %\n400", "0.2 %\n1", "KT-A  (n = 4)", "LO-A\n(not in map)  (n = 0)"):
+        assert words in text
+    assert "1.0 % of 405 right" in text
+
+
+def test_a_crowded_confusion_matrix_shows_shares_only() -> None:
+    names = [f"room {i}" for i in range(30)]
+    text = text_of(confusion(names, {"night": 7 * np.eye(30, dtype=int)}))
+    assert "100" in text
+    assert "%\n" not in text
+
+
+def test_a_matrix_for_each_lighting_with_its_accuracy(run: Path) -> None:
+    rooms = measures(run)["room_retrieval"]
+    labels, counts = rooms["confusion"]["labels"], rooms["confusion"]["lighting"]
+    figure = confusion(labels, counts)
+    for axes, (label, group) in zip(figure.axes, rooms["lighting"].items(), strict=True):
+        assert axes.get_title("left") == f"{label}\n{100 * group['accuracy']:.1f} % of {group['queries']} right"
+        drawn = np.zeros((len(labels), len(labels)))
+        for patch in axes.patches:
+            if patch.get_fill():
+                drawn[round(patch.get_y() + 0.5), round(patch.get_x() + 0.5)] = patch.get_alpha()
+        part = np.array(counts[label])
+        shares = part / part.sum(axis=1, keepdims=True)
+        np.testing.assert_allclose(drawn, np.where(part, np.maximum(shares, 0.02), 0))
+
+
+def test_buildings_are_told_apart_as_rooms_are() -> None:
+    text = text_of(confusion(["a", "b"], {"night": [[1, 0], [1, 1]]}, what="building"))
+    assert "true building of the query" in text
+    assert "50 %\n1" in text
+
+
+def test_matrices_need_their_labels() -> None:
+    with pytest.raises(DataError, match=r"2 rooms needs counts of shape \(2, 2\), got \[\(1, 1\)\]"):
+        confusion(["a", "b"], {"night": [[1]]})
+    with pytest.raises(DataError, match="of 0 rooms"):
+        confusion([], {})
+
+
+def test_pair_curves_by_lighting_pass_the_measured_accuracy(run: Path) -> None:
+    pairs = measures(run)["room_pairs"]
+    figure = pair_curves(pairs)
+    titles = [axes.get_title("left").split(",")[0] for axes in figure.axes]
+    assert titles == ["all pairs", "cloudy", "cloudy and night", "night"]
+    for axes, group in zip(figure.axes, (pairs["overall"], *pairs["lighting"].values()), strict=True):
+        assert axes.get_title("left").endswith(f"AUC {group['auc']:.3f}")
+        lines = {line.get_label(): line for line in axes.lines}
+        for name, label in (("same", "pairs of one room"), ("overall", "all pairs")):
+            thresholds, shares = lines[label].get_data()
+            at = list(thresholds).index(0.5)
+            assert shares[at] == pytest.approx(100 * group[name])
+    one = {**pairs, "lighting": {"night": pairs["lighting"]["night"]}}
+    assert len(pair_curves(one).axes) == 1, "one lighting is drawn once"
+
+
+def test_the_calibration_curve_holds_every_point(run: Path) -> None:
+    found = measures(run)["calibration"]
+    (axes,) = calibration_curve(found).axes
+    lines = {line.get_label(): line.get_xydata() for line in axes.lines}
+    assert list(lines) == ["cloudy", "night", "sunny", "all queries", "equal"]
+    expected = [[point["predicted"], point["observed"]] for point in found["overall"]["curve"]]
+    np.testing.assert_allclose(lines["all queries"], expected)
+
+
+def test_the_errors_of_a_hierarchy(run: Path) -> None:
+    found = measures(run, "hierarchical-network-rooms")["hierarchical"]
+    (axes,) = node_errors(found).axes
+    lines = {line.get_label(): line.get_xydata() for line in axes.lines}
+    assert lines["wrong node"][-1].tolist() == [found["overall"]["given_wrong"]["error"]["mean"], 3]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["cloudy", "night", "sunny", "all queries"]
+
+
+def test_robustness_curves_hold_every_level(run: Path) -> None:
+    found = measures(run, "robustness-network")["robustness"]
+    figure = robustness_curves(found)
+    titles = [axes.get_title("left") for axes in figure.axes if axes.get_title("left")]
+    assert titles == ["noise", "occlusion", "turn", "effect: bulb"]
+    lines = {line.get_label(): line for line in figure.axes[1].lines}
+    assert list(lines)[:2] == ["network, mean", "network, median"]
+    assert "thumb nail, mean" in lines
+    entries = found["methods"]["network"]["occlusion"]
+    expected = [[100 * entry["level"], entry["mean"]] for entry in entries]
+    np.testing.assert_allclose(lines["network, mean"].get_xydata(), expected)
+    highest = max(line.get_ydata().max() for line in figure.axes[1].lines)
+    assert figure.axes[1].get_ylim()[1] > highest, "medians above all means are in the picture, too"
+    noise = figure.axes[0]
+    places = noise.transData.transform([(0, 0), (0.01, 0), (0.05, 0)])[:, 0]
+    assert (places[1] - places[0]) / (places[2] - places[0]) == pytest.approx(0.2**0.5), "levels by their deviations"
+    with pytest.raises(DataError, match="nothing to draw"):
+        robustness_curves({**found, "methods": {}})

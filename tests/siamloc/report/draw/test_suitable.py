@@ -1,0 +1,248 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import cv2
+import matplotlib
+import numpy as np
+import pytest
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import DataError, FormatError
+from siamloc.evaluation.absolute import evaluate_absolute
+from siamloc.evaluation.room_retrieval import evaluate_rooms
+from siamloc.maps import VisualMap
+from siamloc.report.draw import pictures, save_all
+from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
+from siamloc.report.draw.floor_plan import floor_plan, is_line
+from siamloc.report.draw.look import Picture, error_limits, lighting_colours, save
+from siamloc.report.draw.rooms import confusion
+from siamloc.report.draw.training import training_curves
+from siamloc.results import read_results, read_rows, write_results
+from tests.siamloc.evaluation import scenes
+from tests.siamloc.report import rich
+
+ALL = ["floor_plan.png", "error_curve.png", "confusion.png", "confusion_by_lighting.png"]
+
+
+def write(folder: Path, known: VisualMap, queries: FrameTable, descriptors: np.ndarray, rooms: bool = True) -> None:
+    result = evaluate_absolute(known, descriptors, queries)
+    result = result.with_baseline("thumb_nail", evaluate_absolute(known, descriptors[::-1], queries))
+    measures = {"absolute": result.measures()}
+    if rooms:
+        measures["room_retrieval"] = evaluate_rooms(known, descriptors, queries).measures()
+    write_results(
+        folder,
+        {"config": {}, "measures": measures, "denominators": result.denominators()},
+        result.columns,
+        {"map": result.map_columns},
+    )
+
+
+def building(folder: Path, **columns: object) -> None:
+    queries = scenes.frames(2, 60, **columns)
+    write(folder, scenes.visual_map(), queries, scenes.describe(queries, noise=1))
+
+
+def corridor(axis: str = "x", n: int = 111) -> FrameTable:
+    along = {"x": np.zeros(n), "y": np.zeros(n), axis: np.arange(float(n))}
+    return FrameTable(path=np.array([f"{i}.jpg" for i in range(n)]), **along)
+
+
+def whole_png(path: Path) -> bool:
+    contents = path.read_bytes()
+    picture = cv2.imdecode(np.frombuffer(contents, np.uint8), cv2.IMREAD_COLOR)
+    ends_well = contents.startswith(b"\x89PNG") and contents.endswith(b"IEND\xaeB`\x82")
+    return ends_well and picture is not None and picture.std() > 10
+
+
+def text_of(figure) -> str:
+    """Return all the words in a figure."""
+    return "\n".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
+
+
+def test_all_pictures_are_made_from_the_files_alone(tmp_path: Path) -> None:
+    building(tmp_path)
+    drawn = save_all(tmp_path)
+    assert [path.name for path in drawn] == ALL
+    assert all(whole_png(path) for path in drawn)
+    first = [path.read_bytes() for path in drawn]
+    assert [path.read_bytes() for path in save_all(tmp_path)] == first
+
+
+def test_each_kind_of_result_has_its_pictures(tmp_path: Path) -> None:
+    run = rich.write_run(tmp_path)
+    names = {folder.name: [path.stem for path in save_all(folder)] for folder in (run / "evaluation").iterdir()}
+    estimates = ["filtered_curve", "interpolated_curve", "calibration"]
+    assert names == {
+        "network": ["floor_plan", "error_curve", *estimates, "confusion", "confusion_by_lighting", "pairs"],
+        "hierarchical-network-rooms": ["floor_plan", "error_curve", "node_errors"],
+        "robustness-network": ["robustness"],
+    }
+
+
+def test_nothing_is_drawn_before_it_is_asked_for(tmp_path: Path) -> None:
+    run = rich.write_run(tmp_path) / "evaluation" / "network"
+    measures = read_results(run)["measures"]
+    tables = {name: read_rows(run, name) for name in ("queries", "map")}
+    made = pictures(measures, tables)
+    assert next(iter(pictures(measures, {}))) == "calibration", "without tables there is less to draw"
+    figure = made["calibration"]()
+    assert isinstance(figure, Picture)
+    assert figure._repr_png_().startswith(b"\x89PNG"), "notebooks show it"
+    assert not made.keys() & {"nodes", "decision", "robustness"}
+
+
+def test_svg_is_the_same_every_time() -> None:
+    first, second = (confusion(["a"], {"night": [[1]]}).rendered("svg") for _ in range(2))
+    assert first == second
+    assert b"<text" in first, "words stay words"
+
+
+def test_a_picture_has_150_dots_per_inch(tmp_path: Path) -> None:
+    figure = confusion(["a"], {"night": [[1]]})
+    picture = cv2.imread(str(save(figure, tmp_path / "a.png")))
+    np.testing.assert_allclose(picture.shape[1::-1], 150 * figure.get_size_inches(), atol=1)
+
+
+def test_no_room_labels_and_one_lighting(tmp_path: Path) -> None:
+    queries = scenes.frames(2, 30, lighting=np.array([""] * 30))
+    write(tmp_path, scenes.visual_map(), queries, scenes.describe(queries), rooms=False)
+    assert [path.name for path in save_all(tmp_path)] == ALL[:2]
+
+
+def test_rooms_alone(tmp_path: Path) -> None:
+    queries = scenes.frames(2, 30)
+    measures = {"room_retrieval": evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries).measures()}
+    write_results(tmp_path, {"config": {}, "measures": measures, "denominators": {}})
+    assert [path.name for path in save_all(tmp_path)] == ALL[2:]
+
+
+def test_a_panel_per_lighting() -> None:
+    queries = scenes.frames(2, 60)
+    result = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries)
+    figure = floor_plan(result.columns, result.map_columns, "m")
+    panels = [axes for axes in figure.axes if axes.get_aspect() == 1.0]
+    mean = result.measures()["lighting"]["night"]["error"]["mean"]
+    count = int((queries.lighting == "night").sum())
+    assert [axes.get_title("left").split(":")[0] for axes in panels] == ["cloudy", "night", "sunny"]
+    assert panels[1].get_title("left") == f"night: {count} queries, mean error {mean:.2f} m"
+    assert "error [m]" in text_of(figure)
+    segments = panels[1].collections[1].get_segments()
+    assert len(segments) == count
+    rows = queries.lighting == "night"
+    expected = {tuple(row) for row in np.column_stack([result.columns[n][rows] for n in ("x", "y", "est_x", "est_y")])}
+    assert {tuple(segment.ravel()) for segment in segments} == expected
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_corridor_is_drawn_along_its_line(axis: str) -> None:
+    frames = corridor(axis)
+    descriptors = np.column_stack([frames.xy, np.ones(111)])
+    result = evaluate_absolute(VisualMap(descriptors, frames, unit="frames"), descriptors[::-1], frames)
+    assert is_line(result.columns, result.map_columns)
+    figure = floor_plan(result.columns, result.map_columns, "frames")
+    assert {axes.get_ylabel() for axes in figure.axes} == {f"estimated {axis} [frames]", "error [frames]"}
+    np.testing.assert_array_equal(figure.axes[0].collections[0].get_offsets(), [[i, 110 - i] for i in range(111)])
+
+
+def test_a_building_is_no_line() -> None:
+    queries = scenes.frames(2, 60)
+    result = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries)
+    assert not is_line(result.columns, result.map_columns)
+
+
+def lines_of(axes) -> dict:
+    return {line.get_label().split(":")[0]: line for line in axes.lines}
+
+
+def test_the_curves_rise_to_all_queries() -> None:
+    columns = {
+        "error": np.array([0.5, 0.1, 0.9, 0.1]),
+        "floor": np.full(4, 0.1),
+        "lighting": np.array(["night", "dusk", "night", "dusk"]),
+        "baseline_thumb_nail": np.array([2.0, 2, 2, 2]),
+    }
+    figure = error_curve(columns, "m", "hog")
+    assert [axes.get_title("left") for axes in figure.axes] == [
+        "hog by lighting",
+        "methods, dusk, n = 2",
+        "methods, night, n = 2",
+    ]
+    lines = lines_of(figure.axes[0])
+    assert list(lines) == ["all queries", "dusk", "night", "floor"]
+    assert lines["all queries"].get_label() == "all queries: 0.40 m, n = 4"
+    corners = lines["all queries"].get_xydata()
+    np.testing.assert_array_equal(
+        corners[:-1], [[0.1, 0], [0.1, 25], [0.1, 25], [0.1, 50], [0.5, 50], [0.5, 75], [0.9, 75], [0.9, 100]]
+    )
+    assert figure.axes[0].get_xlim()[1] == 1
+    methods = lines_of(figure.axes[2])
+    assert list(methods) == ["hog", "thumb nail", "floor"]
+    assert methods["thumb nail"].get_label() == "thumb nail: 2.00 m"
+
+
+def test_every_corner_of_a_long_curve_lies_where_its_share_says() -> None:
+    error = np.random.default_rng(0).gamma(2, 0.3, 2000)
+    columns = {"error": error, "floor": 0 * error, "lighting": np.array(["night"] * 2000)}
+    corners = error_curve(columns).axes[0].lines[0].get_xydata()[1:-1]
+    assert len(corners) <= 120
+    for at, share in corners:
+        assert share == pytest.approx(100 * (error <= at).mean())
+
+
+def test_another_estimate_and_several_evaluations() -> None:
+    columns = {
+        "error": np.array([0.5, 0.1, 0.9, 0.1]),
+        "filtered_error": np.array([0.2, 0.1, 0.3, 0.1]),
+        "floor": np.full(4, 0.1),
+        "lighting": np.array(["night", "dusk", "night", "dusk"]),
+    }
+    figure = estimate_curve(columns, "filtered")
+    assert [axes.get_title("left") for axes in figure.axes] == ["dusk, n = 2", "night, n = 2"]
+    assert lines_of(figure.axes[1])["filtered"].get_label() == "filtered: 0.25 m"
+    assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
+    other = {**columns, "floor": np.full(4, 0.2)}
+    figure = compared_curves({"a": columns, "b": other})
+    assert [axes.get_title("left").split(",")[0] for axes in figure.axes] == ["all queries", "dusk", "night"]
+    assert list(lines_of(figure.axes[0])) == ["a", "b"], "floors that differ are not drawn"
+
+
+def test_a_query_set_without_any_error() -> None:
+    columns = {"error": np.zeros(3), "floor": np.zeros(3), "lighting": np.array([""] * 3)}
+    assert error_limits([columns["error"]]) is None
+    assert error_curve(columns).axes[0].get_xlim() == (0, 1)
+    place = {name: np.zeros(3) for name in ("x", "y", "est_x", "est_y")}
+    plan = floor_plan({**columns, **place}, {"x": np.zeros(1), "y": np.zeros(1), "room": np.array([""])})
+    assert "3 queries, mean error 0.00 m" in text_of(plan)
+
+
+def test_training_curves_leave_gaps() -> None:
+    columns = {"epoch": np.arange(3.0), "val/loss": np.array([1.1, np.nan, 0.4]), "train/accuracy": np.full(3, 0.5)}
+    figure = training_curves({**columns, "train/loss": np.array([0.9, 0.5, 0.25]), "train/empty": np.full(3, np.nan)})
+    assert [axes.get_title("left") for axes in figure.axes] == ["loss", "accuracy"]
+    labels = [line.get_label() for line in figure.axes[0].lines]
+    assert labels == ["training, last 0.25", "validation, last 0.4"]
+    assert np.isnan(figure.axes[0].lines[1].get_ydata()[1])
+    assert figure.axes[1].get_ylim()[1] >= 1
+
+
+def test_colours_belong_to_lightings() -> None:
+    assert lighting_colours(["sunny", "dusk"])[0] == lighting_colours(["cloudy", "sunny"])[1]
+    colours = lighting_colours(["cloudy", "night", "sunny", "dusk", "dawn"])
+    assert len(set(colours)) == 5
+
+
+def test_drawing_leaves_the_users_settings_alone() -> None:
+    before = dict(matplotlib.rcParams)
+    confusion(["a"], {"night": [[1]]}).rendered("png")
+    assert dict(matplotlib.rcParams) == before
+    assert "matplotlib.pyplot" not in sys.modules or not matplotlib.pyplot.get_fignums()
+
+
+def test_errors(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="does not exist"):
+        save_all(tmp_path)
+    with pytest.raises(DataError, match="nothing to draw"):
+        error_curve({"error": np.empty(0)})

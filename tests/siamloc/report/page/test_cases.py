@@ -1,0 +1,311 @@
+"""Runs that are unusual: pictures gone, parts missing, very many queries, several at once, damaged files."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from siamloc.cli.report import main
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
+from siamloc.evaluation.room_retrieval import evaluate_rooms
+from siamloc.files import read_json, write_json
+from siamloc.maps import VisualMap
+from siamloc.report.page import compared, parts, sections
+from siamloc.report.page.markup import Markup, tag
+from siamloc.report.page.write import write_report
+from siamloc.results import read_results, read_rows, write_results
+from tests.siamloc.evaluation import scenes
+from tests.siamloc.report import pages
+from tests.siamloc.report.pages import columns_of, notes, report, rows_of
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    return pages.write_run(folder / "vgg16", folder)
+
+
+@pytest.fixture(autouse=True)
+def figures_in_outline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the figures empty: other tests look at them, and drawing takes long."""
+
+    def outline(figure: object, name: str, title: str) -> Markup:
+        return tag("figure.picture", tag("svg", id=name))
+
+    for module in (compared, parts, sections):
+        monkeypatch.setattr(module, "inline", outline)
+
+
+def test_images_that_are_gone_leave_placeholders_and_a_count(tmp_path: Path) -> None:
+    run = pages.write_run(tmp_path / "run", tmp_path)
+    queries = columns_of(run)
+    gone = queries["path"][[3, 8, int(np.argmax(queries["error"]))]]
+    for path in set(gone):
+        Path(path).unlink()
+    page = report(tmp_path, run)
+    picture = pages.data_of(page, "data-0")["query"]["picture"]
+    assert [i for i, number in enumerate(picture) if number == -1] == sorted(
+        np.flatnonzero(np.isin(queries["path"], gone))
+    )
+    assert f"{len(set(gone))} pictures of " in notes(page)
+    assert "the file does not exist" in notes(page)
+    assert page.all("div", class_="missing")[0].attributes["title"] in gone
+
+
+def test_without_any_image_the_numbers_stand(tmp_path: Path) -> None:
+    page = report(tmp_path, pages.write_run(tmp_path / "run"))
+    assert len(rows_of(page.one("table", class_="by-lighting"))) == 8
+    assert set(pages.data_of(page, "data-0")["query"]["picture"]) == {-1}
+    assert not page.all("img")
+    assert "could not be read" in notes(page)
+
+
+@pytest.mark.parametrize("limit", [140_000, 200_000, 400_000])
+def test_the_page_keeps_to_its_size_and_says_what_it_left_out(run: Path, tmp_path: Path, limit: int) -> None:
+    page = report(tmp_path, run, max_bytes=limit)
+    assert (tmp_path / "report.html").stat().st_size <= limit
+    data = pages.data_of(page, "data-0")
+    left_out = data["query"]["picture"].count(-2)
+    assert ("thinned out" in notes(page)) == (left_out > 0)
+    if limit == 140_000:
+        assert left_out > 0
+        worst = int(np.argmax(data["query"]["error"]))
+        assert data["query"]["picture"][worst] >= 0
+
+
+def test_a_page_that_cannot_be_small_enough(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="more than 20,000: report on fewer runs"):
+        write_report([run], tmp_path / "report.html", max_bytes=20_000)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_thousands_of_queries_stay_under_five_megabytes(tmp_path: Path) -> None:
+    run = pages.write_run(tmp_path / "run", n=20_000, m=300, rooms=False, baselines=())
+    page = report(tmp_path, run)
+    assert (tmp_path / "report.html").stat().st_size < 5_000_000
+    data, error = pages.data_of(page, "data-0"), columns_of(run)["error"]
+    assert len(data["query"]["x"]) <= 12_000
+    assert set(np.argsort(-error, kind="stable")[:20]) <= set(data["query"]["row"])
+    assert "of 20,000 queries, the worst among them" in notes(page)
+    assert rows_of(page.one("table", class_="by-lighting"))[-1][-1] == "20,000"
+
+
+@pytest.mark.parametrize(
+    ("columns", "lightings"),
+    [({"lighting": np.array(["night"] * 30)}, 1), ({"lighting": np.array([""] * 30)}, 0)],
+    ids=["one lighting", "no lighting"],
+)
+def test_without_rooms_headings_baselines_or_lightings(tmp_path: Path, columns: dict, lightings: int) -> None:
+    bare = {"room": np.array([""] * 30), "theta": np.full(30, np.nan), **columns}
+    queries, known = scenes.frames(2, 30, **bare), scenes.frames(1, 30, **bare)
+    visual_map = VisualMap(scenes.describe(known), known, {"name": "positions"}, unit="frame")
+    folder = pages.write_evaluation(tmp_path / "night", visual_map, queries, rooms=False, headings=False, baselines=())
+    page = report(tmp_path, folder)
+    assert [s.attributes["class"] for s in page.all("section")] == [
+        "summary",
+        "plan",
+        "curves",
+        "worst",
+        "configuration",
+    ]
+    (row,) = rows_of(page.one("table", class_="by-lighting"))
+    assert row[:2] == ["network", "night" if lightings else "all"]
+    assert not page.all("input", type="radio")
+    assert "mean [frame]" in page.one("table", class_="by-lighting").text
+    assert len(page.one("section", class_="curves").all("figure")) == 1
+
+
+def test_frames_on_a_line_are_drawn_along_it(tmp_path: Path) -> None:
+    line = {"x": np.zeros(30), "y": np.arange(30.0)}
+    queries, known = scenes.frames(2, 30, **line), scenes.frames(1, 30, **line)
+    visual_map = VisualMap(scenes.describe(known), known, {"name": "positions"})
+    page = report(tmp_path, pages.write_evaluation(tmp_path / "corridor", visual_map, queries))
+    assert pages.data_of(page, "data-0")["along"] == "y"
+    assert "lie on a line along y" in page.one("section", class_="plan").text
+
+
+def test_rooms_alone(tmp_path: Path) -> None:
+    queries = scenes.frames(2, 30)
+    rooms = evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries)
+    results = {"config": {}, "measures": {"room_retrieval": rooms.measures()}, "denominators": {"queries": 30}}
+    write_results(tmp_path / "rooms", results, None, {"rooms": rooms.columns})
+    page = report(tmp_path, tmp_path / "rooms")
+    assert len(page.one("section", class_="rooms").all("figure")) == 2
+    assert [s.attributes["class"] for s in page.all("section")] == ["summary", "rooms", "configuration"]
+    assert not notes(page)
+
+
+def test_measures_without_a_part_of_their_own_are_listed(tmp_path: Path) -> None:
+    run = pages.write_run(tmp_path / "run")
+    path = run / "evaluation" / "network" / "results.json"
+    results = read_json(path)
+    results["measures"]["sequence_filter"] = {"overall": {"error": {"mean": 0.125, "max": None}}, "lags": [1, 2]}
+    write_json(path, results)
+    table = report(tmp_path, run).one("section", class_="further").one("table")
+    rows = [[cell.text for cell in row.children] for row in table.all("tr")]
+    assert rows == [["overall.error.mean", "0.125"], ["overall.error.max", "–"], ["lags", "1, 2"]]
+
+
+def test_several_runs_are_compared_first(run: Path, tmp_path: Path) -> None:
+    twin = shutil.copytree(run, tmp_path / "other" / "vgg16")
+    page = report(tmp_path, run, twin, run)
+    table = page.one("table", class_="comparison")
+    titles = [link.text for link in table.all("a")]
+    assert len(titles) == 2, "a run that is named twice counts once"
+    assert titles[1] == "other/vgg16 · network"
+    first, second = ([cell.text for cell in row.all("td")] for row in table.one("tbody").all("tr"))
+    assert first == second
+    results = read_results(run / "evaluation" / "network")["measures"]["absolute"]
+    assert first[:3] == ["40", "60", f"{results['overall']['error']['mean']:.3f}"]
+    for link, article in zip(table.all("a"), page.all("article", **{"data-evaluation": "0"}), strict=False):
+        assert link.attributes["href"] == f"#{article.attributes['id']}"
+    assert page.all("section")[0].attributes["class"] == "compared"
+    assert not notes(page)
+    (sheets,) = pages.data_of(page, "sheets")
+    pictures = [pages.data_of(page, f"data-{i}")["query"]["picture"] for i in (0, 1)]
+    assert pictures[0] == pictures[1], "both show the same files, which are in the page once"
+    assert len(sheets["images"]) == 2
+
+
+def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
+    runs = [pages.write_run(tmp_path / name, n=n) for name, n in (("a", 20), ("b", 21))]
+    assert notes_of_comparison(report(tmp_path, *runs)) == (
+        "Compare b · network with a · network with care, since they differ in their queries (21 and 20, 0 of them the "
+        "same)."
+    )
+    path = runs[1] / "evaluation" / "network" / "results.json"
+    write_json(path, {**read_json(path), "protocol": "same_run"})
+    page = report(tmp_path, *runs)
+    assert "must not be compared" in notes(page)
+    assert "differ in their queries" in notes(page), "that the protocols differ does not hide it"
+    assert "same run" in page.one("table", class_="comparison").text
+
+
+def moved(table: FrameTable, root: str = "", **columns: np.ndarray) -> FrameTable:
+    """Return frames whose files lie elsewhere, or with other columns."""
+    values = {name: getattr(table, name) for name in ("x", "y", "theta", "room", "sequence", "lighting")}
+    return FrameTable(path=np.array([f"{root}{path}" for path in table.path]), **{**values, **columns})
+
+
+def localized(folder: Path, queries: FrameTable, known: FrameTable) -> Path:
+    return pages.write_evaluation(folder, VisualMap(scenes.describe(known), known, {"name": "positions"}), queries)
+
+
+def test_the_same_frames_are_the_same_wherever_they_lie_and_in_any_order(tmp_path: Path) -> None:
+    queries, known = scenes.frames(2, 30), scenes.frames(1, 20)
+    first = localized(tmp_path / "a", moved(queries, "data/run/"), moved(known, "data/run/"))
+    turned = queries.take(np.arange(30)[::-1])
+    second = localized(tmp_path / "b", moved(turned, "/mnt/data/run/"), moved(known, "/mnt/data/run/"))
+    assert notes_of_comparison(report(tmp_path, first, second)) == ""
+
+
+def test_a_map_that_differs_is_named_even_if_its_files_have_the_same_names(tmp_path: Path) -> None:
+    queries, known = scenes.frames(2, 30), scenes.frames(1, 20)
+    first = localized(tmp_path / "a", queries, known)
+    elsewhere = known.x.copy()
+    elsewhere[:5] += 0.5
+    second = localized(tmp_path / "b", queries, moved(known, x=elsewhere))
+    said = notes_of_comparison(report(tmp_path, first, second))
+    assert "differ in their map frames (20 and 20, 15 of them the same)" in said
+    assert "queries" not in said
+
+
+def rooms_alone(folder: Path, queries: FrameTable, pairs: int, map_every: int | None = None) -> Path:
+    found = evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries)
+    config = {"descriptor": {"name": folder.name}, "protocol": {"map": {"every": map_every}}}
+    results = {"config": config, "measures": {"room_retrieval": found.measures()}}
+    write_results(folder, {**results, "denominators": {"queries": 30, "pairs": pairs}}, None, {"rooms": found.columns})
+    return folder
+
+
+def test_rooms_alone_are_compared_by_their_queries_and_by_the_map_that_was_asked_for(tmp_path: Path) -> None:
+    queries = scenes.frames(2, 30)
+    first = rooms_alone(tmp_path / "a", queries, 100)
+    more_pairs = rooms_alone(tmp_path / "b", queries, 200)
+    assert notes_of_comparison(report(tmp_path, first, more_pairs)) == "", "pairs have nothing to do with it"
+    other_map = rooms_alone(tmp_path / "c", queries, 100, map_every=2)
+    assert "map frames (protocol.map)" in notes_of_comparison(report(tmp_path, first, other_map))
+    others = rooms_alone(tmp_path / "d", scenes.frames(3, 30), 100)
+    assert "queries (30 and 30, " in notes_of_comparison(report(tmp_path, first, others))
+    everything = localized(tmp_path / "e", queries, scenes.frames(1, 20))
+    assert "queries" not in notes_of_comparison(report(tmp_path, first, everything))
+
+
+def notes_of_comparison(page: pages.Element) -> str:
+    return notes(page.one("section", class_="compared"))
+
+
+def test_names_are_never_markup(tmp_path: Path) -> None:
+    evil = '</script><b onmouseover="x">&'
+    queries = scenes.frames(2, 30, room=np.array([evil] * 30), lighting=np.array([evil] * 15 + ["night"] * 15))
+    config = {**pages.CONFIG, "descriptor": {"name": "hog", "label": evil}}
+    folder = pages.write_evaluation(tmp_path / "evil", scenes.visual_map(), queries, config=config)
+    page = report(tmp_path, folder)
+    assert not [e for e in page.all("b") if "onmouseover" in e.attributes]
+    assert evil in pages.data_of(page, "data-0")["rooms"]
+    assert page.all("input", type="radio")[1].attributes["value"] == evil
+
+
+def write(path: Path, text: str) -> None:
+    path.write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "error", "message"),
+    [
+        (lambda run: (run / "evaluation/network/results.json").unlink(), ConfigError, "`siamloc evaluate run="),
+        (lambda run: write(run / "metrics.csv", "epoch\nx\n"), FormatError, "training curves"),
+        (lambda run: write(run / "evaluation/network/queries.csv", "x\n1\n"), FormatError, "evaluate again"),
+        (lambda run: write(run / "evaluation/network/results.json", "{"), FormatError, "not whole JSON"),
+    ],
+    ids=["no evaluation", "damaged curves", "damaged table", "damaged results"],
+)
+def test_folders_that_give_no_report(tmp_path: Path, spoil, error: type[SiamlocError], message: str) -> None:
+    run = pages.write_run(tmp_path / "run", n=5)
+    spoil(run)
+    with pytest.raises(error, match=message):
+        write_report([run], tmp_path / "report.html")
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_matches_outside_the_map_are_refused(tmp_path: Path) -> None:
+    run = pages.write_run(tmp_path / "run", n=5)
+    folder = run / "evaluation" / "network"
+    queries, known = read_rows(folder), read_rows(folder, "map")
+    results = {key: read_results(folder)[key] for key in ("config", "measures", "denominators")}
+    write_results(folder, results, queries, {"map": {name: column[:1] for name, column in known.items()}})
+    with pytest.raises(FormatError, match=r"names map frames that map.csv lacks"):
+        write_report([run], tmp_path / "report.html")
+
+
+def test_no_runs_and_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"at least one run"):
+        write_report([], tmp_path / "report.html")
+    with pytest.raises(ConfigError, match=r"there is no folder .*absent"):
+        write_report([tmp_path / "absent"], tmp_path / "report.html")
+
+
+def config(run: str | None = None, runs: tuple[str, ...] = (), out: str | None = None):
+    return OmegaConf.create({"run": run, "runs": list(runs), "out": out})
+
+
+def test_the_command(tmp_path: Path, capsys, monkeypatch) -> None:
+    run = pages.write_run(tmp_path / "runs" / "vgg16", n=5)
+    write_json(run / "run.json", {"format": "siamloc-run", "version": 1, "overrides": ["epochs=3"], "config": {}})
+    monkeypatch.chdir(tmp_path)
+    main(config())
+    assert f"report: {Path('runs/vgg16/report.html')}, 0." in capsys.readouterr().out
+    assert "siamloc train epochs=3" in (run / "report.html").read_text()
+    main(config(runs=(str(run), str(run / "evaluation" / "network"))))
+    assert (tmp_path / "report.html").exists()
+    main(config(run=str(run), out="deep/page.html"))
+    assert (tmp_path / "deep" / "page.html").exists()
+    with pytest.raises(ConfigError, match=r"not both"):
+        main(config(run="a", runs=("b",)))
+    with pytest.raises(ConfigError, match=r"ending .html"):
+        main(config(run=str(run), out="page.pdf"))

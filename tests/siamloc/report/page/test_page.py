@@ -1,0 +1,159 @@
+"""The page as a file: what stands in it, and that it agrees with the result files."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from siamloc.report.draw import pictures
+from siamloc.report.page.inline import inline
+from siamloc.report.page.write import write_report
+from siamloc.results import read_results, read_rows
+from tests.siamloc.report import pages
+from tests.siamloc.report.pages import columns_of, notes, rows_of
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    return pages.write_run(folder / "vgg16", folder)
+
+
+@pytest.fixture(scope="module")
+def page(run: Path) -> pages.Element:
+    return pages.read_page(write_report([run], run / "report.html"))
+
+
+def test_the_parts_stand_in_their_order(page: pages.Element) -> None:
+    assert page.one("h1").text == "vgg16"
+    assert re.search(r"measured \d\d \w+ \d{4}, \d\d:\d\d UTC", page.one("header").text)
+    names = [section.attributes["class"] for section in page.all("section")]
+    assert names == ["summary", "plan", "curves", "worst", "rooms", "training", "configuration"]
+
+
+def test_nothing_is_loaded_from_elsewhere(run: Path, page: pages.Element) -> None:
+    text = (run / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?:|//[a-z]+\.|@import|url\((?!#)", text)
+    for element in page.all():
+        for name in ("src", "href", "srcset", "data", "action", "poster"):
+            value = element.attributes.get(name, "#")
+            assert value.startswith(("#", "data:")), f"{element.name} {name}={value}"
+    policy = page.one("meta", **{"http-equiv": "Content-Security-Policy"}).attributes["content"]
+    assert policy.startswith("default-src 'none'")
+
+
+def test_the_summary_says_what_the_results_say(run: Path, page: pages.Element) -> None:
+    results = read_results(run / "evaluation" / "network")
+    methods = {"network": results["measures"], **results["baselines"]}
+    expected = []
+    for method, measures in methods.items():
+        for label in ("cloudy", "night", "sunny", "all"):
+            absolute, rooms = measures["absolute"], measures.get("room_retrieval")
+            group = absolute["overall"] if label == "all" else absolute["lighting"][label]
+            row = [method, label]
+            row += [f"{group['error'][key]:.3f}" for key in ("mean", "median", "p95")]
+            row += [f"{group[key]['mean']:.3f}" for key in ("floor", "excess")]
+            row += [f"{100 * item['recall']:.1f} %" for item in group["recall"] if item["k"] == 1]
+            row.append(f"{group['heading_error']['mean']:.1f}" if "heading_error" in group else "–")
+            right = rooms and (rooms["overall"] if label == "all" else rooms["lighting"][label])
+            row += [f"{100 * right['accuracy']:.1f} %" if right else "–", str(group["queries"])]
+            expected.append(row)
+    assert rows_of(page.one("table", class_="by-lighting")) == expected
+    assert {row[1] for row in rows_of(page.one("table", class_="by-room"))} == {"CR-A", "KT-A", "ST-A", "all"}
+
+
+def test_the_plan_holds_every_query_and_its_right_answer(run: Path, page: pages.Element) -> None:
+    data, queries, known = pages.data_of(page, "data-0"), columns_of(run), columns_of(run, "map")
+    for name, column in {"x": "x", "y": "y", "ex": "est_x", "ey": "est_y", "error": "error", "floor": "floor"}.items():
+        np.testing.assert_allclose(data["query"][name], queries[column], atol=0.0006)
+    lighting = [data["lightings"][i] for i in data["query"]["lighting"]]
+    assert lighting == queries["lighting"].tolist()
+    heading = [np.nan if value is None else value for value in data["query"]["heading"]]
+    np.testing.assert_allclose(heading, queries["heading_error"], atol=0.06)
+    distance = np.hypot(*(queries[name][:, None] - known[name][None] for name in ("x", "y")))
+    assert data["query"]["nearest"] == distance.argmin(axis=1).tolist()
+    np.testing.assert_allclose(known["x"], data["map"]["x"], atol=0.0006)
+    radios = page.one("section", class_="plan").all("input", type="radio")
+    assert [radio.attributes["value"] for radio in radios] == ["all", "cloudy", "night", "sunny"]
+
+
+def test_every_hover_picture_is_that_of_its_frame(run: Path, page: pages.Element) -> None:
+    import cv2
+
+    data, (sheets,) = pages.data_of(page, "data-0"), pages.data_of(page, "sheets")
+    assert not notes(page)
+    shown = 0
+    for part, table in (("query", "queries"), ("map", "map")):
+        for path, number in zip(columns_of(run, table)["path"], data[part]["picture"], strict=True):
+            if part == "map" and number == -2:
+                continue  # neither a match nor the right answer of any query
+            tile = pages.sheet_picture(sheets, number).astype(int)
+            source = cv2.resize(cv2.imread(path), tile.shape[1::-1], interpolation=cv2.INTER_AREA)
+            assert np.abs(tile - source).mean() < 8, path
+            shown += 1
+    assert shown >= 60 + len(set(data["query"]["match"]) | set(data["query"]["nearest"]))
+
+
+def test_the_worst_queries_are_those_with_the_largest_errors(run: Path, page: pages.Element) -> None:
+    queries = columns_of(run)
+    items = page.one("ol", class_="triples").all("li")
+    worst = np.argsort(-queries["error"], kind="stable")[:20]
+    assert [int(item.one("button").attributes["data-query"]) for item in items] == worst.tolist()
+    for item, row in zip(items, worst, strict=True):
+        assert item.one("div", class_="head").all("b")[0].text == f"{queries['error'][row]:.2f} m"
+        titles = [image.attributes["title"] for image in item.all("img")]
+        assert titles[:2] == [queries["path"][row], queries["match_path"][row]]
+        for image in item.all("img"):
+            rows, columns = pages.decoded(image.attributes["src"].partition(",")[2]).shape[:2]
+            assert columns >= 256
+            assert columns == 4 * rows
+
+
+def test_the_figures_are_those_that_are_saved_as_pictures(run: Path, page: pages.Element) -> None:
+    """One piece of code draws a chart, for the page and for files: the words in it are the same."""
+    folder = run / "evaluation" / "network"
+    tables = {name: read_rows(folder, name) for name in ("queries", "map")}
+    made = pictures(read_results(folder)["measures"], tables, name="network")
+    for section, key in (("curves", "error_curve"), ("rooms", "confusion")):
+        svg = page.one("section", class_=section).all("svg")[0]
+        drawn = pages.parse(inline(made[key](), "other", key)).one("svg")
+        words = [text.text.strip() for text in svg.all("text")]
+        assert len(words) >= 20
+        assert words == [text.text.strip() for text in drawn.all("text")]
+
+
+def test_no_name_is_given_twice(run: Path, page: pages.Element) -> None:
+    names = [element.attributes["id"] for element in page.all() if "id" in element.attributes]
+    assert len(names) == len(set(names))
+    text = (run / "report.html").read_text(encoding="utf-8")
+    references = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', text))
+    assert len(references) > 20
+    assert references <= set(names)
+
+
+def test_training_curves_configuration_and_versions(page: pages.Element) -> None:
+    training = page.one("section", class_="training")
+    assert training.one("h3").text == "Training, 3 epochs"
+    words = [text.text.strip() for text in training.one("svg").all("text")]
+    assert {"loss", "accuracy", "training, last 0.25", "validation, last 0.4"} <= set(words)
+    settings = page.one("section", class_="configuration").text
+    assert "image_size: [32, 128]" in settings
+    assert np.__version__ in settings
+
+
+def test_the_page_needs_result_files_only_and_repeats_itself(run: Path, tmp_path: Path) -> None:
+    first = write_report([run], tmp_path / "a.html").read_bytes()
+    assert write_report([run / "evaluation" / "network"], tmp_path / "b.html").exists()
+    assert write_report([run], tmp_path / "c.html").read_bytes() == first
+
+
+def test_the_data_are_json_that_browsers_read(run: Path, page: pages.Element) -> None:
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is not JSON")
+
+    for script in page.all("script", type="application/json"):
+        json.loads(script.text, parse_constant=refuse)

@@ -1,0 +1,252 @@
+"""The page in a browser: the plan is drawn, answers to mouse and keyboard, and nothing is fetched."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.report.page.write import write_report
+from siamloc.results import read_results, read_rows
+from tests.siamloc.evaluation import scenes
+from tests.siamloc.report import pages
+from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not CHROMIUM or not DRIVER, reason="chromium and chromium-driver are not installed"),
+]
+
+_READY = "[...document.querySelectorAll('.stage canvas')].every((canvas) => canvas.dataset.ready)"
+_SHOWN = "[...document.querySelectorAll('[data-picture]')].every((figure) => figure.dataset.state === 'shown')"
+_COLOURS = """
+    const canvas = document.querySelector(".stage canvas");
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const found = new Set();
+    for (let i = 0; i < data.length; i += 4) if (data[i + 3] === 255) found.add(data.slice(i, i + 3).join());
+    return [...found];
+"""
+_CALM = {"name": "prefers-reduced-motion", "value": "reduce"}
+RIGHT, UP, DOWN, ESCAPE = "\ue014", "\ue013", "\ue015", "\ue00c"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    return pages.write_run(folder / "vgg16", folder)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def page(run: Path, browser: Browser) -> Browser:
+    """Return the browser with the run's page, and nothing in its logs."""
+    path = run / "report.html"
+    if not path.exists():
+        write_report([run], path)
+    browser.complaints(), browser.requests()
+    browser.devtools("Emulation.setEmulatedMedia", media="", features=[_CALM])
+    browser.open(path)
+    browser.wait(f"{_READY} && {_SHOWN}")
+    return browser
+
+
+def state(browser: Browser) -> dict[str, str]:
+    """Return what the plan says about itself."""
+    return browser.run("return {...document.querySelector('.stage canvas').dataset}")
+
+
+def queries(run: Path) -> dict[str, np.ndarray]:
+    return read_rows(run / "evaluation" / "network")
+
+
+def canvas_corner(browser: Browser) -> tuple[float, float]:
+    """Scroll to the plan and return where its upper left corner is in the window."""
+    box = browser.run("""
+        const canvas = document.querySelector(".stage canvas");
+        canvas.scrollIntoView({ block: "center", behavior: "instant" });
+        const { left, top } = canvas.getBoundingClientRect();
+        return [left, top];
+    """)
+    return box[0], box[1]
+
+
+def test_no_complaints_and_no_requests(run: Path, page: Browser) -> None:
+    page.key(".stage canvas", RIGHT, UP)
+    page.run("document.querySelector('.switch input[value=night]').click()")
+    page.wait(_SHOWN)
+    page.run("document.querySelectorAll('details').forEach((details) => { details.open = true; })")
+    assert page.complaints() == []
+    asked = {address for address in page.requests() if not address.startswith(("data:", "chrome"))}
+    assert asked == {(run / "report.html").resolve().as_uri()}
+
+
+def test_the_page_itself_forbids_requests(page: Browser) -> None:
+    """The policy in the page holds: what tries to load something is stopped, and is seen by the test above."""
+    page.run("const image = new Image(); image.src = 'http://127.0.0.1:9/x.png'; document.body.append(image)")
+    page.wait("document.body.lastElementChild.complete")
+    assert any("Content Security Policy" in line for line in page.complaints())
+
+
+def test_tables_are_filled(run: Path, page: Browser) -> None:
+    rows = page.run("return [...document.querySelectorAll('.by-lighting tbody tr')].map((row) => row.innerText)")
+    assert len(rows) == 8
+    overall = read_results(run / "evaluation" / "network")["measures"]["absolute"]["overall"]
+    assert f"{overall['error']['mean']:.3f}" in rows[3]
+    assert page.run("return document.querySelectorAll('.rooms svg text').length") > 20
+    assert page.run("return [...document.images].every((image) => image.naturalWidth > 100)")
+
+
+def test_the_plan_is_drawn(page: Browser) -> None:
+    said = state(page)
+    assert (said["drawn"], said["mapFrames"], said["lighting"]) == ("60", "40", "all")
+    assert len(page.run(_COLOURS)) > 20
+
+
+def test_the_lighting_switch(run: Path, page: Browser) -> None:
+    lighting = queries(run)["lighting"]
+    pictures = set()
+    for label in ("cloudy", "night", "sunny", "all"):
+        page.run("document.querySelector(`.switch input[value=${arguments[0]}]`).click()", label)
+        said = state(page)
+        members = np.ones(60, bool) if label == "all" else lighting == label
+        assert (said["lighting"], int(said["drawn"])) == (label, int(members.sum()))
+        assert members[int(said["selected"])]
+        counts = page.run("return [...document.querySelectorAll('.classes small')].map((s) => Number(s.textContent))")
+        assert sum(counts) == members.sum()
+        pictures.add(page.run("return document.querySelector('.stage canvas').toDataURL()"))
+    assert len(pictures) == 4
+
+
+def test_the_lighting_switch_by_keyboard(page: Browser) -> None:
+    page.key(".switch input[value=all]", RIGHT)
+    assert state(page)["lighting"] == "cloudy"
+
+
+def test_classes_of_errors_can_be_hidden(page: Browser) -> None:
+    before = int(state(page)["drawn"])
+    hidden = page.run("""
+        const label = document.querySelector(".classes label");
+        label.querySelector("input").click();
+        return Number(label.querySelector("small").textContent);
+    """)
+    assert hidden > 0
+    assert int(state(page)["drawn"]) == before - hidden
+
+
+def test_the_worst_query_is_shown_first_with_its_pictures(run: Path, page: Browser) -> None:
+    columns = queries(run)
+    worst = int(np.argmax(columns["error"]))
+    assert int(state(page)["selected"]) == worst
+    assert f"{columns['error'][worst]:.2f} m off" in page.run("return document.querySelector('.facts').innerText")
+    shown = page.run("""
+        return [...document.querySelectorAll("[data-picture] canvas")].map((c) => c.toDataURL().split(",")[1]);
+    """)
+    for path, data in zip((columns["path"][worst], columns["match_path"][worst]), shown, strict=False):
+        picture = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+        source = cv2.resize(cv2.imread(path), picture.shape[1::-1], interpolation=cv2.INTER_AREA)
+        assert np.abs(picture.astype(int) - source).mean() < 10
+
+
+def test_pointing_and_clicking(page: Browser) -> None:
+    def select(row: int) -> dict[str, str]:
+        page.run("document.querySelector(`[data-query]`).dataset.query = arguments[0]", row)
+        page.run("document.querySelector(`[data-query]`).click()")
+        return state(page)
+
+    first, second = select(7), select(31)
+    page.key(".stage canvas", ESCAPE)
+    assert first["at"] != second["at"]
+    left, top = canvas_corner(page)
+    x, y = (float(value) for value in first["at"].split())
+    page.point(left + x, top + y)
+    page.wait("document.querySelector('.stage canvas').dataset.selected !== '31'")
+    said = state(page)
+    assert said["at"] == first["at"]
+    assert said["pinned"] == "false"
+    page.point(left + x, top + y, click=True)
+    assert state(page)["pinned"] == "true"
+    x, y = (float(value) for value in second["at"].split())
+    page.point(left + x, top + y)
+    assert state(page)["at"] == first["at"], "a query that was clicked is kept"
+
+
+def test_the_keyboard_moves_along_the_drive_and_by_error(run: Path, page: Browser) -> None:
+    order = np.argsort(queries(run)["error"], kind="stable")
+    page.key(".stage canvas", DOWN, DOWN)
+    assert int(state(page)["selected"]) == order[-3]
+    page.key(".stage canvas", UP)
+    assert int(state(page)["selected"]) == order[-2]
+    page.key(".stage canvas", RIGHT)
+    assert int(state(page)["selected"]) == min(order[-2] + 1, 59)
+
+
+def test_zooming(page: Browser) -> None:
+    whole = state(page)["at"]
+    page.key(".stage canvas", "+", "+")
+    assert state(page)["zoom"] == "2.25"
+    assert state(page)["at"] != whole
+    page.run("document.querySelector('[data-zoom=out]').click()")
+    assert state(page)["zoom"] == "1.50"
+    page.run("document.querySelector('[data-zoom=reset]').click()")
+    assert (state(page)["zoom"], state(page)["at"]) == ("1.00", whole)
+
+
+def test_a_worst_query_is_found_on_the_plan(run: Path, page: Browser) -> None:
+    third = int(np.argsort(-queries(run)["error"], kind="stable")[2])
+    page.run("document.querySelectorAll('[data-query]')[2].click()")
+    assert int(state(page)["selected"]) == third
+    assert page.run("return document.activeElement === document.querySelector('.stage canvas')")
+
+
+def test_dark_and_light(page: Browser) -> None:
+    def paper() -> str:
+        return page.run("return getComputedStyle(document.body).backgroundColor")
+
+    page.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "light"}])
+    light, plan = paper(), set(page.run(_COLOURS))
+    page.run("window.before = document.querySelector('.stage canvas').toDataURL()")
+    page.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    assert (light, paper()) == ("rgb(255, 255, 255)", "rgb(19, 23, 27)")
+    page.wait("document.querySelector('.stage canvas').toDataURL() !== window.before")
+    assert len(plan & set(page.run(_COLOURS))) < len(plan) / 2, "the plan is drawn again in other colours"
+    page.devtools("Emulation.setEmulatedMedia", media="print")
+    assert paper() == "rgb(255, 255, 255)"
+
+
+def test_nothing_is_wider_than_the_window(page: Browser) -> None:
+    assert page.run("return document.documentElement.scrollWidth - innerWidth") <= 0
+
+
+def test_it_prints(page: Browser) -> None:
+    pdf = base64.b64decode(page.devtools("Page.printToPDF")["data"])
+    assert pdf.startswith(b"%PDF")
+    assert page.complaints() == []
+
+
+def test_several_runs_and_frames_on_a_line(run: Path, browser: Browser, tmp_path: Path) -> None:
+    line = {"x": np.arange(30.0), "y": np.zeros(30), "lighting": np.array([""] * 30), "room": np.array([""] * 30)}
+    known, others = scenes.frames(1, 30, **line), scenes.frames(2, 30, **line)
+    from siamloc.maps import VisualMap
+
+    visual_map = VisualMap(scenes.describe(known), known, {"name": "positions"}, unit="frame")
+    corridor = pages.write_evaluation(tmp_path / "corridor", visual_map, others, rooms=False, baselines=())
+    browser.complaints()
+    browser.open(write_report([run, corridor], tmp_path / "both.html"))
+    browser.wait(_READY)
+    drawn = browser.run("return [...document.querySelectorAll('.stage canvas')].map((c) => c.dataset.drawn)")
+    assert drawn == ["60", "30"]
+    states = browser.run("return [...document.querySelectorAll('[data-picture]')].map((f) => f.dataset.state)")
+    assert states[3:] == ["missing"] * 3
+    browser.run("document.querySelector('.switch input[value=night]').click()")
+    both = browser.run("return [...document.querySelectorAll('.stage canvas')].map((c) => c.dataset.lighting)")
+    assert both == ["night", "all"], "each plan has its own switch"
+    assert browser.complaints() == []

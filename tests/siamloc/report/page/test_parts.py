@@ -1,0 +1,263 @@
+"""The parts about further estimates, nodes, disturbances, rooms by lighting and pairs agree with the result files."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from siamloc.data.frames import FrameTable
+from siamloc.evaluation.building_choice import evaluate_buildings
+from siamloc.files import read_json, write_json
+from siamloc.report.page.write import write_report
+from siamloc.results import read_results, read_rows, write_results
+from tests.siamloc.report import pages, rich
+from tests.siamloc.report.draw.test_mapping import mapped
+from tests.siamloc.report.pages import Element, notes, report
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return rich.write_run(tmp_path_factory.mktemp("run") / "vgg16")
+
+
+@pytest.fixture(scope="module")
+def page(run: Path) -> Element:
+    return pages.read_page(write_report([run], run / "report.html"))
+
+
+def measures(run: Path, folder: str) -> dict:
+    return read_results(run / "evaluation" / folder)["measures"]
+
+
+def part(page: Element, name: str) -> Element:
+    (found,) = [section for section in page.all("section") if section.attributes["class"].split()[-1] == name]
+    return found
+
+
+def rows(section: Element, table: str) -> dict[str, list[str]]:
+    """Return the cells of a grid by the label of their row."""
+    body = section.one("table", class_=table).one("tbody")
+    return {row.one("th").text: [cell.text for cell in row.all("td")] for row in body.all("tr")}
+
+
+def words(section: Element) -> set[str]:
+    """Return what is written in the figures of a part."""
+    return {text.text.strip() for svg in section.all("svg") for text in svg.all("text")}
+
+
+def test_each_kind_of_result_has_its_part(page: Element) -> None:
+    articles = [article for article in page.all("article") if "data-evaluation" in article.attributes]
+    names = [[section.attributes["class"] for section in article.all("section")] for article in articles]
+    first = ["summary", "plan", "curves", "estimate filtered", "estimate interpolated", "expected", "worst", "rooms"]
+    assert names == [
+        [*first, "pair-curves"],
+        ["summary", "hierarchical", "plan", "curves", "worst"],
+        ["robustness"],
+    ]
+    titles = [article.one("h2").text for article in articles]
+    assert titles == ["network", "network, hierarchical over spectral nodes of hog", "network, robustness"]
+    compared = page.one("table", class_="comparison").one("tbody").all("tr")
+    assert [row.one("a").text for row in compared] == titles[:2]
+    assert not page.all("section", class_="further")
+
+
+def test_a_plain_run_has_none_of_these_parts(tmp_path: Path) -> None:
+    page = report(tmp_path, pages.write_run(tmp_path / "run"))
+    found = {section.attributes["class"].split()[-1] for section in page.all("section")}
+    assert found.isdisjoint({"filtered", "interpolated", "expected", "pair-curves", "hierarchical", "robustness"})
+
+
+@pytest.mark.parametrize("name", ["filtered", "interpolated"])
+def test_another_estimate_stands_beside_the_single_frame_one(run: Path, page: Element, name: str) -> None:
+    found, section = measures(run, "network"), part(page, name)
+    shown = rows(section, "estimate")
+    for label, cells in shown.items():
+        before, after = (
+            found[key]["overall"] if label == "all" else found[key]["lighting"][label]
+            for key in ("absolute", f"absolute_{name}")
+        )
+        expected = [f"{group['error'][k]:.3f}" for k in ("mean", "median", "p95") for group in (before, after)]
+        assert cells[:6] == expected
+        change = 100 * (after["error"]["mean"] / before["error"]["mean"] - 1)
+        assert float(cells[6].removesuffix(" %").replace("−", "-")) == pytest.approx(change, abs=0.051)
+        assert cells[-1] == str(before["queries"])
+    assert list(shown) == ["cloudy", "night", "sunny", "all"]
+    night = found[f"absolute_{name}"]["lighting"]["night"]
+    drawn = words(section)
+    assert f"{name}: {night['error']['mean']:.2f} m" in drawn
+    assert f"night, n = {night['queries']}" in drawn
+    methods = [body.attributes["data-method"] for body in page.all("table", class_="by-lighting")[0].all("tbody")]
+    assert methods == ["network", "network + filter", "network + interpolation"]
+
+
+def test_the_filter_says_what_it_was_made_with(page: Element) -> None:
+    text = part(page, "filtered").text
+    assert "Temperature 0.02 (learned from the map), probability of being anywhere 0.001, 0.50 m driven" in text
+    assert "3 map frames" in part(page, "interpolated").text
+
+
+def test_expected_errors_are_those_of_the_results(run: Path, page: Element) -> None:
+    found, section = measures(run, "network")["calibration"], part(page, "expected")
+    assert {"cloudy", "night", "sunny", "all queries", "equal"} <= words(section)
+    lost = found["overall"]["lost"]
+    cells = rows(section, "calibration")["all"]
+    assert cells[3:5] == [str(lost["called"]), str(lost["lost"])]
+    assert cells[5] == (f"{100 * lost['precision']:.1f} %" if lost["precision"] is not None else "–")
+    assert "learned on run3" in section.text
+
+
+def test_the_nodes_table_and_picture(run: Path, page: Element) -> None:
+    found, section = measures(run, "hierarchical-network-rooms")["hierarchical"], part(page, "hierarchical")
+    shown = rows(section, "hierarchical")
+    assert list(shown) == ["cloudy", "night", "sunny", "all"]
+    for label, cells in shown.items():
+        group = found["overall"] if label == "all" else found["lighting"][label]
+        assert cells[0] == f"{group['error']['mean']:.3f}"
+        assert cells[2] == f"{group['absolute']['error']['mean']:.3f}"
+        assert cells[4] == f"{100 * group['coarse']['accuracy']:.1f} %"
+        for cell, name in zip(cells[5:7], ("given_right", "given_wrong"), strict=True):
+            assert cell.endswith(f"n = {group[name]['queries']}")
+        assert cells[7] == f"{group['perfect_coarse']['error']['mean']:.3f}"
+        assert cells[9:11] == [
+            f"{group['comparisons']['mean']:.1f}",
+            f"{100 * group['comparisons']['share']:.1f} %",
+        ]
+    assert {"floor", "wrong node", "hierarchical", "all queries"} <= words(section)
+    article = page.all("article", **{"data-evaluation": "1"})[0]
+    assert f"{100 * found['overall']['comparisons']['share']:.1f} %" in article.one("ul", class_="figures").text
+    drawn = words(article.one("section", class_="curves"))
+    assert f"methods, cloudy, n = {found['lighting']['cloudy']['queries']}" in drawn
+    assert any(text.startswith("perfect nodes: ") for text in drawn)
+
+
+def test_an_error_that_no_query_has_is_a_dash(tmp_path: Path) -> None:
+    run = rich.write_run(tmp_path / "run")
+    path = run / "evaluation" / "hierarchical-network-rooms" / "results.json"
+    results = read_json(path)
+    for group in results["measures"]["hierarchical"]["lighting"].values():
+        group["given_wrong"] = {"queries": 0, "error": dict.fromkeys(group["given_wrong"]["error"])}
+    write_json(path, results)
+    section = part(report(tmp_path, run), "hierarchical")
+    assert rows(section, "hierarchical")["night"][6] == "– n = 0"
+
+
+def test_the_robustness_tables_and_curves(run: Path, page: Element) -> None:
+    found, section = measures(run, "robustness-network")["robustness"], part(page, "robustness")
+    blocks = section.one("div", class_="disturbances").children
+    assert [block.one("h4").text for block in blocks] == ["Noise", "Occlusion", "Turn on the spot", "Effect: bulb"]
+    labels = [list(rows(block, "levels")) for block in blocks]
+    assert labels == [["0", "0.01", "0.05"], ["0 %", "5 %", "40 %"], ["0°", "45°", "180°"], ["0", "0.5", "1"]]
+    for block, kind in zip(blocks, found["disturbances"], strict=True):
+        for i, cells in enumerate(rows(block, "levels").values()):
+            entries = [found["methods"][method][kind["name"]][i] for method in found["methods"]]
+            assert cells == [f"{entry['mean']:.2f} {100 * entry['share']:.1f} %" for entry in entries]
+    assert "60 queries, one in 5 of all" in section.text
+    assert {"noise", "effect: bulb", "thumb nail, mean", "network, median", "floor, mean"} <= words(section)
+
+
+def test_robustness_of_several_runs_is_compared(run: Path, tmp_path: Path) -> None:
+    first = run / "evaluation" / "robustness-network"
+    other = shutil.copytree(first, tmp_path / "other")
+    section = report(tmp_path, first, other).all("section", class_="robustness")[0]
+    assert section.one("h3").text == "Robustness compared"
+    assert {"robustness-network · network, mean", "other · network, mean"} <= words(section)
+    results = read_json(other / "results.json")
+    results["measures"]["robustness"]["radius"] = 1.0
+    write_json(other / "results.json", results)
+    assert "measured on different queries, maps or levels in these evaluations" in notes(report(tmp_path, first, other))
+    rich.write_robustness(other, rich.scenes.frames(9, 60), rich.scenes.frames(8, 40))
+    assert "and is not compared" in notes(report(tmp_path, first, other)), "as many queries and frames, but others"
+
+
+def test_confusion_matrices_of_all_and_by_lighting(run: Path, page: Element) -> None:
+    found, section = measures(run, "network")["room_retrieval"]["confusion"], part(page, "rooms")
+    every, by_lighting = section.all("svg")
+    assert "all queries" in every.text
+    assert all(label in by_lighting.text for label in ("cloudy", "night", "sunny"))
+    counts = {text.text.strip() for text in every.all("text")}
+    assert {f"{value:,}" for row in found["counts"] for value in row if value} <= counts
+    assert f"{np.trace(found['counts'])} of {np.sum(found['counts'])} queries" in section.text
+
+
+def test_results_without_matrices_by_lighting_show_that_of_all(run: Path, tmp_path: Path) -> None:
+    older = shutil.copytree(run, tmp_path / "older")
+    path = older / "evaluation" / "network" / "results.json"
+    results = read_json(path)
+    del results["measures"]["room_retrieval"]["confusion"]["lighting"]
+    for group in results["measures"]["room_pairs"]["lighting"].values():
+        del group["curve"]
+    write_json(path, results)
+    page = report(tmp_path, older)
+    assert len(part(page, "rooms").all("svg")) == 1
+    titles = [text for text in words(part(page, "pair-curves")) if ", AUC" in text]
+    assert [title.split(",")[0] for title in titles] == ["all pairs"]
+
+
+def test_pairs_by_lighting(run: Path, page: Element) -> None:
+    found, section = measures(run, "network")["room_pairs"], part(page, "pair-curves")
+    shown = rows(section, "pair-shares")
+    assert list(shown) == ["cloudy", "cloudy and night", "night", "all"]
+    for label, cells in shown.items():
+        group = found["overall"] if label == "all" else found["lighting"][label]
+        shares = [f"{100 * group[name]:.1f} %" for name in ("same", "different", "overall")]
+        assert cells == [*shares, f"{group['auc']:.3f}", str(group["n_same"]), str(group["n_different"])]
+    titles = {text.split(",")[0] for text in words(section) if ", AUC" in text}
+    assert titles == {"all pairs", "cloudy", "cloudy and night", "night"}
+
+
+def test_compact_maps_and_choices_of_buildings_have_parts_of_their_own(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    mapped(tmp_path / "map", name="sample", nodes=7)[0].rename(_made(run / "evaluation") / "mapping-hog")
+    found = evaluate_buildings(
+        FrameTable(["0.png", "1.png"], building=["a", "b"], lighting=["night", "night"]),
+        ["a", "b"],
+        [[1, 2], [1, 2]],
+        np.zeros((2, 2), dtype=int),
+        (["p"], ["q"]),
+    ).measures()
+    found["maps"] = {name: {"frames": 9, "representatives": 3} for name in ("a", "b")}
+    write_results(
+        run / "evaluation" / "buildings", {"config": {}, "measures": {"buildings": found}, "denominators": {}}
+    )
+    page = report(tmp_path, run)
+    names = [section.attributes["class"] for section in page.all("section")]
+    assert names == ["mapping", "buildings", "configuration"]
+    text = part(page, "mapping").text
+    assert "7 over 260 frames" in text
+    assert "map by sample" in words(part(page, "mapping"))
+    assert rows(part(page, "buildings"), "buildings") == {"night": ["50.0 %", "100.0 %", "0.0 %", "2"]}
+    assert "9 map frames" in part(page, "buildings").text
+    assert "50.0 % of 2 right" in words(part(page, "buildings"))
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    return folder
+
+
+def test_without_any_pose_the_page_says_so_in_one_sentence(tmp_path: Path) -> None:
+    rich.write_located(tmp_path / "run" / "evaluation" / "hog")
+    page = report(tmp_path, tmp_path / "run")
+    assert notes(page) == (
+        "No query has a true position to compare with: 7 queries were located, in located.csv, and none is scored."
+    )
+    assert [section.attributes["class"] for section in page.all("section")] == ["configuration"]
+    assert not page.all("table", class_="summary")
+    assert not page.all("ul", class_="figures")
+
+
+def test_poses_of_some_queries_and_runs_without_any(run: Path, tmp_path: Path) -> None:
+    folder = run / "evaluation" / "network"
+    some = shutil.copytree(folder, tmp_path / "some")
+    results = read_json(some / "results.json")
+    results["tables"]["located"] = {"file": "located.csv", "rows": 1, "columns": {}}
+    write_json(some / "results.json", results)
+    rich.write_located(tmp_path / "none")
+    page = report(tmp_path, some, tmp_path / "none")
+    assert "Of 1 query the true position is unknown: located.csv says where they were found." in notes(page)
+    assert "7 queries were located" in notes(page)
+    assert len(page.all("table", class_="comparison")) == 0, "one of the two has nothing to compare"
+    assert read_rows(some)["error"].size == 60

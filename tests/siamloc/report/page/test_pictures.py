@@ -1,0 +1,107 @@
+"""Pictures within a number of bytes, and what the plan chooses to show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.panorama import camera_from_config
+from siamloc.report.page.markup import Markup, tag
+from siamloc.report.page.pictures import Decoder, make_large, make_sheets
+from siamloc.report.page.plan import error_classes, spread
+from tests.siamloc.report import pages
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    folder = tmp_path_factory.mktemp("files")
+    paths = [str(folder / f"{i}.jpg") for i in range(150)]
+    for i, path in enumerate(paths):
+        pages.draw(path, i)
+    return paths
+
+
+@pytest.mark.parametrize("budget", [0, 3_000, 30_000, 100_000, 10_000_000])
+def test_sheets_keep_to_their_budget_and_to_the_order(files: list[str], budget: int) -> None:
+    sheets = make_sheets(Decoder(pages.CONFIG), [*files, *files[:9]], budget)
+    assert sum(map(len, sheets.images)) <= budget
+    assert list(sheets.place) == files[: len(sheets.place)], "the first files come first"
+    assert list(sheets.place.values()) == list(range(len(sheets.place)))
+    assert sheets.left_out == 150 - len(sheets.place)
+    if budget >= 100_000:
+        assert sheets.left_out == 0
+    for path, number in list(sheets.place.items())[::7]:
+        tile = pages.sheet_picture(sheets.plain(), number).astype(int)
+        source = cv2.resize(cv2.imread(path), tile.shape[1::-1], interpolation=cv2.INTER_AREA)
+        assert np.abs(tile - source).mean() < 12
+
+
+def test_more_room_gives_larger_pictures(files: list[str]) -> None:
+    small, large = (make_sheets(Decoder(pages.CONFIG), files, budget).size for budget in (100_000, 10_000_000))
+    assert small[0] < large[0]
+    assert small[1] < large[1]
+
+
+def test_large_pictures_keep_to_their_budget(files: list[str]) -> None:
+    decoder = Decoder(pages.CONFIG)
+    wanted = [(decoder, path) for path in [*files[:20], "absent.jpg", files[0]]]
+    for budget in (1_000, 20_000, 1_000_000):
+        uris = make_large(wanted, budget)
+        assert sum(len(uris.get((id(d), path), "")) for d, path in wanted) <= budget
+    assert [path for _, path in uris] == files[:20]
+    assert decoder.missing == {"absent.jpg": "the file does not exist"}
+
+
+def test_omnidirectional_images_are_unwrapped_as_the_run_did(tmp_path: Path) -> None:
+    path = str(tmp_path / "ring.jpg")
+    pages.draw(path, 5, (240, 320))
+    options = {"kind": "polar", "inner": 20, "outer": 110}
+    decoder = Decoder({"data": {"image_size": [64, 256]}, "unwrap": options})
+    camera, view = camera_from_config(options, (64, 256))
+    expected = Preprocessing.checked((64, 256), camera, view).panorama(path).transpose(1, 2, 0)[..., ::-1]
+    picture = decoder.read(path, 10**6)
+    assert picture is not None
+    np.testing.assert_array_equal(picture, expected)
+
+
+def test_a_configuration_that_says_nothing() -> None:
+    assert Decoder({}).size == (128, 512)
+
+
+@given(st.integers(0, 500), st.integers(1, 60))
+def test_every_beginning_of_the_order_is_spread_evenly(n: int, part: int) -> None:
+    order = spread(n)
+    assert sorted(order.tolist()) == list(range(n))
+    first = np.sort(order[:part])
+    if len(first) > 1:
+        gaps = np.diff([*first, n])
+        assert gaps.max() <= 4 * n / len(first) + 1
+
+
+@given(st.lists(st.floats(0, 1e4), min_size=1, max_size=50))
+def test_classes_of_errors_are_round_and_rise(errors: list[float]) -> None:
+    limits = error_classes(np.array(errors))
+    assert 1 <= len(limits) <= 5
+    assert limits == sorted(set(limits))
+    assert all(f"{limit:e}"[0] in "125" for limit in limits)
+    assert limits[-1] <= max(*errors, 0) * (1 + 1e-6) or len(limits) == 1 or max(errors) == 0
+
+
+@given(st.text())
+def test_text_and_attributes_come_back_as_they_went_in(text: str) -> None:
+    text = text.replace("\r", "").replace("\0", "")
+    page = pages.parse(tag("p", text, title=text))
+    assert page.one("p").text == text
+    assert page.one("p").attributes["title"] == text
+
+
+def test_elements() -> None:
+    assert tag("p.a.b", None, 5, Markup("<br>"), data_x=1, hidden=True, id=None) == (
+        '<p class="a b" data-x="1" hidden>5<br></p>'
+    )
