@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
+
 from siamloc.cli import main
-from siamloc.maps import ErrorModel
-from siamloc.evaluation import absolute, calibration, hierarchical
+from siamloc.evaluation import absolute, calibration, estimates
 from siamloc.files import plain
-from siamloc.maps import CoarseLayer
+from siamloc.maps import CoarseLayer, ErrorModel
 from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest
 

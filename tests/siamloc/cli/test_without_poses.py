@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from siamloc.cli import main
 from siamloc.maps import ErrorModel
 from siamloc.results import read_results, read_rows
