@@ -13,6 +13,7 @@ from siamloc.cli.objects import (
     data_of,
     descriptor_of,
     files_in,
+    further_steps,
     heading_of,
     images_named,
     open_roles,
@@ -142,11 +143,8 @@ def export(config: DictConfig) -> None:
     if folder == run.bundle:
         run.record_written(files_in(folder))
     print(bundle.summary())
-    if known is not None and known.heading is None:
-        print(f"for a heading as well: siamloc map run={run.folder} heading=hog, then export again")
-    if known is not None and errors is None:
-        print(f"for expected errors: siamloc evaluate run={run.folder} task.error_model=true, then export again")
-    print(f"next: siamloc localize run={run.folder} images=[photo.jpeg]")
+    for line in further_steps(run, known, errors, label_of(config.descriptor)):
+        print(line)
 
 
 def localize(config: DictConfig) -> None:

@@ -16,7 +16,7 @@ from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps import VisualMap
+from siamloc.maps import ErrorModel, VisualMap
 from siamloc.runs import Run
 from siamloc.settings import checked, fields_of
 from siamloc.training.settings import Training
@@ -180,6 +180,18 @@ def way_of(config: DictConfig) -> dict[str, Any]:
     """Return how the configuration groups frames into nodes, as `siamloc.maps.group` takes it."""
     options = {key: value for key, value in plain(config.build).items() if key != "label"}
     return {"way": options.pop("name"), "seed": config.seed, **options}
+
+
+def further_steps(run: Run, known: VisualMap | None, errors: ErrorModel | None, label: str) -> list[str]:
+    """Return what the robot could get besides what was exported, and what to do next, in words."""
+    lines = []
+    if known is not None and known.heading is None:
+        lines.append(f"for a heading as well: siamloc map run={run.folder} heading=hog, then export again")
+    if known is not None and errors is None:
+        if (run.evaluation(label) / "error_model.json").is_file():
+            lines.append("error_model.json left out, it was learned on another map")
+        lines.append(f"for expected errors: siamloc evaluate run={run.folder} task.error_model=true, then export again")
+    return [*lines, f"next: siamloc localize run={run.folder} images=[photo.jpeg]"]
 
 
 def files_in(folder: Path) -> list[Path]:
