@@ -83,8 +83,7 @@ def _kept(record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed:
     kept = _of_data(record.get("data") or (made or {}).get("data") or {})
     if "protocol" in record:
         kept["protocol"] = Protocol.of(record["protocol"]).plain()
-    if made is not None and "role" in made:
-        kept["protocol.map"] = made["role"]
+    kept |= {key: made[key] for key in ("protocol.map", "heading") if made is not None and key in made}
     if "seed" in training:
         kept["seed"] = training["seed"]
     if "branch" in model:
@@ -107,7 +106,7 @@ def _of_data(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
-    """Return how the map of the named descriptor was made, where the run has one."""
+    """Return what the map of the named descriptor was made of, by section, where the run has one."""
     if "descriptor" not in config:
         return None
     path = map_file(run, label_of(config.descriptor))
@@ -116,8 +115,14 @@ def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
     from siamloc.maps import VisualMap
 
     known = VisualMap.load(path)
-    made = dict(known.made)
-    return {**made, "data": {**made["data"], "unit": known.unit}} if "data" in made else made
+    found: dict[str, Any] = {}
+    if "data" in known.made:
+        found["data"] = {**known.made["data"], "unit": known.unit}
+    if "role" in known.made:
+        found["protocol.map"] = known.made["role"]
+    if known.heading is not None:  # only columns that are a full turn give headings
+        found["heading"] = {key: value for key, value in known.heading.identity.items() if key != "circular"}
+    return found
 
 
 def _by_network(config: DictConfig) -> bool:

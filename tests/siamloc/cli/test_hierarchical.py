@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from siamloc.evaluation.error_model import ErrorModel
-
 from siamloc.cli import main
+from siamloc.maps import ErrorModel
 from siamloc.evaluation import absolute, calibration, hierarchical
 from siamloc.files import plain
 from siamloc.maps import CoarseLayer

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from siamloc.evaluation.error_model import ErrorModel
-
 from siamloc.cli import main
+from siamloc.maps import ErrorModel
 from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest
 from tests.siamloc.report.pages import notes, read_page, rows_of
