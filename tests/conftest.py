@@ -9,7 +9,7 @@ FRAMES = 6
 
 @pytest.fixture
 def robot(tmp_path, monkeypatch):
-    """The current folder: `robot.csv` with the drives monday and tuesday, a few small pictures each, and a photograph."""
+    """Make a folder the current one: `robot.csv` with two drives of a few small pictures each, and a photograph."""
     places = np.random.default_rng(0).integers(0, 256, (FRAMES, 8, 32, 3)).astype(np.uint8)
     rows = ["image,x,y,theta,room,sequence"]
     for drive in ("monday", "tuesday"):
