@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from siamloc.cli.help import COMMANDS
+
 ROOT = Path(__file__).parents[1]
 REFERENCE = sorted((ROOT / "docs/reference").glob("*.md"))
+PAGES = [ROOT / "README.md", *(page for page in sorted((ROOT / "docs").rglob("*.md")) if page not in REFERENCE)]
 
 
 @pytest.fixture(scope="module")
@@ -51,19 +54,23 @@ def test_no_page_loads_anything_from_elsewhere(site):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", REFERENCE, ids=lambda page: page.stem)
 def test_the_reference_names_everything_public(site, page):
-    module = re.search(r"^::: ([\w.]+)", page.read_text(encoding="utf-8"), flags=re.MULTILINE)[1]
+    module = page.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
     anchors = set(re.findall(r'id="([\w.]+)"', (site / f"reference/{page.stem}.html").read_text(encoding="utf-8")))
     package = importlib.import_module(module)
     public = {name for name in package.__all__ if callable(getattr(package, name))}
     assert not sorted(public - {anchor.rpartition(".")[2] for anchor in anchors})
 
 
-def test_every_command_of_the_pages_exists():
-    from siamloc.cli.help import COMMANDS
-
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    words = {
-        word for page in pages for word in re.findall(r"\bsiamloc ([a-z]+)\b[^.]", page.read_text(encoding="utf-8"))
-    }
-    text = {"COMMAND"}
-    assert words - text <= {name.partition(" ")[0] for name in COMMANDS} | {"does", "says", "itself", "wrote"}
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_names_and_commands_of_a_page_exist(page):
+    text = page.read_text(encoding="utf-8")
+    for dotted in set(
+        re.findall(r"\b((?:siamloc|analytic|augment)(?:\.\w+)+)", re.sub(r"[\w./-]+\.(?:md|py)\b", "", text))
+    ):
+        value = importlib.import_module(dotted.partition(".")[0])
+        for name in dotted.split(".")[1:]:
+            value = (
+                getattr(value, name) if hasattr(value, name) else importlib.import_module(f"{value.__name__}.{name}")
+            )
+    commands = set(re.findall(r"(?:^|`|\$\()siamloc ([a-z]+)", text, flags=re.MULTILINE))
+    assert commands <= {name.partition(" ")[0] for name in COMMANDS} | {"completion"}
