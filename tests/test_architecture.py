@@ -104,6 +104,7 @@ def test_declared_is_what_is_imported():
     found = {name.split(".")[0] for path in MODULES for name in imported(path)}
     found -= {*sys.stdlib_module_names, *PACKAGES, "faiss"}
     distributions = {
+        "PIL": "pillow",
         "cv2": "opencv-python-headless",
         "hydra": "hydra-core",
         "sklearn": "scikit-learn",

@@ -59,6 +59,7 @@ def buildings(
         )
     session = Session(first, images, queries, protocol="same_run", name=name)
     session.protocol = Protocol.of({"kind": protocol}) if isinstance(protocol, str) else protocol
+    session.refuse_exclusion("the choice of a building")
     wanted = _known_buildings(session, list(candidates))
     for building, one in candidates.items():
         Session(one, images, wanted.take(wanted.building == building), protocol=protocol)

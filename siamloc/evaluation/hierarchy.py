@@ -93,6 +93,7 @@ def hierarchical(
         DataError: a layer or a coarse map of other frames, or a map without positions.
     """
     session = Session(known, images, queries, protocol=protocol, name=name)
+    session.refuse_exclusion("hierarchical localization")
     layer = layer.layer if isinstance(layer, Built) else layer
     search = HierarchicalSearch(
         known,
