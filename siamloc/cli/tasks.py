@@ -35,8 +35,14 @@ TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "robustness", 
 
 
 def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
-    """Return what the configured task measures, and what its folder is called."""
+    """Return what the configured task measures, and what its folder is called.
+
+    Raises:
+        ConfigError: an unknown task, or tasks that are not measured together.
+    """
     names = list(config.task.names)
+    if not set(names) <= set(TASKS) or (len(names) != 1 and set(names) != {"absolute", "room_retrieval"}):
+        raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
     if names == ["mapping"]:
         return _mapping(config, run)
     if names == ["buildings"]:

@@ -14,6 +14,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Session
@@ -94,6 +95,9 @@ def robustness(
 ) -> Result:
     """Measure how errors grow when the queries' images are disturbed.
 
+    Where the map or the queries have no position at all, answers are judged by their room: the error is 1 in a wrong
+    room and 0 in the right one.
+
     Args:
         known: the map; frames without a position are left out, of the queries too.
         images: panoramas of the queries (and of the map's frames for baselines).
@@ -106,19 +110,29 @@ def robustness(
 
     Returns:
         The tables "robustness", a row per method, disturbance and level, and "answers", a row per query as well.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> result = robustness(known, images, tuesday, every=1, noise=(0, 0.05), occlusion=(), turn=(90,))
+        >>> list(result.measures["methods"]["hog"]), len(result.tables["answers"]["error"])
+        (['noise', 'turn'], 36)
     """
     session = Session(known, images, queries, protocol=protocol, baselines=baselines, name=name, seed=seed)
     disturbances = settings.disturbances(images.circular)
-    placed, scored = session.with_positions()
+    in_map, in_queries, by_room = session.comparable()
+    scored = session.queries.take(in_queries)
     rows = np.arange(0, len(scored), settings.every)
     parts, tables = [], []
     for label, other in {session.name: known.descriptor, **session.baselines}.items():
-        own = placed if label == session.name else session.map_by(other).placed()
+        own = session.map_by(other).take(in_map)
         found = _located(session, own, scored.take(rows), rows, disturbances, label)
-        parts.append(answers(label, own.frames, scored.take(rows), found))
+        parts.append(answers(label, own.frames, scored.take(rows), found, by_room))
         tables.append(curves(parts[-1], settings.radius, len(own)))
     table = concatenated(tables)
-    measured = measures(table, disturbances, known.unit, settings.every)
+    measured = measures(table, disturbances, "wrong rooms" if by_room else known.unit, settings.every)
     return Result(
         name=session.name,
         parts={"robustness": measured},
@@ -259,7 +273,11 @@ def locate_disturbed(
 
 
 def answers(
-    method: str, known: FrameTable, queries: FrameTable, found: Mapping[tuple[str, float], NDArray[np.int64]]
+    method: str,
+    known: FrameTable,
+    queries: FrameTable,
+    found: Mapping[tuple[str, float], NDArray[np.int64]],
+    by_room: bool = False,
 ) -> Columns:
     """Return one row for each query, disturbance and level: what `answers.csv` holds.
 
@@ -268,16 +286,18 @@ def answers(
         known: m map frames with positions.
         queries: n frames with positions.
         found: by disturbance and level the nearest map frame of each query (n,).
+        by_room: judge by rooms instead of positions: the error is 1 in a wrong room.
 
     Raises:
         DataError: no queries, nothing found, or frames without positions.
     """
     if not len(queries) or not found:
         raise DataError("robustness needs at least one query and one disturbance")
-    floor = error_floor(known.xy, queries.xy)
+    known_rooms, rooms = room_names(known, queries)
+    floor = (~np.isin(rooms, known_rooms)).astype(float) if by_room else error_floor(known.xy, queries.xy)
     parts = []
     for (name, level), row in found.items():
-        error = localization_error(known.xy[row], queries.xy)
+        error = (known_rooms[row] != rooms).astype(float) if by_room else localization_error(known.xy[row], queries.xy)
         parts.append(
             {
                 "method": np.full(len(queries), method),
@@ -380,13 +400,16 @@ def _located(
     """Locate queries, batch by batch, at every level of every disturbance."""
     describer: Descriptor = known.descriptor
 
+    excluded, barred = session.excluded(queries, known.frames), None
+
     def locate(images: Images) -> Retrieval:
-        return match(known, describer.describe(images), 1)
+        return match(known, describer.describe(images), 1, excluded=barred)
 
     batches = track(session.images.batches(queries), len(queries), f"disturbed queries, {name}", size=len)
     found, start = [], 0
     for images in batches:
         part = rows[start : start + len(images)]
+        barred = None if excluded is None else excluded[start : start + len(images)]
         found.append(locate_disturbed(locate, images, part, disturbances, session.seed))
         start += len(images)
     return {key: np.concatenate([part[key] for part in found]) for key in found[0]}

@@ -113,6 +113,18 @@ class Session:
         """Return which map frames (n, m) each query is not compared with, by the protocol; None for none."""
         return self.protocol.excluded(queries, known)
 
+    def refuse_exclusion(self, task: str) -> None:
+        """Refuse a protocol that leaves map frames out, for a task that compares with all of them.
+
+        Raises:
+            ConfigError: the protocol does.
+        """
+        if self.protocol.excludes:
+            raise ConfigError(
+                f"{task} compares queries with all frames of the map: leave protocol.leave_one_out, apart_seconds and "
+                "apart_metres out, and query another sequence"
+            )
+
     def map_by(self, other: Descriptor) -> VisualMap:
         """Return a map of the same frames by another descriptor."""
         if other is self.known.descriptor:
@@ -156,19 +168,24 @@ class Session:
             raise DataError(f"{text}: on_error=skip leaves them out")
         return text
 
-    def with_positions(self) -> tuple[VisualMap, FrameTable]:
-        """Return the map and the queries without the frames that have no position, and note how many have none.
+    def comparable(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
+        """Return which map frames (m,) and queries (n,) have what answers are judged by, and whether that is rooms.
+
+        It is positions, and rooms where the map or the queries have no position at all. How many frames lack it is
+        noted.
 
         Raises:
-            DataError: none has one, or some have none and `on_error` is "raise".
+            DataError: neither is known, or some frames lack it and `on_error` is "raise".
         """
-        known, queries = self.known, self.queries
-        for what, frames in (("map frames", known.frames), ("queries", queries)):
-            if text := self.lacking(frames.has_position, f"{what} have no position"):
-                if not frames.has_position.any():
-                    raise DataError(f"{text}: add x and y to the data")
+        tables = {"map frames": self.known.frames, "queries": self.queries}
+        by_room = any(not frames.has_position.any() for frames in tables.values())
+        masks = {what: frames.room != "" if by_room else frames.has_position for what, frames in tables.items()}
+        for what, has in masks.items():
+            if text := self.lacking(has, f"{what} have no {'room label' if by_room else 'position'}"):
+                if not has.any():
+                    raise DataError(f"{text}, and not all tables have positions: add x and y, or rooms, to the data")
                 self.skipped[f"{self.name}, {what}"] = text
-        return known.placed(), queries.take(queries.has_position)
+        return masks["map frames"], masks["queries"], by_room
 
     def about(self) -> dict[str, Any]:
         """Return what is evaluated, as plain values: data, protocol and descriptor."""
@@ -180,6 +197,7 @@ class Session:
             },
             "protocol": self.protocol.kind,
             "descriptor": self.known.descriptor.identity,
+            **({} if self.known.heading is None else {"heading": self.known.heading.identity}),
         }
 
     def settings(self, task: Any) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from siamloc.cli import main
 from siamloc.files import read_json
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
-from siamloc.runtime.bundle import learned_on
 from tests.drawn import write_manifest
 
 QUICK = ["protocol.query.sequences=[cloudy2]", "task.baselines=[]", "task.plots=false"]
@@ -62,12 +61,12 @@ def finished(flat, trained, tmp_path_factory):
 
 def test_a_network_tells_headings_as_an_analytic_method_does(finished):
     results = json.loads((finished / "evaluation/network/results.json").read_text())
-    assert results["config"]["heading"]["name"] == "hog"
-    assert results["config"]["heading"]["step"] == 4
+    assert results["heading"]["name"] == "hog"
+    assert results["heading"]["step"] == 4
     overall = results["measures"]["absolute"]["overall"]
     assert overall["heading_error"]["count"] == overall["queries"] == 24
     known = VisualMap.load(finished / "map.npz")
-    hog = known.heading.descriptor()
+    hog = known.heading.descriptor
     for row in table(finished / "evaluation/network/queries.csv"):
         turn = float(row["est_theta"]) - known.frames.theta[int(row["match"])]
         steps = turn / hog.resolution(128)
@@ -93,7 +92,7 @@ def test_the_robot_says_what_the_evaluation_says(finished):
 
 def test_export_and_localize_say_what_they_tell(finished, flat, capsys):
     siamloc("export", f"run={finished}")
-    assert "the robot is told: position, heading (by hog), expected error (lost above 1.5 m)" in capsys.readouterr().out
+    assert "the robot gets: position, heading (by hog), expected error (lost above 1.5 m)" in capsys.readouterr().out
     siamloc("localize", f"run={finished}", f"images=[{flat.parent / 'cloudy2/0003.png'}]", "top=1")
     line = capsys.readouterr().out.split("\n")[0]
     row = table(finished / "locations.csv")[0]
@@ -168,15 +167,15 @@ def test_an_older_map_asks_for_its_headings_in_one_sentence(trained, capsys):
     assert VisualMap.load(trained / "map.npz").heading is None
     assert main(["evaluate", f"run={trained}", *QUICK, "heading=hog"]) == 2
     error = capsys.readouterr().err
-    assert "holds nothing to tell headings by: make it anew with `siamloc map heading=hog`" in error
+    assert "holds nothing to find headings by: make it again with `siamloc map heading=hog`" in error
     assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["heading=fs"], "the map tells headings by hog, not by fs: make it anew with `siamloc map heading=fs`"),
-        (["heading.step=2"], "tells headings by hog with step=4 instead of 2"),
+        (["heading=fs"], "the map gives headings by hog, not by fs: make it again with `siamloc map heading=fs`"),
+        (["heading=hog", "heading.step=2"], "gives headings by hog with step=4 instead of 2"),
         (["heading=hug"], "unknown option heading=hug: did you mean 'hog'"),
         (["heading=wisurf"], "unknown option heading=wisurf"),
         (["heading=hog", "data.circular=false"], "needs columns that are a full turn"),
@@ -189,14 +188,14 @@ def test_headings_that_do_not_fit_get_one_sentence(finished, words, says, capsys
 
 def test_an_analytic_descriptor_keeps_its_own_heading(finished, capsys):
     siamloc("evaluate", f"run={finished}", *QUICK, "descriptor=hog", "heading=fs")
-    assert "heading=fs left out: hog tells headings itself" in capsys.readouterr().out
+    assert "heading=fs left out: hog gives headings itself" in capsys.readouterr().out
 
 
 def test_an_export_without_headings_and_errors_says_how_to_add_them(trained, flat, tmp_path, capsys):
     run = Path(shutil.copytree(trained, tmp_path / "run"))
     siamloc("export", f"run={run}")
     said = capsys.readouterr().out
-    assert "the robot is told: position\n" in said
+    assert "the robot gets: position\n" in said
     assert f"siamloc map run={run} heading=hog" in said
     assert f"siamloc evaluate run={run} task.error_model=true" in said
     siamloc("localize", f"run={run}", f"images=[{flat.parent / 'cloudy2/0003.png'}]")
@@ -213,10 +212,9 @@ def test_an_error_model_of_another_map_is_left_out(finished, tmp_path, capsys):
     capsys.readouterr()
     siamloc("export", f"run={run}")
     said = capsys.readouterr().out
-    assert (
-        "error_model.json left out, it was learned on another map: run `siamloc evaluate task.error_model=true`" in said
-    )
-    assert "the robot is told: position\n" in said
+    assert "error_model.json left out, it was learned on another map" in said
+    assert f"siamloc evaluate run={run} task.error_model=true" in said
+    assert "the robot gets: position\n" in said
     assert set(read_json(run / "bundle/bundle.json")["sha256"]) == {"model.onnx", "map.npz"}
 
 
@@ -225,7 +223,7 @@ def test_headings_leave_the_error_model_valid(finished, tmp_path):
     siamloc("map", f"run={run}", "heading=hog")
     errors = ErrorModel.load(run / "evaluation/network/error_model.json")
     assert errors.lost_above == 1.5
-    assert learned_on(errors, VisualMap.load(run / "map.npz"))
+    assert errors.learned_on(VisualMap.load(run / "map.npz"))
     before, after = (VisualMap.load(folder / "map.npz").heading for folder in (finished, run))
     assert np.prod(after.values.shape) == 2 * np.prod(before.values.shape)
 

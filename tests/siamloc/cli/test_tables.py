@@ -40,6 +40,7 @@ def test_rooms_count_under_lightings_without_any_position():
 
     by_lighting = {"cloudy": group(0.5), "night": group(1.0)}
     rooms = {"room_retrieval": {"overall": group(0.75), "lighting": by_lighting}}
+
     def cells(share):
         return [word for number in (share, "100.0", "40.0", "25.0") for word in (number, "%")]
 

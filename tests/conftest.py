@@ -1,0 +1,24 @@
+"""A small data set of one's own, for the tests that run what the pages say."""
+
+import cv2
+import numpy as np
+import pytest
+
+FRAMES = 6
+
+
+@pytest.fixture
+def robot(tmp_path, monkeypatch):
+    """Make a folder the current one: `robot.csv` with two drives of a few small pictures each, and a photograph."""
+    places = np.random.default_rng(0).integers(0, 256, (FRAMES, 8, 32, 3)).astype(np.uint8)
+    rows = ["image,x,y,theta,room,sequence"]
+    for drive in ("monday", "tuesday"):
+        for number, place in enumerate(places):
+            name = f"{drive}_{number}.png"
+            cv2.imwrite(str(tmp_path / name), cv2.resize(place, (128, 32), interpolation=cv2.INTER_NEAREST))
+            rows.append(f"{name},{number},0,0,{'office' if number < FRAMES // 2 else 'corridor'},{drive}")
+    (tmp_path / "robot.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    (tmp_path / "photo.jpg").write_bytes((tmp_path / "tuesday_4.png").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SIAMLOC_CACHE", str(tmp_path / "cache"))
+    return tmp_path
