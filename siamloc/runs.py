@@ -137,8 +137,9 @@ class Run:
         try:
             with self.metrics.open(encoding="utf-8", newline="") as file:
                 rows = list(csv.DictReader(file))
-            return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
-        except (ValueError, TypeError, IndexError, csv.Error, UnicodeDecodeError) as error:
+            names = ["epoch", *(name for name in rows[0] if name != "epoch")]
+            return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+        except (ValueError, TypeError, LookupError, csv.Error, UnicodeDecodeError) as error:
             raise FormatError(f"{self.metrics} is not a table of training curves ({error}): train again") from error
 
     def plot(self) -> Figure:
