@@ -165,9 +165,7 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
     known = VisualMap.load(path, described) if path.is_file() else None
     if known is not None and _is_wanted(known, config):
         images, frames = open_roles(config, *roles, known=known)
-        if heading is not None:
-            known = known.with_heading(heading)
-        return known, images, frames
+        return known.with_heading(heading), images, frames
     if known is not None and roles:
         raise ConfigError(
             f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "

@@ -112,6 +112,19 @@ def test_bundles_of_version_0_1_are_refused(tmp_path, capsys, version):
     assert "export again" in error
 
 
+def test_stopping_a_training_says_how_to_go_on_once(manifest, tmp_path, capsys, monkeypatch):
+    def stopped(*arguments, **keywords):
+        print("stopped after 1 of 2 epochs: go on with resume=true", file=sys.stderr)
+        raise KeyboardInterrupt("stopped after 1 of 2 epochs: go on with resume=true")
+
+    monkeypatch.setattr("siamloc.training.fit", stopped)
+    assert main(["train", *words(manifest), *TRAIN, f"run={tmp_path / 'run'}"]) == 130
+    error = capsys.readouterr().err.splitlines()
+    assert [line for line in error if "stopped" in line or "interrupted" in line] == [
+        "stopped after 1 of 2 epochs: go on with resume=true"
+    ]
+
+
 def complete(line, folder):
     """Return what bash offers after a line, by the script that users load."""
     script = f"""
