@@ -9,8 +9,9 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,19 @@ def temporary_of(path: str | Path) -> str:
     """
     match = re.fullmatch(r"\.(.+)\.[a-z0-9_]{8}\.tmp(\.[^.]+)?", Path(path).name)
     return match[1] if match and Path(match[1]).suffix == (match[2] or "") else ""
+
+
+def clear_temporaries(paths: Iterable[str | Path]) -> None:
+    """Remove what killed processes had half written of these files; all other files stay.
+
+    Raises:
+        StorageError: removing is not permitted.
+    """
+    for path in map(Path, paths):
+        for leftover in path.parent.glob(f".{escape(path.name)}.*"):
+            if temporary_of(leftover) == path.name:
+                with storage_errors(leftover):
+                    leftover.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -8,7 +8,6 @@ import io
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import plain, read_json, storage_errors, write_json
+from siamloc.files import clear_temporaries, plain, read_json, storage_errors, write_json
 from siamloc.results import versions
 
 if TYPE_CHECKING:
@@ -138,8 +137,9 @@ class Run:
         try:
             with self.metrics.open(encoding="utf-8", newline="") as file:
                 rows = list(csv.DictReader(file))
-            return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
-        except (ValueError, TypeError, IndexError, csv.Error, UnicodeDecodeError) as error:
+            names = ["epoch", *(name for name in rows[0] if name != "epoch")]
+            return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+        except (ValueError, TypeError, LookupError, csv.Error, UnicodeDecodeError) as error:
             raise FormatError(f"{self.metrics} is not a table of training curves ({error}): train again") from error
 
     def plot(self) -> Figure:
@@ -229,10 +229,8 @@ class Run:
 
     def clear_temporaries(self) -> None:
         """Remove what a killed process had half written of the files that the record names."""
-        for name in [self.record.name, *self.load_record()["written"]]:
-            path = self.folder / name
-            if self._holds(name):
-                self._remove(path.parent.glob(f".{escape(path.name)}.*.tmp{escape(path.suffix)}"))
+        names = [self.record.name, *(name for name in self.load_record()["written"] if self._holds(name))]
+        clear_temporaries(self.folder / name for name in names)
 
     def foreign(self, names: Iterable[str]) -> list[str]:
         """List which of these names are taken by files that siamloc did not write into this run."""

@@ -1,4 +1,4 @@
-"""Settings: what a call can be told, by name, type and range, written down once.
+"""Settings: the names, types and ranges of what a call takes, written down once.
 
 A group of settings is a frozen dataclass. Its annotations say what each value may be; they are checked when the object
 is made, with one sentence for every mistake. The same class gives a function its keywords (`takes`) and the command
@@ -118,7 +118,7 @@ def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         own = inspect.signature(function)
-        # Only the function's own keywords are told from settings by name; `settings` is what they become.
+        # Keywords that are fields become `settings`; the rest are the function's own.
         parameters = [one for one in own.parameters.values() if one.name != "settings"]
         fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
 

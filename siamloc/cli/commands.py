@@ -8,19 +8,19 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from siamloc.cli.compose import composed, plain
-from siamloc.cli.inherit import label_of, map_file
+from siamloc.cli.inherit import by_network, label_of, map_file, suggestion
 from siamloc.cli.objects import (
     data_of,
     descriptor_of,
     files_in,
+    further_steps,
     heading_of,
     images_named,
-    needs_network,
     open_roles,
     preprocessing_of,
     run_of,
-    suggestion,
     training_folder,
+    training_of,
     way_of,
 )
 from siamloc.data import Protocol
@@ -61,16 +61,6 @@ def train(config: DictConfig) -> None:
     from siamloc import models, training
     from siamloc.training.fitting import process_rank
 
-    settings = training.Training.of(
-        {
-            **{key: config[key] for key in ("seed", "epochs", "batch_size")},
-            "workers": config.loader.workers,
-            "margin": config.loss.margin,
-            "augment_where": config.augment.where,
-            "pairs": plain(config.pairs),
-            "optimizer": plain(config.optimizer),
-        }
-    )
     validated = config.protocol.validation.sequences is not None
     images, roles = open_roles(config, "train", *(["validation"] if validated else []))
     branch, head = config.model.branch, config.model.head
@@ -86,7 +76,7 @@ def train(config: DictConfig) -> None:
         protocol=Protocol.of(plain(config.protocol)).plain(),
         resume=config.resume,
         overwrite=config.overwrite,
-        settings=settings,
+        settings=training_of(config),
     )
     if process_rank() == 0:
         print(f"checkpoint: {run.checkpoint('best')}; next: siamloc map run={run.folder}")
@@ -108,7 +98,7 @@ def map_frames(config: DictConfig) -> None:
         size = known.heading.values[0].nbytes
         print(f"headings: by {known.heading.identity['name']}, {size} bytes a frame")
     if config.build.name == "none":
-        print(f"next: siamloc evaluate run={run.folder}{'' if needs_network(config) else f' descriptor={label}'}")
+        print(f"next: siamloc evaluate run={run.folder}{'' if by_network(config) else f' descriptor={label}'}")
         return
     folder = run.layer(label, label_of(config.build))
     built = maps.group(known, folder=folder, **way_of(config))
@@ -119,12 +109,8 @@ def map_frames(config: DictConfig) -> None:
 
 def evaluate(config: DictConfig) -> None:
     """Measure a task: one call of `siamloc.evaluation`, its files and its table."""
-    from siamloc.cli.tasks import TASKS, result_of
+    from siamloc.cli.tasks import result_of
 
-    names = list(config.task.names)
-    known = [name for name in names if name in TASKS]
-    if (len(names) != 1 and set(names) != {"absolute", "room_retrieval"}) or len(known) != len(names):
-        raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
     run = run_of(config)
     name, result = result_of(config, run)
     folder = run.evaluation(name)
@@ -146,7 +132,7 @@ def export(config: DictConfig) -> None:
     if config.run is None:
         raise ConfigError(f"no run is named: {suggestion()}")
     run = run_of(config)
-    if not needs_network(config):
+    if not by_network(config):
         raise ConfigError(f"only a network can be exported, not descriptor={config.descriptor.name}")
     network = descriptor_of(config, run)
     known = VisualMap.load(run.map, network) if run.map.is_file() else None
@@ -157,11 +143,8 @@ def export(config: DictConfig) -> None:
     if folder == run.bundle:
         run.record_written(files_in(folder))
     print(bundle.summary())
-    if known is not None and known.heading is None:
-        print(f"for a heading as well: siamloc map run={run.folder} heading=hog, then export again")
-    if known is not None and errors is None:
-        print(f"for expected errors: siamloc evaluate run={run.folder} task.error_model=true, then export again")
-    print(f"next: siamloc localize run={run.folder} images=[photo.jpeg]")
+    for line in further_steps(run, known, errors, label_of(config.descriptor)):
+        print(line)
 
 
 def localize(config: DictConfig) -> None:
@@ -188,6 +171,8 @@ def localize(config: DictConfig) -> None:
         raise DataError(f"none of the {len(images)} images could be read")
     target = Path("locations.csv") if config.bundle is not None else run_of(config).folder / "locations.csv"
     write_locations(target, found)
+    if config.bundle is None:
+        run_of(config).record_written([target])
     print(f"{len(found)} of {len(images)} images located: {target}")
 
 

@@ -109,9 +109,20 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
     if (COMMANDS[command].inherits or resumed) and config.get("run") is not None:
         from siamloc.cli.inherit import with_settings_of_the_run
 
-        dotted = [group.replace("/", ".") for group in groups]
-        config = with_settings_of_the_run(config, [key.replace("/", ".") for key in keys], dotted, resumed=resumed)
+        config = with_settings_of_the_run(
+            config,
+            [key.replace("/", ".") for key in keys],
+            [group.replace("/", ".") for group in groups],
+            resumed=resumed,
+            required=COMMANDS[command].reads_data and not resumed,
+        )
+    elif COMMANDS[command].inherits and COMMANDS[command].reads_data:
+        from siamloc.cli.inherit import check_named
+
+        check_named(config)
     missing = sorted(OmegaConf.missing_keys(config))
+    if not COMMANDS[command].reads_data:
+        missing = [key for key in missing if not key.startswith("data.")]
     if missing:
         raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=VALUE")
     return config

@@ -16,6 +16,7 @@ class Command:
     example: str
     inherits: bool = False  # takes its settings from the run that is named
     config: str = "config"  # the configuration file it begins with
+    reads_data: bool = True  # needs to be told where the data lie
 
 
 COMMANDS = {
@@ -159,6 +160,7 @@ COMMANDS = {
         """,
         "siamloc localize run=runs/vgg16 images=[photo.jpeg]",
         inherits=True,
+        reads_data=False,
     ),
     "report": Command(
         "report",

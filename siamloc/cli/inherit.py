@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
-from siamloc.runs import Run
+from siamloc.runs import Run, newest_run
 
 # What a group of the command line chooses besides itself: files in `conf/data` and `conf/experiment` choose others.
 _CHOOSES = {
@@ -28,7 +28,7 @@ _CHOOSES = {
 
 
 def with_settings_of_the_run(
-    config: DictConfig, keys: Sequence[str], groups: Sequence[str], *, resumed: bool
+    config: DictConfig, keys: Sequence[str], groups: Sequence[str], *, resumed: bool, required: bool
 ) -> DictConfig:
     """Return a configuration with the settings of the run that it names; unchanged where there is no such run yet.
 
@@ -37,9 +37,10 @@ def with_settings_of_the_run(
         keys: what was said on the command line, such as "protocol.map.every".
         groups: those among the keys that are groups, with dots, such as "data" or "model.branch".
         resumed: whether the settings of the training are wanted too.
+        required: whether the run has to be there where its network is needed.
 
     Raises:
-        ConfigError: an empty name of a run.
+        ConfigError: an empty name of a run, or a folder that is none where its network is needed.
         FormatError: a run or a map of another version.
     """
     if not str(config.run).strip():
@@ -47,7 +48,8 @@ def with_settings_of_the_run(
     run = Run(Path(config.run))
     network = config.get("descriptor", {}).get("run")
     trained = Run(Path(network)) if network is not None else run
-    record = trained.settings if trained.record.is_file() else {}
+    needed = required and by_network(config)
+    record = trained.settings if needed or trained.record.is_file() else {}
     made = None if resumed else _map_made(run, config)
     kept = _kept(record, made, resumed=resumed)
     chosen = {part for group in groups for part in _CHOOSES.get(group, (group,))}
@@ -60,7 +62,7 @@ def with_settings_of_the_run(
             ):
                 OmegaConf.update(result, section, values, merge=False)
         size = record.get("model", {}).get("image_size") or record.get("data", {}).get("image_size")
-        if size is not None and "experiment" not in groups and _by_network(config):
+        if size is not None and "experiment" not in groups and by_network(config):
             result.data.image_size = size
         for key, value in said.items():
             OmegaConf.update(result, key, value, merge=False)
@@ -88,7 +90,7 @@ def _kept(record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed:
         kept["seed"] = training["seed"]
     if "branch" in model:
         kept |= {"model.branch.name": model["branch"], "model.head.name": model["head"]}
-    if resumed:
+    if resumed and training:
         kept |= {
             "model.branch.weights": model.get("weights"),
             "loss.margin": training["margin"],
@@ -125,5 +127,24 @@ def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
     return found
 
 
-def _by_network(config: DictConfig) -> bool:
+def by_network(config: DictConfig) -> bool:
+    """Return whether the configured descriptor is the network of a run."""
     return config.get("descriptor", {}).get("name", "network") in ("network", "untrained")
+
+
+def check_named(config: DictConfig) -> None:
+    """Make sure that a run is named where its network is needed.
+
+    Raises:
+        ConfigError: it is not; the newest run is suggested.
+    """
+    if config.get("run") is None and by_network(config) and config.descriptor.get("run") is None:
+        raise ConfigError(f"no run is named: {suggestion()}")
+
+
+def suggestion() -> str:
+    """Return which run a user may have meant, for an error message."""
+    try:
+        return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
+    except ConfigError:
+        return "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none, descriptor=hog"

@@ -11,13 +11,15 @@ from omegaconf import DictConfig, OmegaConf
 
 from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
 from siamloc.cli.compose import config_folder, plain, sweep_suffix
-from siamloc.cli.inherit import label_of
+from siamloc.cli.inherit import check_named, label_of
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps import VisualMap
-from siamloc.runs import Run, newest_run
+from siamloc.maps import ErrorModel, VisualMap
+from siamloc.runs import Run
+from siamloc.settings import checked, fields_of
+from siamloc.training.settings import Training
 
 
 def data_of(config: DictConfig) -> DataSettings:
@@ -81,22 +83,16 @@ def run_of(config: DictConfig) -> Run:
     """
     if config.run is not None:
         return Run(Path(config.run))
-    if needs_network(config) and config.descriptor.get("run") is None:
-        raise ConfigError(f"no run is named: {suggestion()}")
+    check_named(config)
     return Run(Path("runs") / (config.data.name or "data") / label_of(config.descriptor))
 
 
-def suggestion() -> str:
-    """Return which run a user may have meant, for an error message."""
-    try:
-        return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
-    except ConfigError:
-        return "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none, descriptor=hog"
-
-
-def needs_network(config: DictConfig) -> bool:
-    """Return whether the configured descriptor is the network of a run."""
-    return config.descriptor.name in ("network", "untrained")
+def training_of(config: DictConfig) -> Training:
+    """Return the settings of a training; those that the command line calls otherwise are checked by its names."""
+    values = {key: plain(config)[key] for key in ("seed", "epochs", "batch_size", "pairs", "optimizer")}
+    for name, key in {"workers": "loader.workers", "margin": "loss.margin", "augment_where": "augment.where"}.items():
+        values[name] = checked(OmegaConf.select(config, key), fields_of(Training)[name], key)
+    return Training.of(values)
 
 
 def training_folder(config: DictConfig) -> Path:
@@ -184,6 +180,18 @@ def way_of(config: DictConfig) -> dict[str, Any]:
     """Return how the configuration groups frames into nodes, as `siamloc.maps.group` takes it."""
     options = {key: value for key, value in plain(config.build).items() if key != "label"}
     return {"way": options.pop("name"), "seed": config.seed, **options}
+
+
+def further_steps(run: Run, known: VisualMap | None, errors: ErrorModel | None, label: str) -> list[str]:
+    """Return what the robot could get besides what was exported, and what to do next, in words."""
+    lines = []
+    if known is not None and known.heading is None:
+        lines.append(f"for a heading as well: siamloc map run={run.folder} heading=hog, then export again")
+    if known is not None and errors is None:
+        if (run.evaluation(label) / "error_model.json").is_file():
+            lines.append("error_model.json left out, it was learned on another map")
+        lines.append(f"for expected errors: siamloc evaluate run={run.folder} task.error_model=true, then export again")
+    return [*lines, f"next: siamloc localize run={run.folder} images=[photo.jpeg]"]
 
 
 def files_in(folder: Path) -> list[Path]:

@@ -116,7 +116,8 @@ def _groups_of(file: Path) -> list[str]:
     """Return the groups that a configuration file chooses from, such as "data" and "model/branch"."""
     from omegaconf import OmegaConf
 
-    defaults = OmegaConf.load(file).get("defaults", [])
+    held: Any = OmegaConf.to_container(OmegaConf.load(file))
+    defaults = held.get("defaults", [])
     return [str(key) for entry in defaults if not isinstance(entry, str) for key in entry if "@" not in str(key)]
 
 

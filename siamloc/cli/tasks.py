@@ -35,8 +35,14 @@ TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "robustness", 
 
 
 def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
-    """Return what the configured task measures, and what its folder is called."""
+    """Return what the configured task measures, and what its folder is called.
+
+    Raises:
+        ConfigError: an unknown task, or tasks that are not measured together.
+    """
     names = list(config.task.names)
+    if not set(names) <= set(TASKS) or (len(names) != 1 and set(names) != {"absolute", "room_retrieval"}):
+        raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
     if names == ["mapping"]:
         return _mapping(config, run)
     if names == ["buildings"]:
@@ -159,9 +165,7 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
     known = VisualMap.load(path, described) if path.is_file() else None
     if known is not None and _is_wanted(known, config):
         images, frames = open_roles(config, *roles, known=known)
-        if heading is not None:
-            known = known.with_heading(heading)
-        return known, images, frames
+        return known.with_heading(heading), images, frames
     if known is not None and roles:
         raise ConfigError(
             f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "

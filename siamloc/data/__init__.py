@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from siamloc.data.checks import check, summary
 from siamloc.data.decoding import Preprocessing
+from siamloc.data.examples import example
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.panorama import (
@@ -41,6 +42,7 @@ __all__ = [
     "check",
     "column_azimuth",
     "concatenate",
+    "example",
     "expand",
     "read",
     "summary",

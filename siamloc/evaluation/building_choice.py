@@ -46,6 +46,15 @@ def buildings(
     Raises:
         ConfigError: fewer than two buildings, maps by different descriptors, or an unknown distance.
         DataError: map frames without a building, or queries in one that has no map.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> frames = images.frames.with_columns(building=["north"] * 6 + ["south"] * 6 + ["north"] * 6 + ["south"] * 6)
+        >>> monday, tuesday = (frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> buildings(known, images, tuesday).measures["confusion"]["labels"]
+        ['north', 'south']
     """
     candidates = by_building([known] if isinstance(known, VisualMap) else known)
     first = next(iter(candidates.values()))

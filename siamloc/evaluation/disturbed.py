@@ -110,6 +110,15 @@ def robustness(
 
     Returns:
         The tables "robustness", a row per method, disturbance and level, and "answers", a row per query as well.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> result = robustness(known, images, tuesday, every=1, noise=(0, 0.05), occlusion=(), turn=(90,))
+        >>> list(result.measures["methods"]["hog"]), len(result.tables["answers"]["error"])
+        (['noise', 'turn'], 36)
     """
     session = Session(known, images, queries, protocol=protocol, baselines=baselines, name=name, seed=seed)
     disturbances = settings.disturbances(images.circular)

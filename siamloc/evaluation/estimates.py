@@ -253,7 +253,7 @@ def located_columns(
         frames: the queries (n).
         found: their nearest map frames.
         headings: estimated headings (n,), rad.
-        errors: what tells the expected error, with a threshold of being lost.
+        errors: the model of the expected error, with a threshold of being lost.
 
     Raises:
         DataError: a retrieval of other queries, or of too few frames for the error model.

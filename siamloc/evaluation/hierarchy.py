@@ -91,6 +91,15 @@ def hierarchical(
     Raises:
         ConfigError: queries that the protocol forbids, or descriptors by which nodes cannot be ranked this way.
         DataError: a layer or a coarse map of other frames, or a map without positions.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> result = hierarchical(known, images, tuesday, siamloc.maps.group(known, "rooms"), candidates=1)
+        >>> result.measures["comparisons"]["max"]
+        7
     """
     session = Session(known, images, queries, protocol=protocol, name=name)
     session.refuse_exclusion("hierarchical localization")

@@ -66,7 +66,7 @@ def interpolate_poses(
         frames: those of the map (m), in capture order inside each sequence, all with positions.
         k: how many neighbours count at most; 1 gives the nearest frame's position exactly.
         radius: along the path, in units of x and y, not negative; 0 leaves the frames at the nearest one's place.
-        headings: (n, k or more) heading of the query that each neighbour tells, rad; NaN where it tells none.
+        headings: (n, k or more) heading of the query by each neighbour, rad; NaN where it gives none.
         epsilon: keeps the weight of an identical descriptor finite, positive.
 
     Raises:

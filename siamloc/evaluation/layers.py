@@ -48,6 +48,14 @@ def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings
         built: nodes over its frames, from `siamloc.maps.group`.
         name: what the results are called.
         settings: instead of its fields as keywords.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> mapping(known, siamloc.maps.group(known, "rooms")).measures["purity"]["overall"]
+        1.0
     """
     result = evaluate_mapping(
         known,

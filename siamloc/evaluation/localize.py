@@ -141,10 +141,16 @@ def localization(
         ConfigError: settings that contradict each other, or queries that the protocol forbids.
         DataError: nothing can be measured.
 
-    Examples:
-        >>> result = localization(known, images, tuesday, radii=(0.5,))  # doctest: +SKIP
-        >>> result.measures["error"]["mean"]  # doctest: +SKIP
-        0.31
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> result = localization(known, images, tuesday, radii=(0.5,), baselines=["thumbnail"])
+        >>> result
+        Result(hog: absolute, room_retrieval; 12 queries, 12 map, 12 rooms)
+        >>> result.measures["queries"], result.measures["floor"]["mean"], list(result.baselines)
+        (12, 0.0, ['thumbnail'])
     """
     session = Session(
         known,
@@ -177,6 +183,14 @@ def rooms(known: VisualMap, images: PanoramaLibrary, queries: FrameTable, **opti
     """Find the room of queries by the map frame that looks most like each; options are those of `localization`.
 
     Poses are not needed.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> rooms(known, images, tuesday).measures["chance"]
+        0.3333333333333333
     """
     return localization(known, images, queries, names=("room_retrieval",), **options)
 
@@ -192,6 +206,14 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
 
     Raises:
         DataError: fewer than 10 validation frames with positions.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> error_model(known, images, tuesday, lost_above=2.0).lost_above
+        2.0
     """
     settings, placed = Localization.of(options), known.placed()
     session = Session(known, images, validation, validation=validation)

@@ -33,6 +33,15 @@ class Result:
         settings: of the evaluation, as plain values.
         error_model: what was learned of the error, where that was asked for.
         layer: folder of the coarse layer, where there is one on disk: some pictures need it.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> result = siamloc.evaluation.rooms(known, images, tuesday)
+        >>> sorted(result.tables), result.rows[0]["room"]
+        (['map', 'rooms'], 'office')
     """
 
     name: str
@@ -76,9 +85,16 @@ class Result:
         return f"Result({self.name}: {', '.join(self.parts) or 'nothing measured'}; {rows})"
 
     def _repr_html_(self) -> str:
-        import html
+        from base64 import b64encode
+        from html import escape
+        from io import BytesIO
 
-        return f"<pre>{html.escape(self.table())}</pre>"
+        shown, picture = f"<pre>{escape(self.table())}</pre>", BytesIO()
+        try:
+            self.plot().savefig(picture, format="png", dpi=80)
+        except DataError:
+            return shown
+        return f'{shown}<img src="data:image/png;base64,{b64encode(picture.getvalue()).decode()}">'
 
     def table(self) -> str:
         """Return the measures as text: a table by method and lighting, and what they rest on."""

@@ -19,6 +19,7 @@ import augment
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
+from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.files import content_key, plain
 from siamloc.models.checkpoint import load, read_checkpoint
@@ -350,7 +351,7 @@ class _Seeds(Callback):
 
 def _check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
-    before = run.settings
+    before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     for section in _LEARNED:
         old, new = _flat(section, before.get(section)), _flat(section, now.get(section))
         for key in sorted({*old, *new}):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,7 +26,7 @@ class Evaluation:
     """The results of one descriptor.
 
     Attributes:
-        name: of the descriptor; its row in the tables.
+        name: of the results; their row in the tables.
         kind: what was measured: "localization", which room retrieval belongs to, "hierarchical", "robustness", or
             another task.
         results: what `results.json` holds.
@@ -52,18 +50,17 @@ class Evaluation:
 
     @property
     def title(self) -> str:
-        """The descriptor, and what was measured with it where the two are not the same."""
+        """The name, and what was measured where that is not the same."""
         if self.kind == "localization":
             return self.name
         build, coarse = ((self.results.get(key) or {}).get("name") for key in ("layer", "coarse_descriptor"))
+        if build is None or self.kind != "hierarchical":
+            return f"{self.name}, {self.kind}"
         own = (self.results.get("descriptor") or {}).get("name")
         of = f" of {coarse}" if coarse not in (None, own) else ""
-        settings = self.results.get("config") or {}
-        called = (settings.get("build") or {}).get("label") or build
-        by = ((settings.get("task") or {}).get("coarse") or {}).get("by")
-        found = " by vote" if by == "vote" else ""
-        nodes = "rooms" if build == "rooms" else f"{called} nodes"
-        return f"{self.name}, {self.kind}" + (f" over {nodes}{of}{found}" if build else "")
+        by = ((self.results["config"].get("task") or {}).get("coarse") or {}).get("by")
+        nodes = "rooms" if build == "rooms" else f"{build} nodes"
+        return f"{self.name}, {self.kind} over {nodes}{of}{' by vote' if by == 'vote' else ''}"
 
     @property
     def methods(self) -> dict[str, dict[str, Any]]:
@@ -123,13 +120,13 @@ class RunFiles:
         title: a name that no other run of the report has.
         evaluations: at least one.
         curves: columns of `metrics.csv`; None for what was not trained.
-        overrides: words that the run was trained with; None as well.
+        settings: what the run was trained with; None as well.
     """
 
     title: str
     evaluations: tuple[Evaluation, ...]
     curves: dict[str, NDArray[np.float64]] | None
-    overrides: tuple[str, ...] | None
+    settings: dict[str, Any] | None
 
 
 def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
@@ -156,14 +153,13 @@ def _gather(folder: Path, title: str) -> RunFiles:
     if not found:
         raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
     run = Run(folder.resolve().parents[1] if single and folder.resolve().parent.name == "evaluation" else folder)
-    record = run.load_record() if run.record.is_file() else None
     evaluations = [_evaluation(path) for path in sorted(found, key=lambda path: (path.name != "network", path.name))]
     evaluations.sort(key=lambda one: _KINDS.index(one.kind) if one.kind in _KINDS else len(_KINDS))
     return RunFiles(
         title,
         tuple(evaluations),
-        _curves(run.metrics) if run.metrics.is_file() else None,
-        None if record is None else tuple(map(str, record["overrides"])),
+        run.curves() if run.metrics.is_file() else None,
+        run.settings if run.record.is_file() else None,
     )
 
 
@@ -179,9 +175,7 @@ def _evaluation(folder: Path) -> Evaluation:
         match, frames = found["queries"]["match"], len(found["map"]["x"])
         if len(match) and not (match.min() >= 0 and match.max() < frames):
             raise FormatError(f"{folder / 'queries.csv'} names map frames that map.csv lacks: evaluate again")
-    name = (results.get("config") or {}).get("descriptor") or {}
-    label = name.get("label") or name.get("name") if isinstance(name, dict) else None
-    return Evaluation(str(label or folder.name), kind, results, found)
+    return Evaluation(str(results.get("name") or folder.name), kind, results, found)
 
 
 def _kind(folder: Path, results: dict[str, Any]) -> str:
@@ -191,19 +185,6 @@ def _kind(folder: Path, results: dict[str, Any]) -> str:
     if measures.keys() & {"absolute", "room_retrieval"}:
         return "localization"
     return next((kind for kind in _KINDS if kind in measures), str(next(iter(measures))).replace("_", " "))
-
-
-def _curves(path: Path) -> dict[str, NDArray[np.float64]] | None:
-    """Read the training curves; None for a file without a finished epoch."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-        columns = {
-            name: np.array([float(row[name]) if row[name] else math.nan for row in rows]) for name in (rows or [{}])[0]
-        }
-    except (ValueError, TypeError, csv.Error, UnicodeDecodeError) as error:
-        raise FormatError(f"{path} is not a table of training curves ({error}): remove it, or train again") from error
-    return columns if "epoch" in columns else None
 
 
 def _titles(folders: list[Path]) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
-from siamloc.data.panorama import camera_from_config
+from siamloc.data.panorama import CAMERAS
 from siamloc.errors import SiamlocError
 from siamloc.progress import track
 
@@ -42,14 +42,15 @@ class Decoder:
     """Reads images as the network or the descriptor saw them, and remembers which could not be read.
 
     Args:
-        config: of an evaluation; `unwrap`, `data.image_size` and the unit matter.
+        settings: of an evaluation; `data.image_size` and `data.unwrap` matter. A camera of one's own cannot be made
+            again from them: its images are shown as they are.
     """
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
-        size = (config.get("data") or {}).get("image_size")
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        data = settings.get("data") or {}
+        size, unwrap = data.get("image_size"), data.get("unwrap") or {}
         self.size = (int(size[0]), int(size[1])) if size else _DEFAULT_SIZE
-        camera, view = camera_from_config(config.get("unwrap") or {"kind": "none"}, self.size)
-        self._preprocessing = Preprocessing.checked(self.size, camera, view if camera is not None else None)
+        self._preprocessing = Preprocessing.checked(self.size, unwrap if unwrap.get("kind") in CAMERAS else None)
         self.missing: dict[str, str] = {}
 
     @property

@@ -196,9 +196,8 @@ def training(run: RunFiles, number_: int) -> Markup | None:
 def configuration(run: RunFiles) -> Markup:
     """Return configuration and versions, folded."""
     parts: list[Markup] = []
-    if run.overrides is not None:
-        words = " ".join(["siamloc", "train", *run.overrides])
-        parts.append(tag("details", tag("summary", "Trained by"), tag("pre", words)))
+    if run.settings is not None:
+        parts.append(tag("details", tag("summary", "Trained with"), tag("pre", _yaml(run.settings))))
     for evaluation in run.evaluations:
         results, which = evaluation.results, f", {evaluation.title}" if len(run.evaluations) > 1 else ""
         facts: list[tuple[str, Content]] = [("measured", results.get("created"))]

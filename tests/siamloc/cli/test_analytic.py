@@ -120,7 +120,7 @@ def test_other_settings_build_the_layer_anew(manifest, tmp_path, capsys):
     for nodes in (3, 5):
         given = words(manifest, tmp_path, "hog", "build=sample", f"build.nodes={nodes}", "task.plots=false")
         assert main(["evaluate", *given, "task=mapping"]) == 0
-        assert f"{nodes} nodes over 30 frames" in capsys.readouterr().out
+        assert f"{nodes} over 30 frames" in capsys.readouterr().out
 
 
 def test_a_build_that_is_interrupted_leaves_no_layer_beside_what_explains_another(manifest, tmp_path, monkeypatch):
@@ -158,7 +158,7 @@ def test_a_map_of_one_node_says_what_gives_more(manifest, tmp_path, capsys):
     [
         (["task=mapping"], "choose one with build=rooms|sample|spectral|som|incremental"),
         (["task=mapping", "build=spectral", "build.nodes=31"], "31"),
-        (["task=mapping", "build=som", "build.grid=8"], "two numbers (W, H), got 8"),
+        (["task=mapping", "build=som", "build.grid=8"], "build.grid must be a list of 2"),
         (["task=mapping", "build=incremental", "build.y=-1"], "y must be a positive number"),
         (["task=mapping", "build=incremental", "build.gama=1"], "did you mean 'build.gamma'"),
         (["task=mapping", "build=spectrum"], "did you mean 'spectral'"),

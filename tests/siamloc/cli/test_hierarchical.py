@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
+
 from siamloc.cli import main
-from siamloc.maps import ErrorModel
-from siamloc.evaluation import absolute, calibration, hierarchical
+from siamloc.evaluation import absolute, calibration, estimates, hierarchy
 from siamloc.files import plain
-from siamloc.maps import CoarseLayer
+from siamloc.maps import CoarseLayer, ErrorModel
 from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest
 
@@ -59,7 +59,7 @@ def test_the_files_alone_give_the_measures(manifest, tmp_path, build, nodes, cap
     written = read_results(folder)
     measures, known = written["measures"]["hierarchical"], read_rows(folder, "map")
     columns = read_rows(folder)
-    again = hierarchical.measures_of(columns, measures["radii"], measures["ks"], len(known["path"]), measures["unit"])
+    again = hierarchy.measures_of(columns, measures["radii"], measures["ks"], len(known["path"]), measures["unit"])
     assert json.dumps(plain(again)) == json.dumps(measures)
     assert set(measures["lighting"]) == {"cloudy", "night"}
     table = read_rows(folder, "nodes")

@@ -202,7 +202,7 @@ def test_a_sweep_gives_each_job_a_folder_of_its_own(train_words, tmp_path, monke
     found = sorted(path.parent.name for path in tmp_path.glob("runs/sweep/*/run.json"))
     assert found == ["seed-0", "seed-1"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs"]
-    siamloc("map")
+    siamloc("map", "run=runs/sweep/seed-1")
     assert (tmp_path / "runs" / "sweep" / "seed-1" / "map.npz").is_file()
 
 
@@ -211,7 +211,7 @@ def test_analytic_descriptors_need_no_run(flat, tmp_path, monkeypatch):
     data = [f"data.manifest={flat}", f"data.cache={flat.parent / 'cache'}", "data.image_size=[32,128]"]
     roles = ["protocol.map.sequences=[cloudy1]", "protocol.query.sequences=[cloudy2,night1]"]
     siamloc("evaluate", "descriptor=thumbnail", *data, *roles, "task.baselines=[]", "task.plots=false")
-    results = json.loads((tmp_path / "runs/thumbnail/evaluation/thumbnail/results.json").read_text())
+    results = json.loads((tmp_path / "runs/manifest/thumbnail/evaluation/thumbnail/results.json").read_text())
     assert set(results["measures"]["absolute"]["lighting"]) == {"cloudy", "night"}
     assert "margin" in results["skipped"]["room_pairs"]
 

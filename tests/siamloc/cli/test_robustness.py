@@ -82,7 +82,7 @@ def test_one_seed_gives_the_same_curves(words, tmp_path):
         (["task.robustness.effects=bulb"], "must be a list"),
         (["task.robustness.every=0"], "every must be a whole number from 1"),
         (["task.robustness.radius=-1"], "radius must be a number from 0"),
-        (["task.robustness.noise=[a]"], "must be numbers"),
+        (["task.robustness.noise=[a]"], "each item a number"),
         (["task.robustness.occlusion=[40]"], "from 0 to 1"),
         (["task.robustness.noise=[]", "task.robustness.occlusion=[]", "task.robustness.turn=[]"], "no levels at all"),
         (["data.circular=false"], "cannot be turned"),

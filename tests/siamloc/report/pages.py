@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,15 @@ import cv2
 import numpy as np
 
 from siamloc.data.frames import FrameTable
-from siamloc.evaluation.absolute import evaluate_absolute
+from siamloc.evaluation.absolute import evaluate_absolute, with_baseline
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.report.page.write import write_report
-from siamloc.results import read_rows, write_results
+from siamloc.results import read_rows
 from tests.siamloc.evaluation import scenes
 
 SIZE = (32, 128)
-CONFIG = {"descriptor": {"name": "network"}, "data": {"image_size": list(SIZE)}, "unwrap": {"kind": "none"}}
+SETTINGS = {"data": {"image_size": list(SIZE), "unwrap": {"kind": "none"}}}
 _VOID = {"meta", "link", "img", "input", "br"}
 
 
@@ -126,37 +127,20 @@ def write_evaluation(
     rooms: bool = True,
     headings: bool = True,
     baselines: tuple[str, ...] = ("thumbnail",),
-    config: dict[str, Any] = CONFIG,
+    name: str = "network",
     noise: float = 0.6,
-    **results: Any,
 ) -> Path:
-    """Measure made-up descriptors as `siamloc evaluate` would, and write the result folder."""
+    """Measure made-up descriptors as an evaluation would, and write the result folder."""
     descriptors = scenes.describe(queries, noise=noise)
     turned = queries.theta + 0.1 if headings else None
     result = evaluate_absolute(known, descriptors, queries, headings=turned)
-    measured: dict[str, Any] = {"absolute": result.measures()}
-    others = {}
-    for i, name in enumerate(baselines):
-        other = evaluate_absolute(known, scenes.describe(queries, seed=9 + i, noise=2.0 + i), queries)
-        result = result.with_baseline(name, other)
-        others[name] = {"absolute": other.measures()}
-    measured["absolute"] = result.measures()
+    for i, other in enumerate(baselines):
+        vectors = scenes.describe(queries, seed=9 + i, noise=2.0 + i)
+        result = with_baseline(result, other, evaluate_absolute(known, vectors, queries))
     if rooms:
-        measured["room_retrieval"] = evaluate_rooms(known, descriptors, queries).measures()
-    write_results(
-        folder,
-        {
-            "protocol": "cross_run",
-            "config": config,
-            "measures": measured,
-            "baselines": others,
-            "denominators": result.denominators(),
-            "skipped": {},
-            **results,
-        },
-        result.columns,
-        {"map": result.map_columns},
-    )
+        result = result.joined(evaluate_rooms(known, descriptors, queries))
+    result = replace(result, name=name, about={"protocol": "cross_run"}, settings=SETTINGS)
+    result.save(folder, pictures=False)
     return folder
 
 

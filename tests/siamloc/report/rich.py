@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from siamloc.data.frames import FrameTable
-from siamloc.evaluation import beside, calibration, robustness
+from siamloc.evaluation import calibration, disturbed, estimates
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
 from siamloc.evaluation.disturbed import Disturbance
 from siamloc.evaluation.hierarchy import evaluate_hierarchical
+from siamloc.evaluation.result import Result
 from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalSearch, rank_by_position, rank_by_representatives
-from siamloc.results import write_results
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
 
@@ -30,7 +30,7 @@ DISTURBANCES = [
 
 
 def write_run(folder: Path, pictures: Path | None = None, n: int = 60, m: int = 40) -> Path:
-    """Write a run with localization and all estimates beside it, hierarchical localization, and robustness."""
+    """Write a run with localization and all further estimates, hierarchical localization, and robustness."""
     queries, known = scenes.frames(2, n), scenes.frames(1, m)
     if pictures is not None:
         queries, known = pages.drawn(pictures, queries, 2), pages.drawn(pictures, known, 1)
@@ -45,37 +45,36 @@ def write_localization(folder: Path, known: VisualMap, queries: FrameTable) -> N
     """Write localization with a filter, interpolation and expected errors, room retrieval, and pairs of rooms."""
     descriptors = scenes.describe(queries, noise=0.6)
     result = evaluate_absolute(known, descriptors, queries)
-    estimates = {
+    found = {
         "filtered": queries.xy
         + 0.5 * (np.column_stack([result.columns["est_x"], result.columns["est_y"]]) - queries.xy),
         "interpolated": queries.xy + 0.1,
     }
     columns = dict(result.columns)
-    for name, xy in estimates.items():
-        columns |= beside.estimate_columns(name, xy, queries)
+    for name, xy in found.items():
+        columns |= estimates.estimate_columns(name, xy, queries)
     columns |= {"error_m": 0.1 + 0.8 * columns["error"], "lost": columns["error"] > 0.8}
-    result = replace(result, columns=columns)
-    measures: dict[str, Any] = {"absolute": result.measures()}
-    for name in estimates:
-        measures[f"absolute_{name}"] = beside.measures_of(columns, name, result.radii, len(known), result.unit)
-    measures["calibration"] = calibration.measures_of(columns, 1.0)
-    measures["room_retrieval"] = evaluate_rooms(known, descriptors, queries).measures()
-    measures["room_pairs"] = pairs(queries)
+    parts = dict(result.parts)
+    for name in found:
+        parts[f"absolute_{name}"] = estimates.measures_of(columns, name, (0.5, 1.0), len(known), known.unit)
+    parts["calibration"] = calibration.measures_of(columns, 1.0)
+    result = replace(result, parts=parts, tables={**result.tables, "queries": columns})
+    result = result.joined(evaluate_rooms(known, descriptors, queries)).joined(pairs(queries))
     details = {
         "filter": {"temperature": 0.02, "kidnapping": 0.001, "step": 0.5, "spacing": 0.8, "tuned": None},
         "interpolation": {"neighbours": 3, "radius": 1.0},
         "error_model": {"file": "error_model.json", "sequences": ["run3"], "queries": 10},
     }
-    _write(folder, measures, result.columns, {"map": result.map_columns}, estimates=details)
+    _save(folder, result, "network", estimates=details)
 
 
-def pairs(queries: FrameTable) -> dict[str, Any]:
+def pairs(queries: FrameTable) -> Result:
     rng = np.random.default_rng(5)
     first, second = rng.integers(0, len(queries), (2, 400))
     same = queries.room[first] == queries.room[second]
     lighting = rng.choice(["cloudy", "cloudy and night", "night"], 400)
     vectors = scenes.describe(queries, noise=0.4) / 3
-    return evaluate_pairs(vectors[first], vectors[second], same, 2.0, 0.5, lighting).measures()
+    return evaluate_pairs(vectors[first], vectors[second], same, 2.0, 0.5, lighting)
 
 
 def write_hierarchical(folder: Path, known: VisualMap, queries: FrameTable) -> None:
@@ -87,17 +86,8 @@ def write_hierarchical(folder: Path, known: VisualMap, queries: FrameTable) -> N
     perfect = search.search(vectors, rank_by_position(queries.xy, known.frames.xy, layer.labels))
     result = evaluate_hierarchical(known, layer, queries, found, perfect, known.search(vectors), (0.5, 1.0), (1,))
     more = {"layer": {"name": "spectral", "nodes": len(layer)}, "coarse_descriptor": {"name": "hog"}}
-    config = {**pages.CONFIG, "task": {"candidates": 2}}
-    _write(
-        folder,
-        {"hierarchical": result.measures()},
-        result.columns,
-        {"map": result.map_columns, "nodes": result.node_columns},
-        denominators={**result.denominators(), "nodes": len(layer)},
-        config=config,
-        descriptor={"name": "network"},
-        **more,
-    )
+    settings = {**pages.SETTINGS, "task": {"candidates": 2}}
+    _save(folder, replace(result, settings=settings), "network", descriptor={"name": "network"}, **more)
 
 
 def write_robustness(folder: Path, queries: FrameTable, known: FrameTable, worse: float = 1.0) -> None:
@@ -110,19 +100,20 @@ def write_robustness(folder: Path, queries: FrameTable, known: FrameTable, worse
                 vectors = scenes.describe(queries, seed=3, noise=0.3 + worse * rank + i) + 0.01 * rng.normal()
                 distance = np.linalg.norm(vectors[:, None, :2] - known.xy[None], axis=2)
                 found[one.name, level] = distance.argmin(axis=1)
-        tables.append(robustness.curves(robustness.answers(method, known, queries, found), 0.5, len(known)))
-    table = robustness.concatenated(tables)
-    measures = {"robustness": robustness.measures(table, DISTURBANCES, "m", 5)}
-    _write(folder, measures, None, {"robustness": table})
+        tables.append(disturbed.curves(disturbed.answers(method, known, queries, found), 0.5, len(known)))
+    table = disturbed.concatenated(tables)
+    parts = {"robustness": disturbed.measures(table, DISTURBANCES, "m", 5)}
+    _save(folder, Result("network", parts, {"robustness": table}), "network")
 
 
 def write_located(folder: Path, queries: int = 7) -> None:
     """Write what there is where no query has a pose."""
     columns = {"query": np.arange(queries), "est_x": np.zeros(queries), "est_y": np.ones(queries)}
     skipped = {"absolute": f"{queries} of {queries} queries have no position"}
-    _write(folder, {}, None, {"located": columns}, denominators={}, skipped=skipped)
+    _save(folder, Result("hog", {}, {"located": columns}, skipped=skipped), "hog")
 
 
-def _write(folder: Path, measures: dict[str, Any], rows: Any, tables: dict[str, Any], **more: Any) -> None:
-    head = {"protocol": "cross_run", "config": pages.CONFIG, "baselines": {}, "denominators": {}, "skipped": {}}
-    write_results(folder, {**head, "measures": measures, **more}, rows, tables)
+def _save(folder: Path, result: Result, name: str, **about: Any) -> None:
+    settings = {**pages.SETTINGS, **result.settings}
+    about = {"protocol": "cross_run", **about}
+    replace(result, name=name, settings=settings, about=about).save(folder, pictures=False)

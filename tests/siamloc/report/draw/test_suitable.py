@@ -10,7 +10,7 @@ import pytest
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
-from siamloc.evaluation.absolute import evaluate_absolute
+from siamloc.evaluation.absolute import evaluate_absolute, with_baseline
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all
@@ -19,7 +19,7 @@ from siamloc.report.draw.floor_plan import floor_plan, is_line
 from siamloc.report.draw.look import Picture, error_limits, lighting_colours, save
 from siamloc.report.draw.rooms import confusion
 from siamloc.report.draw.training import training_curves
-from siamloc.results import read_results, read_rows, write_results
+from siamloc.results import read_results, read_rows
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import rich
 
@@ -28,16 +28,10 @@ ALL = ["floor_plan.png", "error_curve.png", "confusion.png", "confusion_by_light
 
 def write(folder: Path, known: VisualMap, queries: FrameTable, descriptors: np.ndarray, rooms: bool = True) -> None:
     result = evaluate_absolute(known, descriptors, queries)
-    result = result.with_baseline("thumb_nail", evaluate_absolute(known, descriptors[::-1], queries))
-    measures = {"absolute": result.measures()}
+    result = with_baseline(result, "thumb_nail", evaluate_absolute(known, descriptors[::-1], queries))
     if rooms:
-        measures["room_retrieval"] = evaluate_rooms(known, descriptors, queries).measures()
-    write_results(
-        folder,
-        {"config": {}, "measures": measures, "denominators": result.denominators()},
-        result.columns,
-        {"map": result.map_columns},
-    )
+        result = result.joined(evaluate_rooms(known, descriptors, queries))
+    result.save(folder, pictures=False)
 
 
 def building(folder: Path, **columns: object) -> None:
@@ -114,17 +108,16 @@ def test_no_room_labels_and_one_lighting(tmp_path: Path) -> None:
 
 def test_rooms_alone(tmp_path: Path) -> None:
     queries = scenes.frames(2, 30)
-    measures = {"room_retrieval": evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries).measures()}
-    write_results(tmp_path, {"config": {}, "measures": measures, "denominators": {}})
+    evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries).save(tmp_path, pictures=False)
     assert [path.name for path in save_all(tmp_path)] == ALL[2:]
 
 
 def test_a_panel_per_lighting() -> None:
     queries = scenes.frames(2, 60)
     result = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries)
-    figure = floor_plan(result.columns, result.map_columns, "m")
+    figure = floor_plan(result.columns, result.tables["map"], "m")
     panels = [axes for axes in figure.axes if axes.get_aspect() == 1.0]
-    mean = result.measures()["lighting"]["night"]["error"]["mean"]
+    mean = result.measures["lighting"]["night"]["error"]["mean"]
     count = int((queries.lighting == "night").sum())
     assert [axes.get_title("left").split(":")[0] for axes in panels] == ["cloudy", "night", "sunny"]
     assert panels[1].get_title("left") == f"night: {count} queries, mean error {mean:.2f} m"
@@ -141,8 +134,8 @@ def test_a_corridor_is_drawn_along_its_line(axis: str) -> None:
     frames = corridor(axis)
     descriptors = np.column_stack([frames.xy, np.ones(111)])
     result = evaluate_absolute(VisualMap(descriptors, frames, unit="frames"), descriptors[::-1], frames)
-    assert is_line(result.columns, result.map_columns)
-    figure = floor_plan(result.columns, result.map_columns, "frames")
+    assert is_line(result.columns, result.tables["map"])
+    figure = floor_plan(result.columns, result.tables["map"], "frames")
     assert {axes.get_ylabel() for axes in figure.axes} == {f"estimated {axis} [frames]", "error [frames]"}
     np.testing.assert_array_equal(figure.axes[0].collections[0].get_offsets(), [[i, 110 - i] for i in range(111)])
 
@@ -150,7 +143,7 @@ def test_a_corridor_is_drawn_along_its_line(axis: str) -> None:
 def test_a_building_is_no_line() -> None:
     queries = scenes.frames(2, 60)
     result = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries)
-    assert not is_line(result.columns, result.map_columns)
+    assert not is_line(result.columns, result.tables["map"])
 
 
 def lines_of(axes) -> dict:

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
-from siamloc.cli.report import main
 
+from siamloc.cli import main
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
 from siamloc.evaluation.room_retrieval import evaluate_rooms
@@ -19,6 +18,7 @@ from siamloc.report.page import compared, parts, sections
 from siamloc.report.page.markup import Markup, tag
 from siamloc.report.page.write import write_report
 from siamloc.results import read_results, read_rows, write_results
+from siamloc.runs import Run
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, report, rows_of
@@ -132,8 +132,7 @@ def test_frames_on_a_line_are_drawn_along_it(tmp_path: Path) -> None:
 def test_rooms_alone(tmp_path: Path) -> None:
     queries = scenes.frames(2, 30)
     rooms = evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries)
-    results = {"config": {}, "measures": {"room_retrieval": rooms.measures()}, "denominators": {"queries": 30}}
-    write_results(tmp_path / "rooms", results, None, {"rooms": rooms.columns})
+    rooms.save(tmp_path / "rooms", pictures=False)
     page = report(tmp_path, tmp_path / "rooms")
     assert len(page.one("section", class_="rooms").all("figure")) == 2
     assert [s.attributes["class"] for s in page.all("section")] == ["summary", "rooms", "configuration"]
@@ -217,9 +216,9 @@ def test_a_map_that_differs_is_named_even_if_its_files_have_the_same_names(tmp_p
 
 def rooms_alone(folder: Path, queries: FrameTable, pairs: int, map_every: int | None = None) -> Path:
     found = evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries)
-    config = {"descriptor": {"name": folder.name}, "protocol": {"map": {"every": map_every}}}
-    results = {"config": config, "measures": {"room_retrieval": found.measures()}}
-    write_results(folder, {**results, "denominators": {"queries": 30, "pairs": pairs}}, None, {"rooms": found.columns})
+    settings = {"protocol": {"map": {"every": map_every}}}
+    results = {"config": settings, "measures": found.parts, "denominators": {"queries": 30, "pairs": pairs}}
+    write_results(folder, results, None, {"rooms": found.columns})
     return folder
 
 
@@ -243,8 +242,7 @@ def notes_of_comparison(page: pages.Element) -> str:
 def test_names_are_never_markup(tmp_path: Path) -> None:
     evil = '</script><b onmouseover="x">&'
     queries = scenes.frames(2, 30, room=np.array([evil] * 30), lighting=np.array([evil] * 15 + ["night"] * 15))
-    config = {**pages.CONFIG, "descriptor": {"name": "hog", "label": evil}}
-    folder = pages.write_evaluation(tmp_path / "evil", scenes.visual_map(), queries, config=config)
+    folder = pages.write_evaluation(tmp_path / "evil", scenes.visual_map(), queries, name=evil)
     page = report(tmp_path, folder)
     assert not [e for e in page.all("b") if "onmouseover" in e.attributes]
     assert evil in pages.data_of(page, "data-0")["rooms"]
@@ -290,22 +288,18 @@ def test_no_runs_and_no_folder(tmp_path: Path) -> None:
         write_report([tmp_path / "absent"], tmp_path / "report.html")
 
 
-def config(run: str | None = None, runs: tuple[str, ...] = (), out: str | None = None):
-    return OmegaConf.create({"run": run, "runs": list(runs), "out": out})
-
-
 def test_the_command(tmp_path: Path, capsys, monkeypatch) -> None:
     run = pages.write_run(tmp_path / "runs" / "vgg16", n=5)
-    write_json(run / "run.json", {"format": "siamloc-run", "version": 1, "overrides": ["epochs=3"], "config": {}})
+    Run(run).start({"training": {"epochs": 3}}, [])
     monkeypatch.chdir(tmp_path)
-    main(config())
+    assert main(["report"]) == 0
     assert f"report: {Path('runs/vgg16/report.html')}, 0." in capsys.readouterr().out
-    assert "siamloc train epochs=3" in (run / "report.html").read_text()
-    main(config(runs=(str(run), str(run / "evaluation" / "network"))))
+    assert "training: {epochs: 3}" in (run / "report.html").read_text()
+    assert main(["report", f"runs=[{run},{run / 'evaluation' / 'network'}]"]) == 0
     assert (tmp_path / "report.html").exists()
-    main(config(run=str(run), out="deep/page.html"))
+    assert main(["report", f"run={run}", "out=deep/page.html"]) == 0
     assert (tmp_path / "deep" / "page.html").exists()
-    with pytest.raises(ConfigError, match=r"not both"):
-        main(config(run="a", runs=("b",)))
-    with pytest.raises(ConfigError, match=r"ending .html"):
-        main(config(run=str(run), out="page.pdf"))
+    assert main(["report", "run=a", "runs=[b]"]) == 2
+    assert "not both" in capsys.readouterr().err
+    assert main(["report", f"run={run}", "out=page.pdf"]) == 2
+    assert "ending .html" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.evaluation.building_choice import evaluate_buildings
 from siamloc.files import read_json, write_json
 from siamloc.report.page.write import write_report
-from siamloc.results import read_results, read_rows, write_results
+from siamloc.results import read_results, read_rows
 from tests.siamloc.report import pages, rich
 from tests.siamloc.report.draw.test_mapping import mapped
 from tests.siamloc.report.pages import Element, notes, report
@@ -217,11 +217,9 @@ def test_compact_maps_and_choices_of_buildings_have_parts_of_their_own(tmp_path:
         [[1, 2], [1, 2]],
         np.zeros((2, 2), dtype=int),
         (["p"], ["q"]),
-    ).measures()
-    found["maps"] = {name: {"frames": 9, "representatives": 3} for name in ("a", "b")}
-    write_results(
-        run / "evaluation" / "buildings", {"config": {}, "measures": {"buildings": found}, "denominators": {}}
     )
+    found.parts["buildings"]["maps"] = {name: {"frames": 9, "representatives": 3} for name in ("a", "b")}
+    found.save(run / "evaluation" / "buildings", pictures=False)
     page = report(tmp_path, run)
     names = [section.attributes["class"] for section in page.all("section")]
     assert names == ["mapping", "buildings", "configuration"]

@@ -29,7 +29,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.mark.parametrize("budget", [0, 3_000, 30_000, 100_000, 10_000_000])
 def test_sheets_keep_to_their_budget_and_to_the_order(files: list[str], budget: int) -> None:
-    sheets = make_sheets(Decoder(pages.CONFIG), [*files, *files[:9]], budget)
+    sheets = make_sheets(Decoder(pages.SETTINGS), [*files, *files[:9]], budget)
     assert sum(map(len, sheets.images)) <= budget
     assert list(sheets.place) == files[: len(sheets.place)], "the first files come first"
     assert list(sheets.place.values()) == list(range(len(sheets.place)))
@@ -43,13 +43,13 @@ def test_sheets_keep_to_their_budget_and_to_the_order(files: list[str], budget: 
 
 
 def test_more_room_gives_larger_pictures(files: list[str]) -> None:
-    small, large = (make_sheets(Decoder(pages.CONFIG), files, budget).size for budget in (100_000, 10_000_000))
+    small, large = (make_sheets(Decoder(pages.SETTINGS), files, budget).size for budget in (100_000, 10_000_000))
     assert small[0] < large[0]
     assert small[1] < large[1]
 
 
 def test_large_pictures_keep_to_their_budget(files: list[str]) -> None:
-    decoder = Decoder(pages.CONFIG)
+    decoder = Decoder(pages.SETTINGS)
     wanted = [(decoder, path) for path in [*files[:20], "absent.jpg", files[0]]]
     for budget in (1_000, 20_000, 1_000_000):
         uris = make_large(wanted, budget)
@@ -62,7 +62,7 @@ def test_omnidirectional_images_are_unwrapped_as_the_run_did(tmp_path: Path) -> 
     path = str(tmp_path / "ring.jpg")
     pages.draw(path, 5, (240, 320))
     options = {"kind": "polar", "inner": 20, "outer": 110}
-    decoder = Decoder({"data": {"image_size": [64, 256]}, "unwrap": options})
+    decoder = Decoder({"data": {"image_size": [64, 256], "unwrap": options}})
     camera, view = camera_from_config(options, (64, 256))
     expected = Preprocessing.checked((64, 256), camera, view).panorama(path).transpose(1, 2, 0)[..., ::-1]
     picture = decoder.read(path, 10**6)
@@ -70,8 +70,15 @@ def test_omnidirectional_images_are_unwrapped_as_the_run_did(tmp_path: Path) -> 
     np.testing.assert_array_equal(picture, expected)
 
 
-def test_a_configuration_that_says_nothing() -> None:
+def test_settings_that_say_nothing() -> None:
     assert Decoder({}).size == (128, 512)
+
+
+def test_images_of_a_camera_of_ones_own_are_shown_as_they_are(files: list[str]) -> None:
+    own = Decoder({"data": {"image_size": list(pages.SIZE), "unwrap": {"kind": "FishEye", "focal": 3.0}}})
+    picture, expected = own.read(files[0], 10**6), Decoder(pages.SETTINGS).read(files[0], 10**6)
+    assert picture is not None
+    np.testing.assert_array_equal(picture, expected)
 
 
 @given(st.integers(0, 500), st.integers(1, 60))

@@ -1,0 +1,59 @@
+"""`example`: a tiny data set to try things on, drawn and decoded in a moment."""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+
+ROOMS = ("office", "hall", "lab")
+
+
+def example(frames: int = 12, image_size: tuple[int, int] = (16, 64), seed: int = 0) -> PanoramaLibrary:
+    """Draw two drives, "monday" and "tuesday", along a painted corridor with three rooms.
+
+    The pictures lie in a temporary folder, which is removed when Python ends. They are noise that slides past as the
+    robot moves: enough to try every call on, and nothing to measure.
+
+    Args:
+        frames: of each drive, 0.5 m apart.
+        image_size: rows and columns of a panorama.
+        seed: of the paint and of the light.
+
+    Example:
+        >>> images = example()
+        >>> len(images), sorted(set(images.frames.room.tolist()))
+        (24, ['hall', 'lab', 'office'])
+    """
+    rng = np.random.default_rng(seed)
+    rows, columns = image_size
+    step = max(columns // 16, 1)
+    paint = cv2.GaussianBlur(rng.uniform(40, 215, (rows, columns + frames * step, 3)).astype(np.float32), (0, 0), 2)
+    folder = Path(tempfile.mkdtemp(prefix="siamloc-example-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    table = []
+    for sequence, lighting, gain in (("monday", "cloudy", 1.0), ("tuesday", "night", 0.7)):
+        for i in range(frames):
+            picture = gain * paint[:, i * step : i * step + columns] + rng.normal(0, 4, (rows, columns, 3))
+            path = folder / f"{sequence}-{i:03d}.png"
+            cv2.imwrite(str(path), picture.clip(0, 255).astype(np.uint8))
+            table.append(
+                {
+                    "path": str(path),
+                    "x": 0.5 * i,
+                    "y": 0.0,
+                    "theta": 0.0,
+                    "room": ROOMS[len(ROOMS) * i // frames],
+                    "sequence": sequence,
+                    "lighting": lighting,
+                    "time": float(i),
+                }
+            )
+    return PanoramaLibrary(FrameTable.from_rows(table), folder / "panoramas", image_size=image_size)
