@@ -127,7 +127,8 @@ def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..
             given = {name: keywords.pop(name) for name in list(keywords) if name in fields}
             for name in keywords:
                 if name not in own.parameters:
-                    raise ConfigError(f"{function.__name__} has no setting {name!r}: {hint(name, fields)}")
+                    valid = [one for one in own.parameters if one != "settings"]
+                    raise ConfigError(f"{function.__name__} has no setting {name!r}: {hint(name, [*valid, *fields])}")
             if settings is not None and given:
                 raise ConfigError(f"{function.__name__} takes settings=... or {', '.join(given)}, not both")
             return function(*arguments, settings=settings if settings is not None else kind.of(given), **keywords)

@@ -95,7 +95,7 @@ WAYS: dict[str, type[Settings]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Built:
     """A coarse layer and how it came about.
 
@@ -113,6 +113,9 @@ class Built:
     map_digest: str
     reasons: tuple[str, ...] = ()
     mapper: IncrementalMapper | None = None
+
+    def __repr__(self) -> str:
+        return f"Built({self.summary()})"
 
     def save(self, folder: str | Path) -> None:
         """Write the layer with all that explains it into a folder.
