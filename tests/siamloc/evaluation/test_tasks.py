@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,6 +146,24 @@ def test_the_building_of_a_query(world, tmp_path):
     assert evaluation.buildings(both, images, far, layers=layers).measures["accuracy"] > 0.8
     with pytest.raises(DataError, match="40 of the 40 map frames have no building"):
         evaluation.buildings(known, images, far)
+    north, south = evaluation.by_building([both]).values()
+    with pytest.raises(ConfigError, match=r"different distances \(euclidean in north, manhattan in south\)"):
+        evaluation.buildings([north, replace(south, distance="manhattan")], images, far)
+    with pytest.raises(ConfigError, match="building 'south' has no layer"):
+        evaluation.buildings(both, images, far, layers={"north": layers["north"]})
+    with pytest.raises(DataError, match="the layer of building 'north' has labels for"):
+        evaluation.buildings(both, images, far, layers={"north": layers["south"], "south": layers["north"]})
+
+
+def test_queries_of_one_building_are_looked_for_in_all(world):
+    images, monday, tuesday, _, _ = world
+    near, far = (
+        frames.with_columns(building=np.where(frames.x < 15, "north", "south")) for frames in (monday, tuesday)
+    )
+    both = maps.build(Reads(), images, near, progress=False)
+    result = evaluation.buildings(both, images, far.select(building="north"))
+    assert result.denominators["queries"] == int((tuesday.x < 15).sum())
+    assert result.measures["confusion"]["labels"] == ["north", "south"]
 
 
 def test_noise_makes_errors_larger_and_turns_of_a_ring_do_not_matter_to_a_mean(world):
