@@ -8,7 +8,7 @@ from pathlib import Path
 from string import Template
 
 from siamloc import __version__
-from siamloc.errors import DataError
+from siamloc.errors import ConfigError, DataError
 from siamloc.files import write_text
 from siamloc.report.page import rooms, sections
 from siamloc.report.page.compared import comparison
@@ -38,11 +38,13 @@ def write_report(folders: Sequence[str | Path], out: str | Path, max_bytes: int 
         max_bytes: the largest size of the file.
 
     Raises:
-        ConfigError: a folder that is missing or holds no evaluation.
+        ConfigError: a folder that is missing or holds no evaluation, or a file whose name does not end in .html.
         FormatError: result files that are not whole.
         DataError: so many runs that even without pictures the page would be too large.
         StorageError: the disk refuses.
     """
+    if Path(out).suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"the report is a web page: give it a name ending .html, not {out}")
     runs = gather(folders)
     parts = parts_of(runs)
     large = large_pictures(parts, int(max_bytes * _LARGE_SHARE))

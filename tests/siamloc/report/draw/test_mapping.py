@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import matplotlib
@@ -12,39 +13,32 @@ from PIL import Image
 
 from analytic.mapper.closure import Similarity, prominences, similarity_curve
 from benchmarks import sweeps
+from siamloc import evaluation, maps
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
-from siamloc.evaluation.layers import evaluate_mapping
 from siamloc.maps import VisualMap
 from siamloc.report.draw import decision, growth, nodes, save_all
 from siamloc.report.draw.look import INK
 from siamloc.report.draw.node_colours import NO_NODE, POOL, contrast, ink, neighbouring, node_colours
 from siamloc.report.draw.nodes import NodePlan, node_plan, nodes_on_plan, spread_out
-from siamloc.results import read_rows, write_results
+from siamloc.results import read_rows
 from tests.analytic.mapper.world import World, corridor_drive
 
 CLEAR = 20.0  # distance in CIELAB, where 2.3 is just noticeable
 
 
-def mapped(folder: Path, **options: object) -> tuple[Path, Path]:
-    """Build and measure a small map as `siamloc evaluate task=mapping` does; return its two folders."""
+def mapped(folder: Path, way: str, **options: Any) -> tuple[Path, Path]:
+    """Build and measure a small map; return the folders of the results and of the layer."""
     world, drive = World(size=8, reach=5.0, seed=1), corridor_drive(260, seed=1)
     found = world.at(drive, noise=0.2, seed=1)
     x, y, theta = drive.T
     room = np.where(x > np.median(x), "CR-A", "KT-A")
     paths = np.array([f"{i}.jpeg" for i in range(len(x))])
     frames = FrameTable(path=paths, x=x, y=y, theta=theta, room=room, sequence=np.full(len(x), "drive"))
-    known = VisualMap(found.position, frames, world.identity, orientation=found.orientation)
-    built = build_layer(known, world, options)
+    known = VisualMap(found.position, frames, world.identity, orientation=found.orientation).with_descriptor(world)
     layer, target = folder / "layer", folder / "results"
-    layer.mkdir(parents=True)
-    if built.mapper is not None:
-        built.mapper.save(layer / "mapper.npz")
-        (layer / "events.jsonl").write_text("".join(f"{line}\n" for line in built.mapper.events))
-    result = evaluate_mapping(known, built.layer, world, seconds=built.seconds)
-    results = {"layer": built.layer.made, "edges": built.layer.edges, "measures": {"mapping": result.measures()}}
-    tables = {"frames": result.columns, "nodes": result.nodes}
-    write_results(target, {**results, "config": {}, "denominators": {}}, tables=tables)
+    built = maps.group(known, way, folder=layer, **options)
+    evaluation.mapping(known, built).save(target, pictures=False)
     return target, layer
 
 
@@ -52,7 +46,7 @@ def mapped(folder: Path, **options: object) -> tuple[Path, Path]:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, tuple[Path, Path]]:
     """Incremental maps of both versions."""
     folder = tmp_path_factory.mktemp("maps")
-    return {v: mapped(folder / str(v), name="incremental", version=v) for v in (1, 2)}
+    return {v: mapped(folder / str(v), "incremental", version=v) for v in (1, 2)}
 
 
 def read_plan(folder: Path) -> NodePlan:
@@ -116,7 +110,7 @@ def test_all_pictures_of_an_incremental_map(runs: dict, version: int, monkeypatc
 
 
 def test_a_clustered_map_has_one_picture(tmp_path: Path) -> None:
-    target, layer = mapped(tmp_path, name="sample", nodes=7)
+    target, layer = mapped(tmp_path, "sample", nodes=7)
     assert [path.name for path in save_all(target, layer)] == ["nodes.png"]
     assert "7 nodes" in text_of(nodes_on_plan(read_plan(target)))
 

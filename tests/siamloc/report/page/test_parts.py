@@ -210,7 +210,7 @@ def test_pairs_by_lighting(run: Path, page: Element) -> None:
 
 def test_compact_maps_and_choices_of_buildings_have_parts_of_their_own(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    mapped(tmp_path / "map", name="sample", nodes=7)[0].rename(_made(run / "evaluation") / "mapping-hog")
+    mapped(tmp_path / "map", "sample", nodes=7)[0].rename(_made(run / "evaluation") / "mapping-hog")
     found = evaluate_buildings(
         FrameTable(["0.png", "1.png"], building=["a", "b"], lighting=["night", "night"]),
         ["a", "b"],
