@@ -48,7 +48,11 @@ def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings
         built: nodes over its frames, from `siamloc.maps.group`.
         name: what the results are called.
         settings: instead of its fields as keywords.
+
+    Raises:
+        DataError: nodes over another map.
     """
+    built.check_map(known)
     result = evaluate_mapping(
         known,
         built.layer,

@@ -114,6 +114,15 @@ class Built:
     reasons: tuple[str, ...] = ()
     mapper: IncrementalMapper | None = None
 
+    def check_map(self, known: VisualMap) -> None:
+        """Make sure that the layer was built over a map.
+
+        Raises:
+            DataError: it was built over another one.
+        """
+        if self.map_digest != known.digest:
+            raise DataError(f"the layer was not built over {known!r}: build it from this map with siamloc.maps.group")
+
     def save(self, folder: str | Path) -> None:
         """Write the layer with all that explains it into a folder.
 
