@@ -14,7 +14,7 @@ from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.evaluation import room_retrieval
-from siamloc.evaluation.absolute import evaluate_absolute, most_neighbours, neighbours, with_baseline
+from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, most_neighbours, neighbours, with_baseline
 from siamloc.evaluation.columns import missing_rooms
 from siamloc.evaluation.estimates import (
     MATCHES,
@@ -95,6 +95,10 @@ class Localization(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.names:
+            raise ConfigError("task.names is empty: name absolute, room_retrieval or both")
+        if "absolute" in self.names:
+            check_recalls(self.radii, self.ks)
         asked = [name for name in ("filter", "interpolate", "error_model") if getattr(self, name)]
         if asked and "absolute" not in self.names:
             raise ConfigError(

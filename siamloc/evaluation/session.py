@@ -17,7 +17,7 @@ from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Retrieval, VisualMap, frame_distances, headings, match
 
-Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor]
+Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descriptor
 
 
 @dataclass
@@ -81,7 +81,8 @@ class Session:
         validation: frames to learn from what the queries must not be asked: settings of the filter, expected errors;
             of other sequences than the queries and the map.
         protocol: who may be compared with whom: a `Protocol`, or its kind, "cross_run" or "same_run".
-        baselines: descriptors to measure on the same frames: by name, or as a mapping of names to descriptors.
+        baselines: descriptors to measure on the same frames: one or several, by name or made, or a mapping of names to
+            descriptors.
         name: what the results are called; that of the descriptor if None.
         seed: of everything that is drawn.
 
@@ -256,6 +257,7 @@ def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
     """Return descriptors by name: "thumbnail", or a name in `analytic.DESCRIPTORS` with its default parameters."""
     if isinstance(baselines, Mapping):
         return dict(baselines)
+    baselines = [baselines] if isinstance(baselines, str | Descriptor) else baselines
     made: dict[str, Descriptor] = {}
     for one in baselines:
         if isinstance(one, str):

@@ -119,6 +119,16 @@ def test_hierarchical_search_of_all_nodes_is_the_search_of_the_map(world):
     few = evaluation.hierarchical(known, images, tuesday, built, candidates=1, coarse={"by": "vote", "neighbours": 3})
     assert few.measures["comparisons"]["frames_share"] < 0.5
     assert "hierarchical localization" in few.table()
+    other = maps.build("thumbnail", images, known.frames, progress=False)
+    for task in (
+        lambda: evaluation.hierarchical(other, images, tuesday, built),
+        lambda: evaluation.hierarchical(known, images, tuesday, built, coarse_map=other),
+        lambda: evaluation.mapping(other, built),
+    ):
+        with pytest.raises(DataError, match=r"was not built over VisualMap\(40 frames"):
+            task()
+    with pytest.raises(ConfigError, match="the recall needs whole numbers k >= 1"):
+        evaluation.hierarchical(known, images, tuesday, built, ks=())
 
 
 def test_nodes_of_a_map_without_positions(world):
@@ -204,6 +214,10 @@ def test_frames_left_out_stay_left_out_under_disturbances_and_are_refused_where_
     ("options", "says"),
     [
         ({"radius": (1,)}, "localization has no setting 'radius': did you mean 'radii'"),
+        ({"ks": ()}, "the recall needs whole numbers k >= 1 that differ"),
+        ({"radii": (1, 1)}, "the recall needs radii that are not negative and differ"),
+        ({"names": ()}, "task.names is empty"),
+        ({"baselines": "hogg"}, "unknown descriptor 'hogg'.*hog"),
         ({"ks": (0,)}, "task.ks must be a list, each item a whole number from 1"),
         ({"filter_tune": True}, "task.filter_tune=true chooses the settings of the sequence filter"),
         ({"names": ("room_retrieval",), "interpolate": 3}, "task.interpolate goes with absolute localization"),
