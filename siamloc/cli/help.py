@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from textwrap import dedent, fill, indent
 
 
 @dataclass(frozen=True)
@@ -240,20 +239,4 @@ def overview() -> str:
         "siamloc completion bash|zsh|fish  the tab key completes commands, groups and keys\n"
         "siamloc --version\n\n"
         "--debug shows the traceback of an error."
-    )
-
-
-def command_help(name: str) -> str:
-    """Return the answer to `siamloc <command> --help`: the main keys with a word on each, then all of them."""
-    from siamloc.cli.schema import keys_of
-
-    command = COMMANDS[name]
-    groups = []
-    for group, keys in keys_of(command.config).items():
-        listed = fill(" ".join(keys), 110, initial_indent="      ", subsequent_indent="      ", break_on_hyphens=False)
-        groups.append(f"  {group}\n{listed}" if keys else f"  {group}")
-    return (
-        f"siamloc {name}: {command.summary}\n\n{indent(dedent(command.details).strip(), '  ')}\n\n"
-        f"example:\n  {command.example}\n\n"
-        "all keys, by what chooses them (`--cfg job` shows their values):\n" + "\n".join(groups)
     )
