@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,21 +26,6 @@ class BuildingChoice:
     building: NDArray[np.int64]
     representative: NDArray[np.int64]
     apart: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class BuildingSuccess:
-    """Shares of queries whose building was chosen correctly.
-
-    Attributes:
-        overall: of all queries, pooled; NaN without any.
-        per_building: of the queries from each building that has any.
-        queries: of each of these buildings, the denominators.
-    """
-
-    overall: float
-    per_building: dict[int, float]
-    queries: dict[int, int]
 
 
 def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str = "cosine") -> BuildingChoice:
@@ -87,38 +71,3 @@ def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str
             apart[block, i] = distances.min(axis=1)
     building = apart.argmin(axis=1)
     return BuildingChoice(building, rows[np.arange(len(asked)), building], apart)
-
-
-def building_success(chosen: ArrayLike, true: ArrayLike) -> BuildingSuccess:
-    """Return the share of queries whose building was chosen correctly ([C] figure 19), overall and by true building.
-
-    Args:
-        chosen: numbers of buildings (n,), such as `BuildingChoice.building`.
-        true: numbers of the queries' buildings (n,).
-
-    Raises:
-        AnalyticError: other shapes, different lengths, or numbers that are not whole or are negative.
-
-    Example:
-        >>> building_success([0, 1, 1, 0], [0, 1, 1, 1])
-        BuildingSuccess(overall=0.75, per_building={0: 1.0, 1: 0.6666666666666666}, queries={0: 1, 1: 3})
-    """
-    found, truth = _numbers(chosen, "chosen"), _numbers(true, "true")
-    if len(found) != len(truth):
-        raise AnalyticError(f"as many chosen as true buildings are needed, got {len(found)} and {len(truth)}")
-    right = found == truth
-    buildings = np.unique(truth).tolist()
-    return BuildingSuccess(
-        overall=float(right.mean()) if len(right) else math.nan,
-        per_building={b: float(right[truth == b].mean()) for b in buildings},
-        queries={b: int((truth == b).sum()) for b in buildings},
-    )
-
-
-def _numbers(values: ArrayLike, what: str) -> NDArray[np.int64]:
-    array = np.asarray(values)
-    if array.ndim != 1 or (array.size and (array.dtype.kind not in "iu" or array.min() < 0)):
-        raise AnalyticError(
-            f"{what} buildings must be whole numbers from 0 on of shape (n,), got {array.dtype} of shape {array.shape}"
-        )
-    return array.astype(np.int64)

@@ -149,7 +149,7 @@ def measured(
     """Build a layer and measure it."""
     parameters = {key: value for key, value in options.items() if key != "name"}
     built = group(known.with_descriptor(descriptor), options["name"], seed=seed, progress=False, **parameters)
-    found = evaluate_mapping(known, built.layer, descriptor, RADIUS, GAP, built.seconds).measures()
+    found = evaluate_mapping(known, built.layer, descriptor, RADIUS, GAP, built.seconds).parts["mapping"]
     closures = found["closures"]
     share = found["unassigned"]["share"]
     return {

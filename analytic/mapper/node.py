@@ -226,10 +226,6 @@ class Node:
         """Return the node with one mode replaced."""
         return replace(self, modes=(*self.modes[:index], mode, *self.modes[index + 1 :]))
 
-    def holding(self, frame: int) -> int:
-        """Return the index of the mode that has a frame."""
-        return next(index for index, mode in enumerate(self.modes) if frame in mode.frames)
-
     def remove(self, frames: Sequence[int]) -> Node:
         """Return the node without some of its frames; a mode that loses all its frames is removed."""
         modes = [mode.remove(frames) if np.isin(mode.frames, frames).any() else mode for mode in self.modes]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from difflib import get_close_matches
 from math import floor, isfinite
 from typing import Any
 
 from analytic.distances import distance as distance_named
-from analytic.errors import AnalyticError
+from analytic.errors import AnalyticError, hint
 
 _CLOSE = 1e-9  # a product such as 0.2 * 15 may be off by rounding, and must not fall below the whole number
 _SMALLEST_GAUSSIAN = 2  # frames that a standard deviation needs
@@ -153,9 +152,7 @@ def parameters(values: dict[str, Any]) -> Parameters:
     valid = [field.name for field in fields(Parameters)]
     for name in values:
         if name not in valid:
-            close = get_close_matches(name, valid, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
-            raise AnalyticError(f"the mapper has no parameter {name!r}: {hint}valid: {', '.join(valid)}")
+            raise AnalyticError(f"the mapper has no parameter {name!r}: {hint(name, valid)}")
     return Parameters(**values)
 
 

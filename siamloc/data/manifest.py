@@ -132,6 +132,7 @@ def _ignored(name: str, found: list[str]) -> str:
 
 
 def _closest(name: str, candidates: Iterable[str]) -> str:
+    # Not `hint`: these columns may be there on purpose, so that only a near miss is worth a word, without a list.
     return next(iter(get_close_matches(name, list(candidates), n=1)), "")
 
 

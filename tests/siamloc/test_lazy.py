@@ -6,7 +6,8 @@ import importlib
 
 import pytest
 
-PACKAGES = ["siamloc", "siamloc.maps", "siamloc.models", "siamloc.report", "siamloc.runtime", "siamloc.evaluation"]
+PARTS = ("data", "evaluation", "maps", "models", "report", "runtime", "simulate", "training")
+PACKAGES = ["siamloc", *(f"siamloc.{part}" for part in PARTS)]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
