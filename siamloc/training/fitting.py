@@ -43,7 +43,8 @@ TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_
 # What may differ when a run is resumed: where files lie, how fast it goes, how long it trains.
 _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
-    *("protocol.map", "protocol.query", "training.epochs", "training.workers", "training.augment_where"),
+    *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
+    *("training.epochs", "training.workers", "training.augment_where"),
 )
 _LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
 
@@ -352,10 +353,13 @@ class _Seeds(Callback):
 def _check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
+    # The same frames may be named in several ways; how is only worth a word where they are others.
+    same_frames = before.get("frames") == now.get("frames")
+    free = (*_FREE, "protocol.train", "protocol.validation") if same_frames else _FREE
     for section in _LEARNED:
         old, new = _flat(section, before.get(section)), _flat(section, now.get(section))
         for key in sorted({*old, *new}):
-            if old.get(key) != new.get(key) and not key.startswith(_FREE):
+            if old.get(key) != new.get(key) and not key.startswith(free):
                 raise ConfigError(
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
                     f"{key}={new.get(key)}: leave it out, or train another run"

@@ -16,7 +16,7 @@ import torch
 from torch import nn
 
 import augment
-from siamloc.data import FrameTable, PanoramaLibrary, read
+from siamloc.data import FrameTable, PanoramaLibrary, Protocol, read
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import read_json, write_json
 from siamloc.models import as_descriptor, build, load
@@ -145,6 +145,17 @@ def test_other_settings_are_not_resumed(train, trained, other, key):
     with pytest.raises(ConfigError, match=f"was trained with {key} and cannot be resumed with"):
         train(trained.folder, epochs=2, resume=True, **other)
     assert len(curve(trained)) == 1
+
+
+def test_the_same_frames_may_be_named_in_another_way(train, day):
+    run = train(epochs=1)
+    named = Protocol.of({"train": {"sequences": ["*"], "every": 1}, "leave_one_out": True}).plain()
+    assert len(curve(train(epochs=2, resume=True, protocol=named))) == 2
+    other = {**named, "train": {**named["train"], "every": 2}}
+    with pytest.raises(
+        ConfigError, match=r"protocol\.train\.every=1 and cannot be resumed with protocol\.train\.every=2"
+    ):
+        train(run.folder, frames=day.every(2), epochs=3, resume=True, protocol=other)
 
 
 def test_other_frames_are_not_resumed_and_fewer_epochs_neither(train, day):
