@@ -88,7 +88,10 @@ def write_results(
         for name, columns in checked.items()
     }
     path = folder / "results.json"
+    older = _tables_of(path)
     write_json(path, {**header, **results, "tables": described})
+    for name in older - {table["file"] for table in described.values()}:
+        (folder / name).unlink(missing_ok=True)  # of the result that was replaced; nothing else is ever removed
     return path
 
 
@@ -163,6 +166,16 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[package] = "unknown"
     return found
+
+
+def _tables_of(path: Path) -> set[str]:
+    """Return the files of the tables that an older result names; nothing where there is none."""
+    try:
+        tables = read_results(path.parent).get("tables", {})
+    except FormatError:
+        return set()
+    files = {str(table.get("file", "")) for table in tables.values() if isinstance(table, Mapping)}
+    return {name for name in files if name.endswith(".csv") and Path(name).name == name}
 
 
 def _as_table(name: str, columns: Mapping[str, NDArray]) -> Columns:

@@ -227,6 +227,13 @@ class Run:
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
+    def discard(self) -> None:
+        """Remove the run: what siamloc wrote into it, its record, and the folder where nothing else lies in it."""
+        self.clear()
+        self._remove([self.record])
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
     def clear_temporaries(self) -> None:
         """Remove what a killed process had half written of the files that the record names."""
         names = [self.record.name, *(name for name in self.load_record()["written"] if self._holds(name))]

@@ -17,7 +17,7 @@ from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.evaluation.metrics import confusion_matrix
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Session
+from siamloc.evaluation.session import Session, as_protocol
 from siamloc.maps import CoarseLayer, VisualMap, match
 from siamloc.results import Columns, rows_by_label
 
@@ -29,7 +29,7 @@ def buildings(
     *,
     layers: Mapping[str, CoarseLayer] | None = None,
     distance: str | None = None,
-    protocol: Protocol | str = "cross_run",
+    protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     name: str | None = None,
 ) -> Result:
     """Choose the building of each query: that of the map with the nearest frame, or nearest node.
@@ -68,7 +68,7 @@ def buildings(
             "have no meaning: leave layers and distance out, or use another descriptor"
         )
     session = Session(first, images, queries, protocol="same_run", name=name)
-    session.protocol = Protocol.of({"kind": protocol}) if isinstance(protocol, str) else protocol
+    session.protocol = as_protocol(protocol)
     session.refuse_exclusion("the choice of a building")
     wanted = _known_buildings(session, list(candidates))
     for building in wanted.rows_by("building"):

@@ -87,7 +87,7 @@ def robustness(
     images: PanoramaLibrary,
     queries: FrameTable,
     *,
-    protocol: Protocol | str = "cross_run",
+    protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     baselines: Baselines = (),
     name: str | None = None,
     seed: int = 0,

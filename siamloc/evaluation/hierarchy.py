@@ -74,7 +74,7 @@ def hierarchical(
     layer: CoarseLayer | Built,
     *,
     coarse_map: VisualMap | None = None,
-    protocol: Protocol | str = "cross_run",
+    protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     name: str | None = None,
     settings: Hierarchical,
 ) -> Result:

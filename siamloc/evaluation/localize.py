@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -116,7 +117,7 @@ def localization(
     queries: FrameTable,
     *,
     validation: FrameTable | None = None,
-    protocol: Protocol | str = "cross_run",
+    protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     baselines: Baselines = (),
     name: str | None = None,
     seed: int = 0,

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import Description, Descriptor, Thumbnail, descriptor
+from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from siamloc import maps
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps import Retrieval, VisualMap, frame_distances, headings, match
 
-Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descriptor
+Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | str | Descriptor
 
 
 @dataclass
@@ -80,7 +80,8 @@ class Session:
         queries: frames to be located.
         validation: frames to learn from what the queries must not be asked: settings of the filter, expected errors;
             of other sequences than the queries and the map.
-        protocol: who may be compared with whom: a `Protocol`, or its kind, "cross_run" or "same_run".
+        protocol: who may be compared with whom: a `Protocol` such as Protocol(leave_one_out=True), its fields as a
+            mapping, or its kind, "cross_run" or "same_run".
         baselines: descriptors to measure on the same frames: one or several, by name or made, or a mapping of names to
             descriptors.
         name: what the results are called; that of the descriptor if None.
@@ -99,13 +100,14 @@ class Session:
         queries: FrameTable,
         *,
         validation: FrameTable | None = None,
-        protocol: Protocol | str = "cross_run",
+        protocol: Protocol | Mapping[str, Any] | str = "cross_run",
         baselines: Baselines = (),
         name: str | None = None,
         seed: int = 0,
     ) -> None:
         self.known, self.images, self.seed = known, images, seed
-        self.protocol = Protocol.of({"kind": protocol}) if isinstance(protocol, str) else protocol
+        self.protocol = as_protocol(protocol)
+        _check_kinds(known, images, queries)
         self.name = name or known.descriptor.name
         self.queries = _readable(images, queries, "queries")
         self.validation = None if validation is None else _readable(images, validation, "validation frames")
@@ -232,8 +234,9 @@ class Session:
         if what := shared_with(self.known.frames, self.queries):
             raise ConfigError(
                 f"{what} is in the map and among the queries, so that the result would not be honest: query another "
-                "sequence, leave map frames near the query out (protocol.apart_seconds, protocol.apart_metres), or say "
-                "protocol.kind=same_run"
+                "sequence, leave out map frames near the query by protocol.leave_one_out=true, "
+                "protocol.apart_seconds=T or protocol.apart_metres=D (in Python protocol=Protocol(apart_metres=D)), or "
+                "say protocol.kind=same_run (protocol='same_run')"
             )
 
 
@@ -253,6 +256,26 @@ def _readable(images: PanoramaLibrary, frames: FrameTable, what: str) -> FrameTa
     return found
 
 
+def as_protocol(protocol: Protocol | Mapping[str, Any] | str) -> Protocol:
+    """Return a protocol that is given as such, by its fields, or by its kind.
+
+    Raises:
+        ConfigError: an unknown kind or field.
+    """
+    if isinstance(protocol, Protocol):
+        return protocol
+    return Protocol.of({"kind": protocol} if isinstance(protocol, str) else protocol)
+
+
+def _check_kinds(known: object, images: object, queries: object) -> None:
+    """Refuse arguments of another kind, such as two that were exchanged, in one sentence."""
+    for what, value, kind in (("known", known, VisualMap), ("images", images, PanoramaLibrary)):
+        if not isinstance(value, kind):
+            raise ConfigError(f"{what} must be a {kind.__name__}, got {value!r}: the order is known, images, queries")
+    if not isinstance(queries, FrameTable):
+        raise ConfigError(f"queries must be a FrameTable, got {queries!r}: the order is known, images, queries")
+
+
 def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
     """Return descriptors by name: "thumbnail", or a name in `analytic.DESCRIPTORS` with its default parameters."""
     if isinstance(baselines, Mapping):
@@ -261,6 +284,10 @@ def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
     made: dict[str, Descriptor] = {}
     for one in baselines:
         if isinstance(one, str):
+            if one not in ("thumbnail", *DESCRIPTORS):
+                raise ConfigError(
+                    f"unknown baseline {one!r}: {hint(one, ('thumbnail', *DESCRIPTORS))}, or a descriptor"
+                )
             made[one] = Thumbnail() if one == "thumbnail" else descriptor(one, circular=circular)
         else:
             made[one.name] = one

@@ -61,6 +61,10 @@ def build(
             f"heading={turning.name} needs columns that are a full turn, and circular=false says that they are not: "
             "leave heading out"
         )
+    if turning is not None and (isinstance(turning, Thumbnail) or not turning.tells_heading):
+        raise ConfigError(
+            f"{turning.name} gives no heading: choose another one, such as hog, gist, fs or radon_fourier"
+        )
     both = by if turning is None else WithHeading(by, turning)
     readable = images.readable(frames)
     if not len(readable):

@@ -124,7 +124,10 @@ class Built:
             DataError: it was built over another one.
         """
         if self.map_digest != known.digest:
-            raise DataError(f"the layer was not built over {known!r}: build it from this map with siamloc.maps.group")
+            raise DataError(
+                f"the layer was not built over {known!r}: build it from this map with siamloc.maps.group, or, where it "
+                "ranks nodes by another descriptor, give the map it was built over as coarse_map="
+            )
 
     def save(self, folder: str | Path) -> None:
         """Write the layer with all that explains it into a folder.

@@ -336,6 +336,10 @@ def _train(trainer: Trainer, module: SiameseModule, data: PairDataModule, run: R
         text = f"stopped after {done} of {trainer.max_epochs} epochs: go on with resume=true, run={run.folder}"
         print(text, file=sys.stderr, flush=True)
         raise KeyboardInterrupt(text) from error
+    except Exception:
+        if start is None and not any(run.checkpoints.glob("*.ckpt")) and process_rank() == 0:
+            run.discard()  # a loss that fails at once must not block the folder for the next call
+        raise
 
 
 class _Seeds(Callback):

@@ -26,14 +26,14 @@ _LARGE_SHARE = 0.27
 _ASSETS = Path(__file__).parent / "assets"
 
 
-def write_report(folders: Sequence[str | Path], out: str | Path, max_bytes: int = MAX_BYTES) -> Path:
+def write_report(folders: str | Path | Sequence[str | Path], out: str | Path, max_bytes: int = MAX_BYTES) -> Path:
     """Write one HTML page about runs, which needs nothing but itself, and return its path.
 
     The numbers come from the result files alone; the pictures are read from the files that they name. Pictures become
     smaller, then fewer, until the page keeps to its size, and the page says so.
 
     Args:
-        folders: of runs, or of single evaluations. Several are compared first, and then shown one after another.
+        folders: of one run or of several, or of single evaluations. Several are compared first, and then shown one after another.
         out: the file to write.
         max_bytes: the largest size of the file.
 
@@ -45,7 +45,7 @@ def write_report(folders: Sequence[str | Path], out: str | Path, max_bytes: int 
     """
     if Path(out).suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"the report is a web page: give it a name ending .html, not {out}")
-    runs = gather(folders)
+    runs = gather([folders] if isinstance(folders, str | Path) else folders)
     parts = parts_of(runs)
     large = large_pictures(parts, int(max_bytes * _LARGE_SHARE))
     overview = comparison(parts)
