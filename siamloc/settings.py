@@ -112,8 +112,8 @@ def defaults_of(kind: type[Settings]) -> dict[str, Any]:
 def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Let a function be called with the fields of a settings class as keywords.
 
-    The function itself has one keyword, `settings`; a caller gives either that or the fields. What it is called with
-    is shown by `help` and by a notebook's completion, field by field.
+    The function itself has one keyword, `settings`; a caller gives either that, made or as plain values, or the fields.
+    What it is called with is shown by `help` and by a notebook's completion, field by field.
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -121,16 +121,18 @@ def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..
         # Keywords that are fields become `settings`; the rest are the function's own.
         parameters = [one for one in own.parameters.values() if one.name != "settings"]
         fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+        named = [*(one.name for one in parameters if one.kind is one.KEYWORD_ONLY), *fields]
 
         @wraps(function)
-        def call(*arguments: Any, settings: Settings | None = None, **keywords: Any) -> Result:
+        def call(*arguments: Any, settings: Settings | Mapping[str, Any] | None = None, **keywords: Any) -> Result:
             given = {name: keywords.pop(name) for name in list(keywords) if name in fields}
             for name in keywords:
                 if name not in own.parameters:
-                    raise ConfigError(f"{function.__name__} has no setting {name!r}: {hint(name, fields)}")
+                    raise ConfigError(f"{function.__name__} has no setting {name!r}: {hint(name, named)}")
             if settings is not None and given:
                 raise ConfigError(f"{function.__name__} takes settings=... or {', '.join(given)}, not both")
-            return function(*arguments, settings=settings if settings is not None else kind.of(given), **keywords)
+            chosen = kind.of(given) if settings is None else checked(settings, kind, "settings")
+            return function(*arguments, settings=chosen, **keywords)
 
         shown = [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_shown(field), annotation=field.type)
@@ -143,7 +145,7 @@ def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..
 
 
 def checked(value: Any, kind: Any, key: str) -> Any:
-    """Return a value in the form that its annotation asks for: lists as tuples, whole numbers as float where needed.
+    """Return a value in the form that its annotation asks for: lists as tuples, numbers and arrays of numpy as plain.
 
     Raises:
         ConfigError: naming the key, what it should be, and what it is.
@@ -189,6 +191,8 @@ def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
     origin, parts = get_origin(kind), get_args(kind)
     if kind is Any:
         return True, value
+    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
+        value = value.tolist()
     if origin is Annotated:
         fits, found = _fit(value, parts[0], key)
         return fits and all(rule.holds(found) for rule in parts[1:] if isinstance(rule, Rule)), found

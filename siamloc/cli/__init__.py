@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from siamloc import __version__
-from siamloc.cli.help import COMMANDS, command_help, overview
+from siamloc.cli.help import COMMANDS, overview
 from siamloc.errors import ConfigError, SiamlocError, hint
 
 
@@ -51,6 +51,8 @@ def _dispatch(words: list[str]) -> int:
     if command is None:
         return 0
     if "-h" in overrides or "--help" in overrides:
+        from siamloc.cli.keys import command_help
+
         print(command_help(command))
         return 0
     from siamloc.cli import commands
@@ -72,6 +74,8 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
     if not family:
         raise ConfigError(f"unknown command {words[0]!r}: {hint(words[0], COMMANDS)}")
     if {"-h", "--help"} & set(words):
+        from siamloc.cli.keys import command_help
+
         print("\n\n".join([command_help(name) for name in family]))  # `map` is a module of this package
         return None, []
     given = " ".join(words[:2]) if len(words) > 1 and "=" not in words[1] else words[0]

@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 from siamloc.cli.compose import composed, plain
 from siamloc.cli.inherit import by_network, label_of, map_file, suggestion
 from siamloc.cli.objects import (
+    bundle_of,
     data_of,
     descriptor_of,
     files_in,
@@ -151,11 +152,8 @@ def localize(config: DictConfig) -> None:
     """Locate image files with a bundle."""
     from siamloc.runtime import Localizer, write_locations
 
-    if config.bundle is None and config.run is None:
-        raise ConfigError(f"no bundle and no run are named: give bundle=FOLDER, or {suggestion()}")
-    folder = Path(config.bundle) if config.bundle is not None else run_of(config).bundle
     images = images_named(config.images)
-    localizer = Localizer(folder, top=config.top)
+    localizer = Localizer(bundle_of(config), top=config.top)
     found, failed = {}, []
     for path in images:
         try:

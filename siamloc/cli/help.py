@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from textwrap import dedent, fill, indent
 
 
 @dataclass(frozen=True)
@@ -16,7 +15,7 @@ class Command:
     example: str
     inherits: bool = False  # takes its settings from the run that is named
     config: str = "config"  # the configuration file it begins with
-    reads_data: bool = True  # needs to be told where the data lie
+    reads_data: bool = True  # needs to know where the data are
 
 
 COMMANDS = {
@@ -85,12 +84,12 @@ COMMANDS = {
         """
         Writes map.npz into the run: descriptors, poses and rooms of the frames that the robot knows.
 
-        run=FOLDER                      the run; the newest one if not given
+        run=FOLDER                      the run; analytic descriptors need none
         protocol.map.sequences=[...]    the training sequences if not given
         protocol.map.every=5            or protocol.map.spacing=0.5
         descriptor=hog|gist|wisurf|...  something else than the trained network
         heading=hog|fs|gist|radon_fourier
-                                        what tells headings for a network; heading.step=4 halves its part of the map
+                                        what gives headings for a network; heading.step=4 halves its part of the map
         build=incremental|spectral|som|sample|rooms
                                         group the frames into nodes as well, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` shows them
@@ -105,7 +104,7 @@ COMMANDS = {
         Locates the query frames in the map and writes results.json, queries.csv and plots. Baselines are measured by
         the same evaluator on the same frames.
 
-        run=FOLDER                        the run; the newest one if not given
+        run=FOLDER                        the run; analytic descriptors need none
         protocol.query.sequences=[...]    the frames to be located
         task=localization|absolute|room_retrieval|hierarchical|mapping|robustness|buildings
         task.radii=[0.5,1.0]              recall: how near a map frame must be
@@ -118,7 +117,7 @@ COMMANDS = {
         task.error_model=true             the expected error of each query, learned from protocol.validation, and
                                           whether it is lost, above task.lost_above=1.0
         heading=hog|fs|gist|radon_fourier
-                                          what tells headings for a network; the map's own if not given
+                                          what gives headings for a network; the map's own if not given
         task=hierarchical build=incremental|spectral|som|sample|rooms
                                           search the nodes of a map first, then the frames inside the nearest
         task.candidates=3                 that many nodes
@@ -137,10 +136,10 @@ COMMANDS = {
         "write the model file for the robot",
         """
         Writes a bundle: the network as ONNX (any batch size), the map, and how images are prepared; and compares its
-        output with the network's. With a map made with heading=hog the robot tells its heading, and after an
+        output with the network's. With a map made with heading=hog the robot knows its heading, and after an
         evaluation with task.error_model=true its expected error and whether it is lost.
 
-        run=FOLDER      the run; the newest one if not given
+        run=FOLDER      the run
         bundle=FOLDER   where to; the run's own folder if not given
         """,
         "siamloc export run=runs/vgg16",
@@ -151,10 +150,10 @@ COMMANDS = {
         "locate image files with an exported bundle",
         """
         Works without torch. Prints a line per image and writes locations.csv: position and room, and heading in rad,
-        expected error and verdict where the bundle tells them.
+        expected error and verdict where the bundle holds what gives them.
 
         images=[a.jpeg,folder]   files or folders
-        run=FOLDER               the run whose bundle is used; the newest one if not given
+        run=FOLDER               the run whose bundle is used
         bundle=FOLDER            another bundle
         top=3                    map frames to list
         """,
@@ -240,20 +239,4 @@ def overview() -> str:
         "siamloc completion bash|zsh|fish  the tab key completes commands, groups and keys\n"
         "siamloc --version\n\n"
         "--debug shows the traceback of an error."
-    )
-
-
-def command_help(name: str) -> str:
-    """Return the answer to `siamloc <command> --help`: the main keys with a word on each, then all of them."""
-    from siamloc.cli.schema import keys_of
-
-    command = COMMANDS[name]
-    groups = []
-    for group, keys in keys_of(command.config).items():
-        listed = fill(" ".join(keys), 110, initial_indent="      ", subsequent_indent="      ", break_on_hyphens=False)
-        groups.append(f"  {group}\n{listed}" if keys else f"  {group}")
-    return (
-        f"siamloc {name}: {command.summary}\n\n{indent(dedent(command.details).strip(), '  ')}\n\n"
-        f"example:\n  {command.example}\n\n"
-        "all keys, by what chooses them (`--cfg job` shows their values):\n" + "\n".join(groups)
     )

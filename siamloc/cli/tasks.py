@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from omegaconf import DictConfig
 
@@ -138,8 +139,12 @@ def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
     layers = None
     if config.build.name != "none":
         parts = evaluation.by_building(candidates)
-        layers = {building: maps.group(part, **way_of(config)).layer for building, part in parts.items()}
-        label = f"{label}-{label_of(config.build)}"
+        layers, build = {}, label_of(config.build)
+        for building, part in parts.items():
+            folder = run.layer(f"{label}-{quote(building, safe=' ')}", build)  # a building may have any name
+            layers[building] = maps.group(part, folder=folder, **way_of(config)).layer
+            run.record_written(files_in(folder))
+        label = f"{label}-{build}"
     result = evaluation.buildings(
         candidates,
         images,

@@ -56,7 +56,7 @@ def evaluate_absolute(
         ConfigError: no radii or ks, or such that are out of range or stand twice.
         DataError: frames without positions, or descriptors that do not fit the frames or the map.
     """
-    radii, ks = _checked_settings(radii, ks)
+    radii, ks = check_recalls(radii, ks)
     _require_positions(frames, "queries")
     _require_positions(visual_map.frames, "map frames")
     k = most_neighbours(neighbours(ks, len(visual_map)), len(visual_map), excluded)
@@ -222,7 +222,12 @@ def _heading(numbers: Mapping[str, NDArray]) -> dict[str, Any]:
     return {"heading_error": summarize(known)} if len(known) else {}
 
 
-def _checked_settings(radii: Sequence[float], ks: Sequence[int]) -> tuple[tuple[float, ...], tuple[int, ...]]:
+def check_recalls(radii: Sequence[float], ks: Sequence[int]) -> tuple[tuple[float, ...], tuple[int, ...]]:
+    """Return the radii and ks of recalls as plain numbers.
+
+    Raises:
+        ConfigError: none, or such that are out of range or appear twice.
+    """
     radii, ks = tuple(float(radius) for radius in radii), tuple(ks)
     if not radii or not all(0 <= radius < np.inf for radius in radii) or len(set(radii)) < len(radii):
         raise ConfigError(f"the recall needs radii that are not negative and differ, got {list(radii)}")

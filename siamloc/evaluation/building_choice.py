@@ -44,8 +44,9 @@ def buildings(
         name: what the results are called.
 
     Raises:
-        ConfigError: fewer than two buildings, maps by different descriptors, or an unknown distance.
-        DataError: map frames without a building, or queries in one that has no map.
+        ConfigError: fewer than two buildings, maps by different descriptors or distances, a building without its
+            layer, or an unknown distance.
+        DataError: map frames without a building, queries in one that has no map, or a layer of another map.
 
     Example:
         >>> import siamloc
@@ -70,9 +71,11 @@ def buildings(
     session.protocol = Protocol.of({"kind": protocol}) if isinstance(protocol, str) else protocol
     session.refuse_exclusion("the choice of a building")
     wanted = _known_buildings(session, list(candidates))
-    for building, one in candidates.items():
-        Session(one, images, wanted.take(wanted.building == building), protocol=protocol)
-    chosen = {building: layers[building] for building in candidates} if layers is not None else {}
+    for building in wanted.rows_by("building"):
+        Session(candidates[building], images, wanted.take(wanted.building == building), protocol=protocol)
+    if distance is None:
+        _check_one_distance(candidates)
+    chosen = {} if layers is None else _layers_of(candidates, layers)
     vectors = [chosen[building].representatives if chosen else one.descriptors for building, one in candidates.items()]
     names = [chosen[building].names if chosen else one.frames.path for building, one in candidates.items()]
     apart, rows = [], []
@@ -127,6 +130,30 @@ def by_building(known: Sequence[VisualMap]) -> dict[str, VisualMap]:
             "maps of several (task.maps=[runs/a,runs/b])"
         )
     return found
+
+
+def _check_one_distance(candidates: Mapping[str, VisualMap]) -> None:
+    """Refuse maps whose distances cannot be compared with each other."""
+    used = {building: one.distance for building, one in candidates.items()}
+    if len(set(used.values())) > 1:
+        listed = ", ".join(f"{distance} in {building}" for building, distance in used.items())
+        raise ConfigError(f"the maps compare descriptors by different distances ({listed}): give distance=... for all")
+
+
+def _layers_of(candidates: Mapping[str, VisualMap], layers: Mapping[str, CoarseLayer]) -> dict[str, CoarseLayer]:
+    """Return the layer of each building's map."""
+    missing = [building for building in candidates if building not in layers]
+    if missing:
+        raise ConfigError(
+            f"building {missing[0]!r} has no layer: give one for each of {', '.join(candidates)}, or none"
+        )
+    for building, one in candidates.items():
+        if len(layers[building].labels) != len(one):
+            raise DataError(
+                f"the layer of building {building!r} has labels for {len(layers[building].labels)} frames and its map "
+                f"has {len(one)}: build it over this map"
+            )
+    return {building: layers[building] for building in candidates}
 
 
 def _known_buildings(session: Session, labels: list[str]) -> FrameTable:

@@ -70,7 +70,7 @@ def lost_measures(predicted: ArrayLike, error: ArrayLike, lost_above: float) -> 
 
 
 def measures_of(columns: Mapping[str, NDArray], lost_above: float, bins: int = 10) -> dict[str, Any]:
-    """Return how well `error_m` predicts `error`, from columns of `queries.csv`, overall and by lighting and room.
+    """Return how well `error_m` predicts `error`, by these columns of `queries.csv`: overall, by lighting and by room.
 
     Returns:
         The groups "overall", "lighting" (by label) and "room" (by label). A group holds `queries`; `predicted` and

@@ -125,11 +125,13 @@ def robustness(
     in_map, in_queries, by_room = session.comparable()
     scored = session.queries.take(in_queries)
     rows = np.arange(0, len(scored), settings.every)
+    asked = scored.take(rows)
     parts, tables = [], []
     for label, other in {session.name: known.descriptor, **session.baselines}.items():
         own = session.map_by(other).take(in_map)
-        found = _located(session, own, scored.take(rows), rows, disturbances, label)
-        parts.append(answers(label, own.frames, scored.take(rows), found, by_room))
+        excluded = session.excluded(asked, own.frames)
+        found = _located(session, own, asked, rows, excluded, disturbances, label)
+        parts.append(answers(label, own.frames, asked, found, by_room, excluded))
         tables.append(curves(parts[-1], settings.radius, len(own)))
     table = concatenated(tables)
     measured = measures(table, disturbances, "wrong rooms" if by_room else known.unit, settings.every)
@@ -278,6 +280,7 @@ def answers(
     queries: FrameTable,
     found: Mapping[tuple[str, float], NDArray[np.int64]],
     by_room: bool = False,
+    excluded: NDArray[np.bool_] | None = None,
 ) -> Columns:
     """Return one row for each query, disturbance and level: what `answers.csv` holds.
 
@@ -287,6 +290,7 @@ def answers(
         queries: n frames with positions.
         found: by disturbance and level the nearest map frame of each query (n,).
         by_room: judge by rooms instead of positions: the error is 1 in a wrong room.
+        excluded: (n, m) map frames that a query was not compared with; its floor leaves them out too.
 
     Raises:
         DataError: no queries, nothing found, or frames without positions.
@@ -294,7 +298,11 @@ def answers(
     if not len(queries) or not found:
         raise DataError("robustness needs at least one query and one disturbance")
     known_rooms, rooms = room_names(known, queries)
-    floor = (~np.isin(rooms, known_rooms)).astype(float) if by_room else error_floor(known.xy, queries.xy)
+    if by_room:
+        findable = known_rooms[None, :] == rooms[:, None]
+        floor = (~(findable if excluded is None else findable & ~excluded).any(axis=1)).astype(float)
+    else:
+        floor = error_floor(known.xy, queries.xy, excluded)
     parts = []
     for (name, level), row in found.items():
         error = (known_rooms[row] != rooms).astype(float) if by_room else localization_error(known.xy[row], queries.xy)
@@ -394,13 +402,13 @@ def _located(
     known: VisualMap,
     queries: FrameTable,
     rows: NDArray[np.int64],
+    excluded: NDArray[np.bool_] | None,
     disturbances: list[Disturbance],
     name: str,
 ) -> dict[tuple[str, float], NDArray[np.int64]]:
     """Locate queries, batch by batch, at every level of every disturbance."""
     describer: Descriptor = known.descriptor
-
-    excluded, barred = session.excluded(queries, known.frames), None
+    barred: NDArray[np.bool_] | None = None
 
     def locate(images: Images) -> Retrieval:
         return match(known, describer.describe(images), 1, excluded=barred)

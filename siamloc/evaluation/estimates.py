@@ -43,14 +43,15 @@ def needs_validation(settings: Localization) -> bool:
     return settings.error_model or (settings.filter and settings.filter_tune)
 
 
-def search_validation(session: Session, settings: Localization, known: VisualMap) -> Validation:
-    """Look for the validation frames in the map.
+def search_validation(
+    session: Session, frames: FrameTable | None, settings: Localization, known: VisualMap
+) -> Validation:
+    """Look for validation frames in the map.
 
     Raises:
-        ConfigError: the session has none.
+        ConfigError: there are none.
         DataError: none of them has a position.
     """
-    frames = session.validation
     if frames is None:
         raise ConfigError(
             "the error model and the filter's settings are learned from validation frames: give validation=FRAMES "
@@ -96,7 +97,8 @@ def with_estimates(
         DataError: validation frames without positions, or too few.
     """
     known = search.known
-    validation = search_validation(session, settings, known) if needs_validation(settings) else None
+    learns = needs_validation(settings)
+    validation = search_validation(session, session.validation, settings, known) if learns else None
     if settings.filter:
         columns, about = filtered(settings, search, queries, validation)
         result = _with_columns(result, "filtered", columns, {"filter": about})

@@ -15,7 +15,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import DataError
 from siamloc.evaluation import absolute
-from siamloc.evaluation.absolute import evaluate_absolute, neighbours
+from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, neighbours
 from siamloc.evaluation.columns import missing_rooms
 from siamloc.evaluation.estimates import located_columns
 from siamloc.evaluation.metrics import localization_error, summarize
@@ -61,6 +61,10 @@ class Hierarchical(Settings):
     radii: tuple[NotNegative, ...] = (0.25, 0.5, 1.0)
     ks: tuple[Count, ...] = (1, 5, 10, 20)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_recalls(self.radii, self.ks)
+
 
 @takes(Hierarchical)
 def hierarchical(
@@ -79,10 +83,10 @@ def hierarchical(
     The search in the whole map, and in the node that is truly right, are measured on the same queries.
 
     Args:
-        known: the map; frames without a position are left out.
+        known: the map; all its frames have positions.
         images: panoramas of the queries.
         queries: frames to be located; those without a position are located without a score, in the table "located".
-        layer: nodes over the frames of the map, from `siamloc.maps.group`.
+        layer: nodes over the frames of the map, or of `coarse_map` where there is one, from `siamloc.maps.group`.
         coarse_map: a map of the same frames by another descriptor, which ranks the nodes; the map itself if None.
         protocol: who may be compared with whom; see `localization`.
         name: what the results are called.
@@ -90,7 +94,7 @@ def hierarchical(
 
     Raises:
         ConfigError: queries that the protocol forbids, or descriptors by which nodes cannot be ranked this way.
-        DataError: a layer or a coarse map of other frames, or a map without positions.
+        DataError: a layer of another map, a coarse map of other frames, or map frames without a position.
 
     Example:
         >>> import siamloc
@@ -103,7 +107,9 @@ def hierarchical(
     """
     session = Session(known, images, queries, protocol=protocol, name=name)
     session.refuse_exclusion("hierarchical localization")
-    layer = layer.layer if isinstance(layer, Built) else layer
+    if isinstance(layer, Built):
+        layer.check_map(known if coarse_map is None else coarse_map)
+        layer = layer.layer
     search = HierarchicalSearch(
         known,
         layer,

@@ -49,6 +49,9 @@ def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings
         name: what the results are called.
         settings: instead of its fields as keywords.
 
+    Raises:
+        DataError: nodes over another map.
+
     Example:
         >>> import siamloc
         >>> images = siamloc.data.example()
@@ -57,6 +60,7 @@ def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings
         >>> mapping(known, siamloc.maps.group(known, "rooms")).measures["purity"]["overall"]
         1.0
     """
+    built.check_map(known)
     result = evaluate_mapping(
         known,
         built.layer,

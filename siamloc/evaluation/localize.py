@@ -14,7 +14,7 @@ from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.evaluation import room_retrieval
-from siamloc.evaluation.absolute import evaluate_absolute, most_neighbours, neighbours, with_baseline
+from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, most_neighbours, neighbours, with_baseline
 from siamloc.evaluation.columns import missing_rooms
 from siamloc.evaluation.estimates import (
     MATCHES,
@@ -95,6 +95,10 @@ class Localization(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.names:
+            raise ConfigError("task.names is empty: name absolute, room_retrieval or both")
+        if "absolute" in self.names:
+            check_recalls(self.radii, self.ks)
         asked = [name for name in ("filter", "interpolate", "error_model") if getattr(self, name)]
         if asked and "absolute" not in self.names:
             raise ConfigError(
@@ -216,8 +220,8 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
         2.0
     """
     settings, placed = Localization.of(options), known.placed()
-    session = Session(known, images, validation, validation=validation)
-    return learned_errors(settings, placed, search_validation(session, settings, placed))[0]
+    session = Session(known, images, validation)
+    return learned_errors(settings, placed, search_validation(session, session.queries, settings, placed))[0]
 
 
 def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:
@@ -235,7 +239,10 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
             searches["room_retrieval"] = search
     bare = np.flatnonzero(~queries.has_position)
     if main and len(bare) and known.frames.has_position.any():
-        searches["located"] = Search(known.placed(), bare, MATCHES if settings.error_model else 1)
+        try:
+            searches["located"] = _search_bare(session, settings, known.placed(), bare)
+        except DataError as error:  # a way along the drive that is not known, so that near frames cannot be left out
+            skipped["located"] = str(error)
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(skipped.values())}")
     vectors = session.run(known, queries, searches, f"the queries, {name}")
@@ -277,11 +284,18 @@ def _search(session: Session, what: str, task: str, known: VisualMap, k: int, sk
     return Search(inside, rows, most_neighbours(k, len(inside), excluded), excluded=excluded)
 
 
+def _search_bare(session: Session, settings: Localization, placed: VisualMap, rows: NDArray[np.int64]) -> Search:
+    """Return the search for queries without a position."""
+    excluded = session.excluded(session.queries.take(rows), placed.frames)
+    k = most_neighbours(MATCHES if settings.error_model else 1, len(placed), excluded)
+    return Search(placed, rows, k, excluded=excluded)
+
+
 def _located(result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable) -> Result:
     """Return the result with where queries without a pose were found."""
     model, about = result.error_model, result.about
     if settings.error_model and model is None:
-        validation = search_validation(session, settings, search.known)
+        validation = search_validation(session, session.validation, settings, search.known)
         model, learned = learned_errors(settings, search.known, validation)
         about = {**about, "estimates": {"error_model": learned}}
     headings = None if search.headings is None else search.headings[:, 0]

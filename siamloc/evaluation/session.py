@@ -17,7 +17,7 @@ from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Retrieval, VisualMap, frame_distances, headings, match
 
-Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor]
+Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descriptor
 
 
 @dataclass
@@ -29,7 +29,7 @@ class Search:
         rows: of the frames that have it (n,), in order.
         k: neighbours wanted.
         headings_of: by how many of the neighbours the heading is wanted.
-        with_distances: whether the distances to all map frames are kept, n x m float64.
+        with_distances: whether the distances to all map frames are kept, n x m float64; infinite where excluded.
         excluded: (n, m) map frames that a frame is not compared with; None if there are none.
     """
 
@@ -51,7 +51,8 @@ class Search:
         self._found.append(found)
         self._turned.append(headings(self.known, queries, found, self.headings_of))
         if self.with_distances:
-            self._apart.append(frame_distances(self.known, queries))
+            apart = frame_distances(self.known, queries)
+            self._apart.append(apart if barred is None else np.where(barred, np.inf, apart))
 
     @property
     def retrieval(self) -> Retrieval:
@@ -77,14 +78,17 @@ class Session:
         known: the map; `known.descriptor` describes the queries.
         images: panoramas of the queries, and of the map's frames where they have to be described again.
         queries: frames to be located.
-        validation: frames to learn from what the queries must not be asked: settings of the filter, expected errors.
+        validation: frames to learn from what the queries must not be asked: settings of the filter, expected errors;
+            of other sequences than the queries and the map.
         protocol: who may be compared with whom: a `Protocol`, or its kind, "cross_run" or "same_run".
-        baselines: descriptors to measure on the same frames: by name, or as a mapping of names to descriptors.
+        baselines: descriptors to measure on the same frames: one or several, by name or made, or a mapping of names to
+            descriptors.
         name: what the results are called; that of the descriptor if None.
         seed: of everything that is drawn.
 
     Raises:
-        ConfigError: queries that the protocol forbids in this map, or an unknown baseline.
+        ConfigError: queries that the protocol forbids in this map, validation frames of the map's or the queries'
+            sequences, panoramas made in another way than those of the map, or an unknown baseline.
         DataError: no query's image can be read.
     """
 
@@ -107,6 +111,7 @@ class Session:
         self.validation = None if validation is None else _readable(images, validation, "validation frames")
         self.baselines = _named(baselines, images.circular)
         self.skipped: dict[str, str] = {}
+        known.check_images(images.preprocessing.parameters())
         self._check_apart()
 
     def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
@@ -217,6 +222,11 @@ class Session:
                 f"{what} is in the map and in the validation, so that nothing could be learned of the errors on "
                 "another day: validate on another sequence"
             )
+        if self.validation is not None and (what := shared_with(self.queries, self.validation)):
+            raise ConfigError(
+                f"{what} is among the queries and in the validation, so that the result would not be honest: validate "
+                "on another sequence"
+            )
         if self.protocol.kind == "same_run" or self.protocol.excludes:
             return
         if what := shared_with(self.known.frames, self.queries):
@@ -247,6 +257,7 @@ def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
     """Return descriptors by name: "thumbnail", or a name in `analytic.DESCRIPTORS` with its default parameters."""
     if isinstance(baselines, Mapping):
         return dict(baselines)
+    baselines = [baselines] if isinstance(baselines, str | Descriptor) else baselines
     made: dict[str, Descriptor] = {}
     for one in baselines:
         if isinstance(one, str):

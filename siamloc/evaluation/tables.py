@@ -241,7 +241,7 @@ def _text(table: Table) -> str:
 
     # As wide as the table needs: what it is shown on decides about folding.
     out = StringIO()
-    Console(file=out, width=250, color_system=None).print(table)
+    Console(file=out, width=250, color_system=None, force_jupyter=False).print(table)
     return "\n".join(line.rstrip() for line in out.getvalue().rstrip("\n").split("\n"))
 
 

@@ -95,7 +95,7 @@ WAYS: dict[str, type[Settings]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Built:
     """A coarse layer and how it came about.
 
@@ -113,6 +113,18 @@ class Built:
     map_digest: str
     reasons: tuple[str, ...] = ()
     mapper: IncrementalMapper | None = None
+
+    def __repr__(self) -> str:
+        return f"Built({self.summary()})"
+
+    def check_map(self, known: VisualMap) -> None:
+        """Make sure that the layer was built over a map.
+
+        Raises:
+            DataError: it was built over another one.
+        """
+        if self.map_digest != known.digest:
+            raise DataError(f"the layer was not built over {known!r}: build it from this map with siamloc.maps.group")
 
     def save(self, folder: str | Path) -> None:
         """Write the layer with all that explains it into a folder.

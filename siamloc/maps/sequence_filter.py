@@ -91,14 +91,18 @@ class SequenceFilter:
         """Take in one query and return the belief (m,).
 
         Args:
-            distances: (m,) of its descriptor to those of the map.
+            distances: (m,) of its descriptor to those of the map; infinite where it must not be compared.
 
         Raises:
-            DataError: not one finite distance for each map frame.
+            DataError: not one distance for each map frame, or none that is finite.
         """
         apart = np.asarray(distances, dtype=np.float64)
-        if apart.shape != (len(self.motion),) or not np.isfinite(apart).all():
-            raise DataError(f"a query needs {len(self.motion)} finite distances to the map, got shape {apart.shape}")
+        # NaN and -infinity show in the smallest value.
+        if apart.shape != (len(self.motion),) or not np.isfinite(apart.min()):
+            raise DataError(
+                f"a query needs {len(self.motion)} distances to the map, finite ones or infinity where it is "
+                f"not compared, got shape {apart.shape}"
+            )
         expected = (1 - self.kidnapping) * self.motion.predict(self.belief) + self.kidnapping / len(apart)
         # The likeliest frame has likelihood 1, so that the sum cannot vanish.
         belief = expected * np.exp((apart.min() - apart) / self.temperature)

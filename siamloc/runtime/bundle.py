@@ -27,7 +27,7 @@ _ERRORS = "error_model.json"
 _KEYS = {"sha256": dict, "preprocessing": dict, "identity": dict, "parity": dict}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Bundle:
     """An opened bundle; `siamloc.runtime.export` writes one.
 
@@ -41,6 +41,9 @@ class Bundle:
     folder: Path
     about: dict[str, Any]
     preprocessing: Preprocessing
+
+    def __repr__(self) -> str:
+        return f"Bundle({str(self.folder)!r}: {', '.join(self.about['sha256'])})"
 
     @property
     def image_size(self) -> tuple[int, int]:

@@ -1,8 +1,10 @@
 import inspect
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pytest
 
 from siamloc.errors import ConfigError
@@ -81,6 +83,14 @@ def test_values_take_the_form_that_the_annotation_asks_for():
     assert Training.of(made.plain()) == made
 
 
+def test_numbers_and_arrays_of_numpy_are_values_like_any_other():
+    made = Training(epochs=np.int64(3), radii=np.array([0.5, 2]), decay=np.float32(0.5), flag=np.bool_(True))
+    assert made == Training(epochs=3, radii=(0.5, 2.0), decay=0.5, flag=True)
+    assert json.dumps(made.plain())
+    with pytest.raises(ConfigError, match=r"train\.epochs must be a whole number from 1, got array"):
+        Training(epochs=np.array([1, 2]))
+
+
 def test_defaults_are_plain_and_leave_out_what_has_none():
     @dataclass(frozen=True)
     class Reader(Settings):
@@ -98,6 +108,7 @@ def fit(network, *, run=None, settings):
 
 
 def test_a_function_takes_the_fields_as_keywords_and_shows_them():
+    assert fit("net", settings={"epochs": 5})[2] == Training(epochs=5)
     assert fit("net", run="r", epochs=3)[2] == Training(epochs=3)
     assert fit("net", settings=Training(epochs=4))[2].epochs == 4
     assert list(inspect.signature(fit).parameters)[:4] == ["network", "run", "epochs", "seed"]
@@ -110,6 +121,9 @@ def test_a_function_takes_the_fields_as_keywords_and_shows_them():
         ({"epoch": 3}, "fit has no setting 'epoch': did you mean 'epochs'"),
         ({"epochs": 0}, "train.epochs must be a whole number from 1, got 0"),
         ({"settings": Training(), "epochs": 3}, "fit takes settings=... or epochs, not both"),
+        ({"rnu": "r"}, "fit has no setting 'rnu': did you mean 'run'"),
+        ({"settings": 3}, "settings must be a group with the keys epochs, seed"),
+        ({"settings": {"epoch": 3}}, "unknown key train.epoch: did you mean 'epochs'"),
     ],
 )
 def test_a_function_refuses_what_it_does_not_know(keywords, says):

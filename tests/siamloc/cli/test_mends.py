@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from siamloc.cli import main
-from siamloc.cli.schema import keys_of
+from siamloc.cli.keys import keys_of
 from siamloc.maps import VisualMap
 from tests.drawn import write_manifest
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from siamloc import evaluation, maps
-from siamloc.data import Protocol
+from siamloc.data import PanoramaLibrary, Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import Result
 from siamloc.evaluation.absolute import evaluate_absolute
@@ -118,6 +119,16 @@ def test_hierarchical_search_of_all_nodes_is_the_search_of_the_map(world):
     few = evaluation.hierarchical(known, images, tuesday, built, candidates=1, coarse={"by": "vote", "neighbours": 3})
     assert few.measures["comparisons"]["frames_share"] < 0.5
     assert "hierarchical localization" in few.table()
+    other = maps.build("thumbnail", images, known.frames, progress=False)
+    for task in (
+        lambda: evaluation.hierarchical(other, images, tuesday, built),
+        lambda: evaluation.hierarchical(known, images, tuesday, built, coarse_map=other),
+        lambda: evaluation.mapping(other, built),
+    ):
+        with pytest.raises(DataError, match=r"was not built over VisualMap\(40 frames"):
+            task()
+    with pytest.raises(ConfigError, match="the recall needs whole numbers k >= 1"):
+        evaluation.hierarchical(known, images, tuesday, built, ks=())
 
 
 def test_nodes_of_a_map_without_positions(world):
@@ -145,6 +156,24 @@ def test_the_building_of_a_query(world, tmp_path):
     assert evaluation.buildings(both, images, far, layers=layers).measures["accuracy"] > 0.8
     with pytest.raises(DataError, match="40 of the 40 map frames have no building"):
         evaluation.buildings(known, images, far)
+    north, south = evaluation.by_building([both]).values()
+    with pytest.raises(ConfigError, match=r"different distances \(euclidean in north, manhattan in south\)"):
+        evaluation.buildings([north, replace(south, distance="manhattan")], images, far)
+    with pytest.raises(ConfigError, match="building 'south' has no layer"):
+        evaluation.buildings(both, images, far, layers={"north": layers["north"]})
+    with pytest.raises(DataError, match="the layer of building 'north' has labels for"):
+        evaluation.buildings(both, images, far, layers={"north": layers["south"], "south": layers["north"]})
+
+
+def test_queries_of_one_building_are_looked_for_in_all(world):
+    images, monday, tuesday, _, _ = world
+    near, far = (
+        frames.with_columns(building=np.where(frames.x < 15, "north", "south")) for frames in (monday, tuesday)
+    )
+    both = maps.build(Reads(), images, near, progress=False)
+    result = evaluation.buildings(both, images, far.select(building="north"))
+    assert result.denominators["queries"] == int((tuesday.x < 15).sum())
+    assert result.measures["confusion"]["labels"] == ["north", "south"]
 
 
 def test_noise_makes_errors_larger_and_turns_of_a_ring_do_not_matter_to_a_mean(world):
@@ -174,6 +203,9 @@ def test_frames_left_out_stay_left_out_under_disturbances_and_are_refused_where_
     result = evaluation.robustness(known, images, monday, protocol=apart, every=1, noise=(0,), occlusion=(), turn=())
     whole = evaluation.localization(known, images, monday, protocol=apart)
     assert result.measures["methods"]["reads"]["noise"][0]["mean"] == pytest.approx(whole.measures["error"]["mean"])
+    level = result.measures["methods"]["reads"]["noise"][0]
+    assert level["floor"] == pytest.approx(whole.measures["floor"]["mean"])
+    assert level["excess"] == pytest.approx(whole.measures["excess"]["mean"])
     with pytest.raises(ConfigError, match="hierarchical localization compares queries with all frames"):
         evaluation.hierarchical(known, images, monday, maps.group(known, "sample", nodes=4), protocol=apart)
 
@@ -182,6 +214,10 @@ def test_frames_left_out_stay_left_out_under_disturbances_and_are_refused_where_
     ("options", "says"),
     [
         ({"radius": (1,)}, "localization has no setting 'radius': did you mean 'radii'"),
+        ({"ks": ()}, "the recall needs whole numbers k >= 1 that differ"),
+        ({"radii": (1, 1)}, "the recall needs radii that are not negative and differ"),
+        ({"names": ()}, "task.names is empty"),
+        ({"baselines": "hogg"}, "unknown descriptor 'hogg'.*hog"),
         ({"ks": (0,)}, "task.ks must be a list, each item a whole number from 1"),
         ({"filter_tune": True}, "task.filter_tune=true chooses the settings of the sequence filter"),
         ({"names": ("room_retrieval",), "interpolate": 3}, "task.interpolate goes with absolute localization"),
@@ -194,3 +230,38 @@ def test_settings_that_mean_nothing_are_one_sentence(world, options, says):
     with pytest.raises(Exception, match=says) as caught:
         evaluation.localization(known, images, tuesday, **options)
     assert type(caught.value).__name__ in ("ConfigError", "AnalyticError")
+
+
+def test_no_estimate_compares_a_query_with_frames_that_are_left_out(world):
+    images, monday, _, _, known = world
+    protocol = Protocol(apart_seconds=3.0)
+    excluded, rows = protocol.excluded(monday, monday), np.arange(len(monday))
+    result = evaluation.localization(known, images, monday, protocol=protocol, filter=True, interpolate=2)
+    assert not excluded[rows, result.columns["filtered_match"]].any()
+    assert (result.columns["filtered_error"] >= result.columns["floor"] - 1e-9).all()
+    blind = monday.with_columns(x=np.where(rows < 5, np.nan, monday.x))
+    located = evaluation.localization(known, images, blind, protocol=protocol).tables["located"]
+    assert not excluded[rows[:5], located["match"]].any()
+    by_way = evaluation.localization(
+        known.take(rows >= 5), images, blind, protocol=Protocol(apart_metres=2.0), names=("absolute",)
+    )
+    assert "located" not in by_way.tables
+    assert "have no position along a drive" in by_way.skipped["located"]
+
+
+def test_validation_frames_are_never_queries(world):
+    images, _, tuesday, sunday, known = world
+    for protocol in ("cross_run", "same_run"):
+        with pytest.raises(ConfigError, match="sequence 'tuesday' is among the queries and in the validation"):
+            evaluation.localization(
+                known, images, tuesday, validation=tuesday.every(2), error_model=True, protocol=protocol
+            )
+    assert evaluation.error_model(known, images, sunday).map_digest == known.digest
+
+
+def test_panoramas_made_in_another_way_than_those_of_the_map_are_refused_by_every_task(world, tmp_path):
+    _, _, tuesday, _, known = world
+    larger = PanoramaLibrary(tuesday, tmp_path, image_size=(16, 64))
+    for task in (evaluation.localization, evaluation.robustness):
+        with pytest.raises(ConfigError, match=r"images\.height is 8 in the map, 16 here"):
+            task(known, larger, tuesday)

@@ -217,8 +217,10 @@ def test_errors() -> None:
         SequenceFilter(motion, 1, 0)
     with pytest.raises(DataError, match="4 map frames need as many labels"):
         SequenceFilter(motion, 1, labels=[0, 1])
-    with pytest.raises(DataError, match="4 finite distances"):
-        SequenceFilter(motion, 1).step([0.0, 1, 2, math.inf])
+    for wrong in ([0.0, 1, 2, math.nan], [0.0, 1, 2, -math.inf], [math.inf] * 4, [0.0, 1, 2]):
+        with pytest.raises(DataError, match="a query needs 4 distances to the map"):
+            SequenceFilter(motion, 1).step(wrong)
+    assert SequenceFilter(motion, 1).step([0.0, 1, 2, math.inf])[3] == 0
     with pytest.raises(DataError, match=r"distances of shape \(1, 4\), got \(1, 3\)"):
         SequenceFilter(motion, 1).run([[0.0, 1, 2]], ["a"])
     with pytest.raises(DataError, match="a temperature needs distances"):

@@ -1,0 +1,81 @@
+"""The answer to `siamloc <command> --help`: what a command takes, with every key of its configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from textwrap import dedent, fill, indent
+from typing import Any
+
+from siamloc.cli.compose import composed_defaults, config_folder, folder_of
+from siamloc.cli.help import COMMANDS
+from siamloc.cli.schema import nodes_of_config, nodes_of_data
+
+
+def command_help(name: str) -> str:
+    """Return the answer to `siamloc <command> --help`: the main keys with a word on each, then all of them."""
+    command = COMMANDS[name]
+    groups = []
+    for group, keys in keys_of(command.config).items():
+        listed = fill(" ".join(keys), 110, initial_indent="      ", subsequent_indent="      ", break_on_hyphens=False)
+        groups.append(f"  {group}\n{listed}" if keys else f"  {group}")
+    return (
+        f"siamloc {name}: {command.summary}\n\n{indent(dedent(command.details).strip(), '  ')}\n\n"
+        f"example:\n  {command.example}\n\n"
+        "all keys, by what chooses them (`--cfg job` shows their values):\n" + "\n".join(groups)
+    )
+
+
+def keys_of(name: str) -> dict[str, list[str]]:
+    """Return all keys of a configuration by what chooses them: "data=cold|folder|..." and "other keys".
+
+    They are read from the configuration files and the settings classes, so that the list is always complete.
+    """
+    nodes = nodes_of_config() if name == "config" else nodes_of_data()
+    config = composed_defaults(name)
+    found: dict[str, list[str]] = {}
+    chosen = [*_groups_of(folder_of(name) / f"{name}.yaml"), *(["experiment"] if name == "config" else [])]
+    for group in chosen:
+        section, options = group.replace("/", "."), sorted((config_folder() / group).glob("*.yaml"))
+        keys = set(_flat(config, section))
+        for file in options if group != "experiment" else []:
+            for key, value in _loaded(file, nodes).items():
+                keys |= set(_flat(value, f"{section}.{key}"))
+        found[f"{group}={'|'.join(file.stem for file in options)}"] = sorted(keys)
+    inside = {key for keys in found.values() for key in keys}
+    others = [key for key in _flat(config, "") if key not in inside and key != "experiment"]
+    return {**found, "other keys": sorted(others)} if found else {"keys": sorted(others)}
+
+
+def _groups_of(file: Path) -> list[str]:
+    """Return the groups that a configuration file chooses from, such as "data" and "model/branch"."""
+    from omegaconf import OmegaConf
+
+    held: Any = OmegaConf.to_container(OmegaConf.load(file))
+    defaults = held.get("defaults", [])
+    return [str(key) for entry in defaults if not isinstance(entry, str) for key in entry if "@" not in str(key)]
+
+
+def _loaded(file: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what a file of a group holds, with the settings classes that it names."""
+    from omegaconf import OmegaConf
+
+    held: Any = OmegaConf.to_container(OmegaConf.load(file))
+    named = [entry for entry in held.pop("defaults", []) if isinstance(entry, dict)]
+    pairs = [(key.removesuffix("@_here_").strip("/"), node) for entry in named for key, node in entry.items()]
+    return {key: value for group, node in pairs for key, value in nodes.get(group, {}).get(node, {}).items()} | held
+
+
+def _flat(value: Any, prefix: str) -> list[str]:
+    """Return the keys inside of a section, with dots."""
+    from omegaconf import DictConfig, OmegaConf
+
+    if isinstance(value, DictConfig):
+        inside = OmegaConf.to_container(value, resolve=False)
+        for part in prefix.split(".") if prefix else []:
+            inside = inside.get(part, {}) if isinstance(inside, dict) else {}
+        return _flat(inside, prefix)
+    if not isinstance(value, dict):
+        return [prefix]
+    parts = [_flat(item, f"{prefix}.{key}" if prefix else str(key)) for key, item in value.items()]
+    return [key for keys in parts for key in keys]
