@@ -118,7 +118,7 @@ class Bench:
         building, known = self._building(small), self._map(METHODS[method], 1, small)
         ranks = known if coarse == METHODS[method] else self._map(coarse, 1, small)
         built = siamloc.maps.group(ranks, **way)
-        result = siamloc.evaluation.hierarchy(
+        result = siamloc.evaluation.hierarchical(
             known, building.images, building.drives(QUERIES), built, coarse_map=ranks, **ranking
         )
         overall = result.measures
