@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 from omegaconf import DictConfig
 
+from analytic import Descriptor
 from siamloc import evaluation, maps
 from siamloc.cli.compose import plain
 from siamloc.cli.inherit import label_of, map_file
@@ -133,9 +134,7 @@ def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
         candidates = [known]
     else:
         images, roles = open_roles(config, "query")
-        described = descriptor_of(config, run)
-        files = [Path(one) if Path(one).is_file() else map_file(Run(Path(one)), label) for one in named]
-        candidates = [VisualMap.load(file, described) for file in files]
+        candidates = _saved_maps(named, label, descriptor_of(config, run))
     layers = None
     if config.build.name != "none":
         parts = evaluation.by_building(candidates)
@@ -155,6 +154,35 @@ def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
         name=label,
     )
     return f"buildings-{label}", result
+
+
+def _saved_maps(named: Any, label: str, described: Descriptor) -> list[VisualMap]:
+    """Return saved maps, each given by its file or by the folder of its run.
+
+    Raises:
+        ConfigError: fewer than two, no such map, or one by another descriptor.
+    """
+    if isinstance(named, str):
+        raise ConfigError(
+            f"task.maps must be a list of run folders or map files, such as [runs/a,runs/b], got {named!r}"
+        )
+    if len(named) < 2:
+        raise ConfigError(f"task=buildings chooses between maps, and task.maps names {len(named)}: give two or more")
+    found = []
+    for path in map(Path, named):
+        file = path if path.is_file() else map_file(Run(path), label)
+        if not file.is_file():
+            others = [other.parent.name for other in sorted(path.glob("evaluation/*/map.npz"))]
+            held = f"it holds one by {' and one by '.join(others)}; choose that descriptor, or " if others else ""
+            raise ConfigError(
+                f"{path} holds no map by {label}: {held}make it with `siamloc map run={path}` and the same descriptor "
+                "and data"
+            )
+        try:
+            found.append(VisualMap.load(file, described))
+        except ConfigError as error:
+            raise ConfigError(f"{file}: {error}") from error
+    return found
 
 
 def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, PanoramaLibrary, dict[str, FrameTable]]:

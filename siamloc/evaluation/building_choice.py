@@ -126,8 +126,8 @@ def by_building(known: Sequence[VisualMap]) -> dict[str, VisualMap]:
             found[building] = one.take(one.frames.building == building)
     if len(found) < 2:
         raise ConfigError(
-            f"choosing a building needs maps of at least two, and all map frames are of {', '.join(found)!r}: give the "
-            "maps of several (task.maps=[runs/a,runs/b])"
+            f"choosing a building needs maps of at least two, and all map frames are of building {', '.join(found)!r}: "
+            "give the maps of several (task.maps=[runs/a,runs/b])"
         )
     return found
 

@@ -33,7 +33,8 @@ def write_report(folders: str | Path | Sequence[str | Path], out: str | Path, ma
     smaller, then fewer, until the page keeps to its size, and the page says so.
 
     Args:
-        folders: of one run or of several, or of single evaluations. Several are compared first, and then shown one after another.
+        folders: of one run or of several, or of single evaluations. Several are compared first, and then shown one
+            after another.
         out: the file to write.
         max_bytes: the largest size of the file.
 
