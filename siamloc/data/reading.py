@@ -56,7 +56,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
             raise ConfigError(f"data of kind {kind!r} are not described by {key!r}; {hint(key, parameters)}")
     for key, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty and where.get(key) is None:
-            raise ConfigError(f"data of kind {kind!r} need {key}=...; {hint(key, parameters)}")
+            raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
     given = {key: value for key, value in where.items() if value is not None}
     source = {key: str(Path(value).expanduser().absolute()) if key in _PATHS else value for key, value in given.items()}
     named = name or next((Path(source[key]).stem for key in _PATHS if key in source), kind)

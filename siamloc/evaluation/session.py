@@ -88,8 +88,9 @@ class Session:
         seed: of everything that is drawn.
 
     Raises:
-        ConfigError: queries that the protocol forbids in this map, validation frames of the map's or the queries'
-            sequences, panoramas made in another way than those of the map, or an unknown baseline.
+        ConfigError: arguments of another kind, queries that the protocol forbids in this map, validation frames of the
+            map's or the queries' sequences, panoramas made in another way than those of the map, or an unknown
+            baseline.
         DataError: no query's image can be read.
     """
 
@@ -105,6 +106,13 @@ class Session:
         name: str | None = None,
         seed: int = 0,
     ) -> None:
+        for what, value, kind in (
+            ("known", known, VisualMap),
+            ("images", images, PanoramaLibrary),
+            ("queries", queries, FrameTable),
+        ):
+            if not isinstance(value, kind):
+                raise ConfigError(f"{what} must be a {kind.__name__}, got {type(value).__name__}")
         self.known, self.images, self.seed = known, images, seed
         self.protocol = as_protocol(protocol)
         _check_kinds(known, images, queries)
@@ -115,6 +123,9 @@ class Session:
         self.skipped: dict[str, str] = {}
         known.check_images(images.preprocessing.parameters())
         self._check_apart()
+
+    def __repr__(self) -> str:
+        return f"Session({self.name}: {len(self.queries)} queries in {self.known!r}, {self.protocol.kind})"
 
     def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
         """Return which map frames (n, m) each query is not compared with, by the protocol; None for none."""

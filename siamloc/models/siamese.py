@@ -49,6 +49,9 @@ class SiameseModule(LightningModule):
             trained as well, or a function. A `ContrastiveLoss` of margin 2 if None.
         optimizer: how the weights are updated.
 
+    Raises:
+        ConfigError: a network that is no module, or a loss that cannot be called.
+
     Example:
         >>> import torch
         >>> from siamloc.models import SiameseModule, build
@@ -61,6 +64,10 @@ class SiameseModule(LightningModule):
 
     def __init__(self, network: nn.Module, loss: Loss | None = None, optimizer: Optimizer | None = None) -> None:
         super().__init__()
+        if not isinstance(network, nn.Module):
+            raise ConfigError(f"a network is a torch module, such as siamloc.models.build makes, got {network!r}")
+        if loss is not None and not callable(loss):
+            raise ConfigError(f"a loss is a function or a module (d0, d1, y) -> scalar, got {loss!r}")
         self.network = network
         self.loss = ContrastiveLoss() if loss is None else loss
         self.optimizer = Optimizer() if optimizer is None else optimizer

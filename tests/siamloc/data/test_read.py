@@ -84,3 +84,8 @@ def test_importing_the_package_loads_no_heavy_library():
         "print(sorted({'torch', 'torchvision', 'lightning', 'pandas', 'matplotlib'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+def test_what_is_missing_is_named_once():
+    with pytest.raises(ConfigError, match=r"need manifest=\.\.\.; valid: manifest, on_error$"):
+        siamloc.data.read("manifest")

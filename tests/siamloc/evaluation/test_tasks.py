@@ -249,6 +249,16 @@ def test_no_estimate_compares_a_query_with_frames_that_are_left_out(world):
     assert "have no position along a drive" in by_way.skipped["located"]
 
 
+def test_a_session_shows_itself_and_takes_each_thing_in_its_place(world):
+    images, _, tuesday, _, known = world
+    shown = repr(evaluation.Session(known, images, tuesday))
+    assert shown.startswith("Session(reads: 30 queries in VisualMap(40 frames")
+    with pytest.raises(ConfigError, match="known must be a VisualMap, got PanoramaLibrary"):
+        evaluation.localization(images, known, tuesday)
+    with pytest.raises(ConfigError, match="queries must be a FrameTable, got str"):
+        evaluation.robustness(known, images, "tuesday")
+
+
 def test_validation_frames_are_never_queries(world):
     images, _, tuesday, sunday, known = world
     for protocol in ("cross_run", "same_run"):

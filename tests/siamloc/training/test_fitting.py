@@ -147,6 +147,19 @@ def test_other_settings_are_not_resumed(train, trained, other, key):
     assert len(curve(trained)) == 1
 
 
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"loss": "contrastive"}, "a loss is a function or a module"),
+        ({"network": "alexnet"}, "a network is a torch module"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused_before_the_folder_is_touched(train, tmp_path, given, says):
+    with pytest.raises(ConfigError, match=says):
+        train("fresh", **given)
+    assert not (tmp_path / "fresh").exists()
+
+
 def test_the_same_frames_may_be_named_in_another_way(train, day):
     run = train(epochs=1)
     named = Protocol.of({"train": {"sequences": ["*"], "every": 1}, "leave_one_out": True}).plain()
