@@ -71,7 +71,7 @@ def test_kept_rows_keep_their_spectra(monkeypatch):
     gallery = Gallery.of(range(40), FRAMES[:40])
     expected = gallery.blocks[0].spectrum.copy()
     rows_kept = [7, 3, *range(12, 40)]
-    monkeypatch.setattr("analytic.mapper.gallery.spectrum", None)
+    monkeypatch.setattr("analytic.mapper.frames.spectrum", None)
     kept = gallery.keep(rows_kept)
     assert kept.frames.tolist() == rows_kept
     assert np.array_equal(kept.blocks[0].spectrum, expected[:, rows_kept])
