@@ -114,6 +114,7 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
             [key.replace("/", ".") for key in keys],
             [group.replace("/", ".") for group in groups],
             resumed=resumed,
+            replaces_map=command == "map",
             required=COMMANDS[command].reads_data and not resumed,
         )
     elif COMMANDS[command].inherits and COMMANDS[command].reads_data:

@@ -28,7 +28,7 @@ _CHOOSES = {
 
 
 def with_settings_of_the_run(
-    config: DictConfig, keys: Sequence[str], groups: Sequence[str], *, resumed: bool, required: bool
+    config: DictConfig, keys: Sequence[str], groups: Sequence[str], *, resumed: bool, replaces_map: bool, required: bool
 ) -> DictConfig:
     """Return a configuration with the settings of the run that it names; unchanged where there is no such run yet.
 
@@ -37,6 +37,7 @@ def with_settings_of_the_run(
         keys: what was said on the command line, such as "protocol.map.every".
         groups: those among the keys that are groups, with dots, such as "data" or "model.branch".
         resumed: whether the settings of the training are wanted too.
+        replaces_map: whether a new map is made: frames and headings of the one that is there are then not taken over.
         required: whether the run has to be there where its network is needed.
 
     Raises:
@@ -51,7 +52,7 @@ def with_settings_of_the_run(
     needed = required and by_network(config)
     record = trained.settings if needed or trained.record.is_file() else {}
     made = None if resumed else _map_made(run, config)
-    kept = _kept(record, made, resumed=resumed)
+    kept = _kept(record, made, resumed=resumed, replaces_map=replaces_map)
     chosen = {part for group in groups for part in _CHOOSES.get(group, (group,))}
     said = {key: OmegaConf.select(config, key) for key in keys if key not in groups}
     result = config.copy()
@@ -79,13 +80,16 @@ def map_file(run: Run, label: str) -> Path:
     return run.map if label == "network" else run.evaluation(label) / "map.npz"
 
 
-def _kept(record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed: bool) -> dict[str, Any]:
+def _kept(
+    record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed: bool, replaces_map: bool
+) -> dict[str, Any]:
     """Return what is stored, by section of the configuration."""
     model, training = record.get("model", {}), record.get("training", {})
     kept = _of_data(record.get("data") or (made or {}).get("data") or {})
     if "protocol" in record:
         kept["protocol"] = Protocol.of(record["protocol"]).plain()
-    kept |= {key: made[key] for key in ("protocol.map", "heading") if made is not None and key in made}
+    if made is not None and not replaces_map:
+        kept |= {key: made[key] for key in ("protocol.map", "heading") if key in made}
     if "seed" in training:
         kept["seed"] = training["seed"]
     if "branch" in model:

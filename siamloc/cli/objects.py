@@ -142,7 +142,7 @@ def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | Non
 
     trained = Run(Path(parameters["run"])) if parameters.get("run") else run
     network = models.load(trained, which="untrained" if name == "untrained" else config.checkpoint)
-    _check_architecture(config, network, trained)
+    _check_architecture(config, network, trained, own=trained == run)
     return models.as_descriptor(network, device=device(config))
 
 
@@ -210,16 +210,16 @@ def files_in(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def _check_architecture(config: DictConfig, network: Any, run: Run) -> None:
+def _check_architecture(config: DictConfig, network: Any, run: Run, *, own: bool) -> None:
     """Refuse a network that takes other images than are configured, or is another one than the words ask for."""
     size = tuple(getattr(network, "image_size", None) or config.data.image_size)
     if size != tuple(config.data.image_size):
         rows, columns = size
         raise ConfigError(
             f"the network of {run.folder} takes panoramas of {rows} x {columns}, and data.image_size says "
-            f"{list(config.data.image_size)}: leave it out"
+            f"{list(config.data.image_size)}: leave it out, or say data.image_size=[{rows},{columns}]"
         )
-    for key in ("branch", "head"):
+    for key in ("branch", "head") if own else ():
         found, wanted = getattr(getattr(network, key, None), "name", None), config.model[key].name
         if found is not None and found != wanted:
             raise ConfigError(

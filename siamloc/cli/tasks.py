@@ -24,7 +24,7 @@ from siamloc.cli.objects import (
     way_of,
 )
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, hint
 from siamloc.evaluation import Result
 from siamloc.evaluation.disturbed import Robustness
 from siamloc.evaluation.hierarchy import Hierarchical
@@ -43,8 +43,14 @@ def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
         ConfigError: an unknown task, or tasks that are not measured together.
     """
     names = list(config.task.names)
-    if not set(names) <= set(TASKS) or (len(names) != 1 and set(names) != {"absolute", "room_retrieval"}):
+    for name in names:
+        if name not in TASKS:
+            raise ConfigError(f"unknown task {name!r}: {hint(str(name), TASKS)}")
+    if len(names) != 1 and set(names) != {"absolute", "room_retrieval"}:
         raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
+    own = {"hierarchical": "coarse", "mapping": "closure_radius", "robustness": "robustness", "buildings": "maps"}
+    if names[0] in own and own[names[0]] not in config.task:
+        raise ConfigError(f"{names[0]} has settings of its own: choose it with task={names[0]}")
     if names == ["mapping"]:
         return _mapping(config, run)
     if names == ["buildings"]:
@@ -100,6 +106,11 @@ def _hierarchical(config: DictConfig, run: Run) -> tuple[str, Result]:
         options = {"name": "network", "run": other} if (Path(other) / "run.json").is_file() else options_of(other)
         coarse_label = f"network-{Path(other).resolve().name}" if "run" in options else label_of(options)
         coarse = maps.build(descriptor_of(config, run, options), images, known.frames)
+    if (known if coarse is None else coarse).aligned and config.task.coarse.by == "representatives":
+        raise ConfigError(
+            f"descriptors of {coarse_label} are compared after turning, so that their means have no meaning: use "
+            "task.coarse.by=vote, or another task.coarse.descriptor"
+        )
     built, _ = _layer(config, run, known if coarse is None else coarse, coarse_label)
     settings = _own(config, Hierarchical)
     settings["coarse"] = {key: value for key, value in settings["coarse"].items() if key != "descriptor"}
@@ -231,9 +242,17 @@ def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[
     folder, saved = run.layer(label, label_of(config.build)), map_file(run, label)
     if saved.is_file() and VisualMap.load(saved).digest != known.digest:
         folder = run.evaluation(f"layer-{folder.name}")
+    before = _changed(folder / "layer.npz")
     built = maps.group(known, folder=folder, **way_of(config))
+    if _changed(folder / "layer.npz") != before:
+        print(built.summary(folder))
     run.record_written(files_in(folder))
     return built, folder
+
+
+def _changed(path: Path) -> int | None:
+    """Return when a file was written last; None where there is none."""
+    return path.stat().st_mtime_ns if path.is_file() else None
 
 
 def _own(config: DictConfig, kind: type) -> dict[str, Any]:

@@ -33,7 +33,7 @@ def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
     count = int(np.isin(rooms, missing).sum())
     return (
         f"{count} of {len(rooms)} queries are in rooms that the map lacks ({', '.join(missing)}), and cannot be found "
-        "there: add frames of these rooms to the map, or leave those queries out"
+        "there: add frames of these rooms to the map (protocol.map), or leave those queries out (protocol.query.rooms)"
     )
 
 

@@ -22,7 +22,7 @@ def text_of(result: Result) -> str:
         lines += _localization(result)
     for part, write in _WRITERS.items():
         if part in result.parts:
-            lines += write(result.name, result.parts[part])
+            lines += write(result.name, {"unit": result.measures.get("unit", ""), **result.parts[part]})
     lines += [f"{what} left out: {reason}" for what, reason in result.skipped.items()]
     if "located" in result.tables:
         lines.append(f"located without a score: {len(result.tables['located']['path'])} queries, in located.csv")
@@ -114,8 +114,9 @@ def _calibration(name: str, measures: Measures) -> list[str]:
     lost = overall["lost"]
     return [
         f"expected error: {_number(overall['predicted'])} for {_number(overall['observed'])} in truth, off by "
-        f"{_number(overall['gap'])} along the calibration curve; lost above {lost['lost_above']:g}: {lost['called']} "
-        f"called, {lost['lost']} in truth, precision {_percent(lost['precision'])}, recall {_percent(lost['recall'])}"
+        f"{_number(overall['gap'])} along the calibration curve; lost above {lost['lost_above']:g} {measures['unit']}: "
+        f"{lost['called']} called, {lost['lost']} in truth, precision {_percent(lost['precision'])}, recall "
+        f"{_percent(lost['recall'])}"
     ]
 
 

@@ -181,7 +181,8 @@ def test_mistakes_are_one_line(table, maps, tmp_path, capsys):
         ([maps, "protocol.query.sequences=[north_first]"], "'north_first' is in the map and among the queries"),
         (["protocol.map.sequences=[north_first]"], "all map frames are of building 'north'"),
         (["task=absolute", "task.names=[buildings]"], "choose it with task=buildings"),
-        (["task=absolute", "task.names=[absolute,buildings]"], "unknown task 'buildings'"),
+        (["task=absolute", "task.names=[absolute,buildings]"], "must be one of absolute, room_retrieval"),
+        (["task=absolute", "task.names=[absolut]"], "unknown task 'absolut': did you mean 'absolute'"),
     ):
         assert says in refused(capsys, words(table, tmp_path / "run", *given)), given
     error = refused(capsys, words(table, tmp_path / "run", maps, descriptor="gist"))

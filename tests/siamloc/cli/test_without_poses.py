@@ -149,9 +149,12 @@ def test_rooms_that_the_map_lacks_are_not_called_left_out(manifest, tmp_path):
     assert note.startswith("12 of 18 queries are in rooms that the map lacks")
 
 
-def test_robustness_needs_poses_and_says_so(manifest, tmp_path, capsys):
+def test_robustness_without_poses_is_judged_by_rooms(manifest, tmp_path, capsys):
     bare = without(manifest, "robust.csv", "x")
-    assert main(words("evaluate", bare, tmp_path, "task=robustness", "task.baselines=[]")) == 2
+    assert main(words("evaluate", bare, tmp_path, "task=robustness", "task.baselines=[]")) == 0
+    assert "mean [wrong rooms]" in capsys.readouterr().out
+    neither = without(bare, "neither.csv", "room")
+    assert main(words("evaluate", neither, tmp_path, "task=robustness", "task.baselines=[]")) == 2
     error = capsys.readouterr().err
-    assert "18 of 18 queries have no position" in error
+    assert "18 of 18 map frames have no room label" in error or "have no room label" in error
     assert "Traceback" not in error
