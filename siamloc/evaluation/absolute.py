@@ -53,7 +53,7 @@ def evaluate_absolute(
         excluded: (n, m) map frames that a query was not compared with; its floor leaves them out too.
 
     Raises:
-        ConfigError: no radii or ks, or such that are out of range or stand twice.
+        ConfigError: no radii or ks, or ones that repeat or are out of range.
         DataError: frames without positions, or descriptors that do not fit the frames or the map.
     """
     radii, ks = check_recalls(radii, ks)

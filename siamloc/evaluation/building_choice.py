@@ -199,7 +199,7 @@ def evaluate_buildings(
         names: of the representatives of each building.
 
     Raises:
-        DataError: fewer than two buildings, one that stands twice, no queries, queries whose building is unknown or
+        DataError: fewer than two buildings, one that is named twice, no queries, queries whose building is unknown or
             has no map, or distances that do not fit.
     """
     known, distance = tuple(map(str, labels)), np.asarray(apart, dtype=np.float64)

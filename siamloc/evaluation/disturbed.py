@@ -161,7 +161,7 @@ class Disturbance:
         circular: whether columns wrap around.
 
     Raises:
-        ConfigError: an unknown kind, no levels, such that stand twice or are out of range, or a turn of images whose
+        ConfigError: an unknown kind, no levels, levels that repeat or are out of range, or a turn of images whose
             columns do not wrap around.
         AugmentError: an unknown effect.
     """

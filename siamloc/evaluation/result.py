@@ -169,6 +169,7 @@ class Result:
             baselines={method: cls(method, parts, {}) for method, parts in held.get("baselines", {}).items()},
             about=about,
             settings=held["config"],
+            error_model=_saved_errors(Path(folder) / "error_model.json"),
         )
 
     def joined(self, other: Result) -> Result:
@@ -182,3 +183,9 @@ class Result:
             about={**self.about, **other.about},
             error_model=self.error_model or other.error_model,
         )
+
+
+def _saved_errors(path: Path) -> ErrorModel | None:
+    from siamloc.maps.error_model import ErrorModel
+
+    return ErrorModel.load(path) if path.is_file() else None

@@ -136,7 +136,7 @@ class HierarchicalSearch:
 
     Raises:
         ConfigError: numbers below 1, an unknown way to rank, or representatives of descriptors that are compared only
-            after turning: their means stand for nothing.
+            after turning: their means have no meaning.
         DataError: a layer or a coarse map of other frames.
 
     Example:

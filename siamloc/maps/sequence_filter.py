@@ -233,7 +233,7 @@ def _transitions(frames: FrameTable, sigma: float) -> tuple[NDArray[np.int64], N
 
 
 @dataclass(frozen=True)
-class FilterSettings:
+class TunedFilter:
     """What a sequence filter runs with.
 
     Attributes:
@@ -311,7 +311,7 @@ def tune_filter(
     temperature: float,
     softer: Sequence[float] = (1, 2, 3, 4),
     kidnapping: Sequence[float] = (1e-3, 1e-5, 1e-7),
-) -> list[FilterSettings]:
+) -> list[TunedFilter]:
     """Return settings tried on a validation sequence, the one of the smallest mean error first.
 
     The temperature that suits single queries takes each for news. Consecutive queries see nearly the same, their
@@ -340,5 +340,5 @@ def tune_filter(
     for factor, probability in product(softer, kidnapping):
         track = SequenceFilter(motion, temperature * factor, probability).run(distances, sequence)
         error = np.hypot(*(motion.xy[track.frame] - true).T)
-        tried.append(FilterSettings(float(temperature * factor), float(probability), float(error.mean())))
+        tried.append(TunedFilter(float(temperature * factor), float(probability), float(error.mean())))
     return sorted(tried, key=lambda settings: settings.error)

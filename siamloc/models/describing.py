@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from analytic.descriptors.base import Description, Descriptor
 from siamloc.errors import ConfigError, DataError
+from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.network import state_hash
 
 CHUNK = 64
@@ -102,9 +103,8 @@ def identity_of(network: nn.Module) -> dict[str, Any]:
 
 
 def margin_of(loss: object) -> float | None:
-    """Look up the margin of a loss; None for a loss without one."""
-    margin = getattr(loss, "margin", None)
-    return float(margin) if isinstance(margin, int | float) and not isinstance(margin, bool) else None
+    """Look up the margin of a contrastive loss, in Euclidean distance; None for any other loss."""
+    return loss.margin if isinstance(loss, ContrastiveLoss) else None
 
 
 @contextmanager
