@@ -37,17 +37,28 @@ def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
     )
 
 
+def check_retrieval(found: Retrieval, frames: FrameTable) -> None:
+    """Refuse a retrieval of other queries.
+
+    Raises:
+        DataError: it has not one row for each of the queries.
+    """
+    if len(found) != len(frames):
+        raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")
+
+
 def retrieve(
     visual_map: VisualMap, descriptors: ArrayLike | None, frames: FrameTable, k: int, retrieval: Retrieval | None
 ) -> Retrieval:
     """Return the retrieval that was given, or search the map for the descriptors.
 
     Raises:
-        DataError: no queries, not one descriptor for each, or neither descriptors nor a retrieval.
+        DataError: no queries, not one descriptor or result for each, or neither descriptors nor a retrieval.
     """
     if not len(frames):
         raise DataError("there are no queries to evaluate")
     if retrieval is not None:
+        check_retrieval(retrieval, frames)
         return retrieval
     if descriptors is None:
         raise DataError("queries are evaluated by their descriptors or by their retrieval: give one of the two")

@@ -13,7 +13,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import calibration
 from siamloc.evaluation.absolute import most_neighbours, neighbours
-from siamloc.evaluation.columns import room_names
+from siamloc.evaluation.columns import check_retrieval, room_names
 from siamloc.evaluation.interpolation import interpolate_poses
 from siamloc.evaluation.metrics import heading_error, localization_error, recall_from_ranks, summarize
 from siamloc.evaluation.result import Result
@@ -260,8 +260,7 @@ def located_columns(
     Raises:
         DataError: a retrieval of other queries, or of too few frames for the error model.
     """
-    if len(found) != len(frames):
-        raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")
+    check_retrieval(found, frames)
     match = found.indices[:, 0]
     known_rooms, rooms = room_names(known.frames, frames)
     columns: Columns = {

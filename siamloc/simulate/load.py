@@ -70,7 +70,6 @@ def load_building(name_or_path: str | Path, seed: int = 0) -> Building:
 
 
 _CORRIDOR = 2.2
-_HALF_DOOR = 0.5
 _USES = {
     "office": ("1PO-A", "2PO1-A", "2PO2-A", "2PO3-A", "2PO4-A"),
     "kitchen": ("KT-A",),
