@@ -37,17 +37,19 @@ def _functions(module: griffe.Module) -> list[griffe.Function]:
 
 def _show_fields(function: griffe.Function, settings: griffe.Class) -> None:
     settings = settings.final_target if settings.is_alias else settings
-    fields = [one for one in settings.attributes.values() if one.annotation is not None and not one.name.isupper()]
+    groups = [group for group in reversed([settings, *settings.mro()]) if group.name != "Settings"]
     shown = [one for one in function.parameters if one.name != "settings"]
-    for one in fields:
-        kind = griffe.ParameterKind.keyword_only
-        shown.append(griffe.Parameter(one.name, annotation=one.annotation, kind=kind, default=_default(one)))
+    text = ""
+    for group in groups:
+        for one in group.attributes.values():
+            if one.annotation is not None and not one.name.isupper():
+                kind = griffe.ParameterKind.keyword_only
+                shown.append(griffe.Parameter(one.name, annotation=one.annotation, kind=kind, default=_default(one)))
+        listed = _ATTRIBUTES.search(group.docstring.value) if group.docstring is not None else None
+        text += listed[1].rstrip("\n") + "\n" if listed is not None else ""
     function.parameters = griffe.Parameters(*shown)
-    if function.docstring is not None and settings.docstring is not None:
-        listed = _ATTRIBUTES.search(settings.docstring.value)
-        if listed is not None:
-            text = listed[1].rstrip("\n") + "\n"
-            function.docstring.value = _SETTINGS.sub(lambda _: text, function.docstring.value)
+    if function.docstring is not None and text:
+        function.docstring.value = _SETTINGS.sub(lambda _: text, function.docstring.value)
 
 
 def _default(field: griffe.Attribute) -> str:

@@ -22,17 +22,22 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import re
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
+from textwrap import dedent, indent
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from siamloc.errors import ConfigError, hint
 
 Result = TypeVar("Result")
 Kind = TypeVar("Kind", bound="Settings")
+
+_ATTRIBUTES = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", flags=re.MULTILINE)
+_SETTINGS = re.compile(r"^    settings: .*\n(?:        .*\n)*", flags=re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,8 @@ def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..
     """Let a function be called with the fields of a settings class as keywords.
 
     The function itself has one keyword, `settings`; a caller gives either that, made or as plain values, or the fields.
-    What it is called with is shown by `help` and by a notebook's completion, field by field.
+    What it is called with is shown by `help` and by a notebook's completion, field by field; in the docstring the
+    fields take the place of the line about `settings`.
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -139,6 +145,9 @@ def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..
             for name, field in fields.items()
         ]
         call.__signature__ = own.replace(parameters=[*parameters, *shown])  # type: ignore[attr-defined]
+        if listed := _described(kind):
+            text = inspect.cleandoc(function.__doc__ or "")
+            call.__doc__ = _SETTINGS.sub(lambda _: f"{indent(listed, '    ')}\n", text, count=1)
         return call
 
     return decorate
@@ -238,6 +247,15 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
     return field.default
+
+
+def _described(kind: type[Settings]) -> str:
+    """Return what the docstring of a settings class, and of those it builds on, says of the fields."""
+    texts = [
+        inspect.cleandoc(one.__doc__) for one in reversed(kind.__mro__) if issubclass(one, Settings) and one.__doc__
+    ]
+    found = [_ATTRIBUTES.search(text) for text in texts[1:]]
+    return "\n".join(dedent(one[1]).rstrip("\n") for one in found if one)
 
 
 def _shown(field: dataclasses.Field[Any]) -> Any:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import calibration
-from siamloc.evaluation.absolute import most_neighbours, neighbours
+from siamloc.evaluation.absolute import most_neighbours
 from siamloc.evaluation.columns import check_retrieval, room_names
 from siamloc.evaluation.interpolation import interpolate_poses
 from siamloc.evaluation.metrics import heading_error, localization_error, recall_from_ranks, summarize
@@ -23,11 +23,54 @@ from siamloc.maps.search import Retrieval
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns, rows_by_label
-
-if TYPE_CHECKING:
-    from siamloc.evaluation.localize import Localization
+from siamloc.settings import Count, NotNegative, Positive, Probability, Settings
 
 MATCHES = 20  # that an error model looks at
+
+
+@dataclass(frozen=True)
+class FilterSettings(Settings):
+    """The sequence filter.
+
+    Attributes:
+        temperature: of the softmax of the descriptor distances; learned from the map if None.
+        kidnapping: probability that the robot is anywhere.
+    """
+
+    WHERE = "task.filter_settings"
+
+    temperature: Positive | None = None
+    kidnapping: Probability = 1e-3
+
+
+@dataclass(frozen=True)
+class Estimates(Settings):
+    """What is estimated of each query besides the position of the nearest map frame.
+
+    Attributes:
+        filter: follow the robot through each sequence; keeps the distances of all queries to all map frames.
+        filter_settings: of that filter.
+        filter_tune: choose both of them on the validation frames.
+        interpolate: a pose between that many of the nearest map frames.
+        error_model: expected error of each query, learned on the validation frames.
+        lost_above: a larger expected error means lost, in the unit of the positions.
+        place_radius: map frames farther apart are different places: for interpolation and the error model.
+    """
+
+    WHERE = "task"
+
+    filter: bool = False
+    filter_settings: FilterSettings = field(default_factory=FilterSettings)
+    filter_tune: bool = False
+    interpolate: Count | None = None
+    error_model: bool = False
+    lost_above: Positive = 1.0
+    place_radius: NotNegative = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.filter_tune and not self.filter:
+            raise ConfigError("task.filter_tune=true chooses the settings of the sequence filter: set task.filter=true")
 
 
 @dataclass(frozen=True)
@@ -38,14 +81,12 @@ class Validation:
     search: Search
 
 
-def needs_validation(settings: Localization) -> bool:
+def needs_validation(settings: Estimates) -> bool:
     """Return whether validation frames are needed to learn from."""
     return settings.error_model or (settings.filter and settings.filter_tune)
 
 
-def search_validation(
-    session: Session, frames: FrameTable | None, settings: Localization, known: VisualMap
-) -> Validation:
+def search_validation(session: Session, frames: FrameTable | None, settings: Estimates, known: VisualMap) -> Validation:
     """Look for validation frames in the map.
 
     Raises:
@@ -62,14 +103,14 @@ def search_validation(
         if not has.any():
             raise DataError(f"{text}: the error model and the filter's settings are learned from known positions")
         session.skipped["validation"] = text
-    k = min(max(neighbours(settings.ks, len(known)), MATCHES), len(known))
+    k = min(MATCHES, len(known))
     tuned = settings.filter and settings.filter_tune
     search = Search(known, np.flatnonzero(has), k, with_distances=tuned)
     session.run(known, frames, {"validation": search}, "the validation frames")
     return Validation(frames.take(has), search)
 
 
-def prepared(settings: Localization, search: Search) -> Search:
+def prepared(settings: Estimates, search: Search) -> Search:
     """Return a search for all that the further estimates need."""
     interpolated = settings.interpolate or 0
     wanted = max(search.k, interpolated, MATCHES if settings.error_model else 0)
@@ -82,7 +123,7 @@ def prepared(settings: Localization, search: Search) -> Search:
 
 
 def with_estimates(
-    result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable
+    result: Result, session: Session, settings: Estimates, search: Search, queries: FrameTable
 ) -> Result:
     """Return a result of absolute localization with the further estimates that the settings ask for.
 
@@ -123,7 +164,7 @@ def with_estimates(
 
 
 def filtered(
-    settings: Localization, search: Search, queries: FrameTable, validation: Validation | None
+    settings: Estimates, search: Search, queries: FrameTable, validation: Validation | None
 ) -> tuple[Columns, dict[str, Any]]:
     """Follow the robot through the queries of each sequence; return the columns, and what the filter ran with."""
     known = search.known
@@ -155,9 +196,7 @@ def filtered(
     return columns, about
 
 
-def learned_errors(
-    settings: Localization, known: VisualMap, validation: Validation
-) -> tuple[ErrorModel, dict[str, Any]]:
+def learned_errors(settings: Estimates, known: VisualMap, validation: Validation) -> tuple[ErrorModel, dict[str, Any]]:
     """Return the error model of a map, learned on the validation frames, and what it was learned from.
 
     Raises:

@@ -19,6 +19,7 @@ from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, most_n
 from siamloc.evaluation.columns import missing_rooms
 from siamloc.evaluation.estimates import (
     MATCHES,
+    Estimates,
     learned_errors,
     located_columns,
     prepared,
@@ -29,7 +30,7 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Search, Session
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
-from siamloc.settings import Count, NotNegative, Positive, Probability, Settings, Share, takes
+from siamloc.settings import Count, NotNegative, Settings, Share, takes
 
 
 @dataclass(frozen=True)
@@ -48,36 +49,14 @@ class JudgedPairs(Settings):
 
 
 @dataclass(frozen=True)
-class FilterSettings(Settings):
-    """The sequence filter.
-
-    Attributes:
-        temperature: of the softmax of the descriptor distances; learned from the map if None.
-        kidnapping: probability that the robot is anywhere.
-    """
-
-    WHERE = "task.filter_settings"
-
-    temperature: Positive | None = None
-    kidnapping: Probability = 1e-3
-
-
-@dataclass(frozen=True)
-class Localization(Settings):
-    """What is measured of the queries.
+class Localization(Estimates):
+    """What is measured of the queries; the further estimates as in `Estimates`.
 
     Attributes:
         names: "absolute" for poses, "room_retrieval" for rooms.
         radii: recall: a map frame this near counts as found, in the unit of the positions.
         ks: recall: numbers of retrieved frames.
         pairs: pairs of queries that are judged as well, for descriptors that have a margin.
-        filter: follow the robot through each sequence; keeps the distances of all queries to all map frames.
-        filter_settings: of that filter.
-        filter_tune: choose both of them on the validation frames.
-        interpolate: a pose between that many of the nearest map frames.
-        error_model: expected error of each query, learned on the validation frames.
-        lost_above: a larger expected error means lost, in the unit of the positions.
-        place_radius: map frames farther apart are different places: for interpolation and the error model.
     """
 
     WHERE = "task"
@@ -86,13 +65,6 @@ class Localization(Settings):
     radii: tuple[NotNegative, ...] = (0.25, 0.5, 1.0)
     ks: tuple[Count, ...] = (1, 5, 10, 20)
     pairs: JudgedPairs = field(default_factory=JudgedPairs)
-    filter: bool = False
-    filter_settings: FilterSettings = field(default_factory=FilterSettings)
-    filter_tune: bool = False
-    interpolate: Count | None = None
-    error_model: bool = False
-    lost_above: Positive = 1.0
-    place_radius: NotNegative = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,8 +78,6 @@ class Localization(Settings):
                 f"task.{asked[0]} goes with absolute localization, which {', '.join(self.names)} leaves out: "
                 f"use task=absolute, or leave task.{asked[0]} out"
             )
-        if self.filter_tune and not self.filter:
-            raise ConfigError("task.filter_tune=true chooses the settings of the sequence filter: set task.filter=true")
 
 
 @takes(Localization)

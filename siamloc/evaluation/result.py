@@ -100,7 +100,9 @@ class Result:
         """Return the measures as text: a table by method and lighting, and what they rest on."""
         from siamloc.evaluation.tables import text_of
 
-        return text_of(self)
+        baselines = {method: other.parts for method, other in self.baselines.items()}
+        located = len(self.tables["located"]["path"]) if "located" in self.tables else 0
+        return text_of(self.name, self.parts, baselines, self.skipped, located)
 
     def plot(self, name: str | None = None) -> Figure:
         """Return a picture of the result: the first that suits it, or the one of this name, such as "error_curve".

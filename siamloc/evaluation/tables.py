@@ -9,48 +9,57 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from siamloc.evaluation.result import Result
-
 Measures = Mapping[str, Any]
 FURTHER = {"filtered": "filter", "interpolated": "interpolation"}  # estimates of the same descriptor by another way
 
 
-def text_of(result: Result) -> str:
-    """Return a result's tables, what they rest on, and what could not be measured."""
+def text_of(
+    name: str, parts: Measures, baselines: Mapping[str, Measures], skipped: Mapping[str, str], located: int = 0
+) -> str:
+    """Return a result's tables, what they rest on, and what could not be measured.
+
+    Args:
+        name: of the method.
+        parts: its measures by kind, as `Result.parts` holds them.
+        baselines: those of the other methods, by name.
+        skipped: what could not be measured, with the reason.
+        located: how many queries were located without a score.
+    """
     lines: list[str] = []
-    if "absolute" in result.parts or "room_retrieval" in result.parts:
-        lines += _localization(result)
+    if "absolute" in parts or "room_retrieval" in parts:
+        lines += _localization(name, parts, baselines)
+    unit = parts[next(iter(parts))].get("unit", "") if parts else ""
     for part, write in _WRITERS.items():
-        if part in result.parts:
-            lines += write(result.name, {"unit": result.measures.get("unit", ""), **result.parts[part]})
-    lines += [f"{what} left out: {reason}" for what, reason in result.skipped.items()]
-    if "located" in result.tables:
-        lines.append(f"located without a score: {len(result.tables['located']['path'])} queries, in located.csv")
+        if part in parts:
+            lines += write(name, {"unit": unit, **parts[part]})
+    lines += [f"{what} left out: {reason}" for what, reason in skipped.items()]
+    if located:
+        lines.append(f"located without a score: {located} queries, in located.csv")
     return "\n".join(lines)
 
 
-def _localization(result: Result) -> list[str]:
+def _localization(name: str, first: Measures, baselines: Mapping[str, Measures]) -> list[str]:
     """Return a row per method and lighting: errors, floor, excess, recall@1, rooms, and their denominators."""
-    methods: dict[str, Measures] = {result.name: result.parts}
-    for name, sign in FURTHER.items():
-        if f"absolute_{name}" in result.parts:
-            methods[f"{result.name} + {sign}"] = {"absolute": result.parts[f"absolute_{name}"]}
-    methods |= {name: other.parts for name, other in result.baselines.items()}
-    first, with_heading = result.parts, _any_heading(methods)
+    methods: dict[str, Measures] = {name: first}
+    for further, sign in FURTHER.items():
+        if f"absolute_{further}" in first:
+            methods[f"{name} + {sign}"] = {"absolute": first[f"absolute_{further}"]}
+    methods |= baselines
+    with_heading = _any_heading(methods)
     table = _table("method", "lighting")
     absolute = first.get("absolute")
     if absolute is not None:
         unit = absolute["unit"]
-        for name in ("mean", "median", "95 %", "floor", "excess"):
-            _number_column(table, f"{name}\n[{unit}]")
+        for head in ("mean", "median", "95 %", "floor", "excess"):
+            _number_column(table, f"{head}\n[{unit}]")
         for radius in absolute["radii"]:
             _number_column(table, f"recall@1\n{radius:g} {unit}")
         if with_heading:
             _number_column(table, "heading\n[deg]")
         _number_column(table, "queries")
     if "room_retrieval" in first:
-        for name in ("room\nretrieved", "room in\ntop 5", "mAP", "chance"):
-            _number_column(table, name)
+        for head in ("room\nretrieved", "room in\ntop 5", "mAP", "chance"):
+            _number_column(table, head)
         if absolute is None:
             _number_column(table, "queries")
     if "room_pairs" in first:

@@ -115,6 +115,44 @@ def test_a_function_takes_the_fields_as_keywords_and_shows_them():
     assert inspect.signature(fit).parameters["epochs"].default == 30
 
 
+def test_the_docstring_of_a_function_tells_of_its_fields_those_of_a_base_first():
+    @dataclass(frozen=True)
+    class Base(Settings):
+        """Whatever.
+
+        Attributes:
+            first: one line
+                and another.
+        """
+
+        first: Count = 1
+
+    @dataclass(frozen=True)
+    class Both(Base):
+        """More.
+
+        Attributes:
+            second: another.
+        """
+
+        second: Count = 2
+
+    @takes(Both)
+    def call(*, settings):
+        """Do something.
+
+        Args:
+            settings: the fields
+                together.
+
+        Returns:
+            Nothing.
+        """
+
+    told = "Args:\n    first: one line\n        and another.\n    second: another.\n\nReturns:"
+    assert told in inspect.cleandoc(call.__doc__)
+
+
 @pytest.mark.parametrize(
     ("keywords", "says"),
     [
