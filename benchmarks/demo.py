@@ -23,7 +23,7 @@ SIZE = (64, 256)
 TRAINING = {
     "epochs": 12,
     "batch_size": 16,
-    "pairs": {"label": "distance", "epoch_pairs": 640},
+    "pairs": {"label": "distance", "same_room_share": 0.4, "epoch_pairs": 640},
     "optimizer": {"learning_rate": 0.003},
 }
 TRAIN = ("*cloudy1", "*night1", "*sunny1")

@@ -23,7 +23,7 @@ from siamloc.errors import ConfigError, DataError, hint
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and its answer
 _BYTES_PER_PAIR = 80  # of rows in which everything ties: score, mask, two indices, distance, and sorting them
 _REFERENCES_PER_BLOCK = 4096  # prepared at once
-_VALUES_PER_SLICE = 1 << 17  # 1 MiB of float64: a slice of candidates stays in the processor's cache
+_VALUES_PER_SLICE = 2**15  # 256 KiB of float64, which the second level of a cache holds
 _SAMPLE = 4096  # references whose mean is the centre
 _ROUNDOFF = float(np.finfo(np.float32).eps)
 _SMALLEST = float(np.finfo(np.float32).tiny)
