@@ -389,10 +389,14 @@ def test_runs_show_themselves(train, tmp_path):
 
 FIT = textwrap.dedent(
     """
+    import signal
     import sys
     from siamloc.data import PanoramaLibrary, read
     from siamloc.models import build
     from siamloc.training import fit
+
+    # A shell starts background jobs with Ctrl-C switched off, and the tests may be in one.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def main(manifest, run, **options):
         frames = read("manifest", manifest=manifest)
