@@ -206,7 +206,7 @@ def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
         fits, found = _fit(value, parts[0], key)
         return fits and all(rule.holds(found) for rule in parts[1:] if isinstance(rule, Rule)), found
     if origin in (Union, types.UnionType):
-        for part in parts:
+        for part in _by_keys(parts, value):
             fits, found = _fit(value, part, key)
             if fits:
                 return True, found
@@ -220,6 +220,15 @@ def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
     if isinstance(kind, type) and issubclass(kind, Settings):
         return (True, kind.of(value)) if isinstance(value, Mapping) else (isinstance(value, kind), value)
     return _fit_plain(value, kind)
+
+
+def _by_keys(parts: tuple[Any, ...], value: Any) -> list[Any]:
+    """Return the kinds that a value may have; of several groups of settings the one that knows most of its keys."""
+    groups = [part for part in parts if isinstance(part, type) and issubclass(part, Settings)]
+    if len(groups) < 2 or not isinstance(value, Mapping):
+        return list(parts)
+    best = max(groups, key=lambda group: len(set(value) & set(fields_of(group))))
+    return [part for part in parts if part is best or part not in groups]
 
 
 def _fit_list(value: Any, origin: Any, parts: tuple[Any, ...], key: str) -> tuple[bool, Any]:

@@ -17,6 +17,8 @@ from siamloc.cli.objects import (
     further_steps,
     heading_of,
     images_named,
+    loss_of,
+    network_of,
     open_roles,
     preprocessing_of,
     run_of,
@@ -64,14 +66,14 @@ def train(config: DictConfig) -> None:
 
     validated = config.protocol.validation.sequences is not None
     images, roles = open_roles(config, "train", *(["validation"] if validated else []))
-    branch, head = config.model.branch, config.model.head
-    network = models.build(branch.name, head.name, images.image_size, branch.weights, config.seed)
+    network = models.build(**network_of(config), image_size=images.image_size, seed=config.seed)
     run = training.fit(
         network,
         images,
         roles["train"],
         run=training_folder(config),
         validation=roles.get("validation"),
+        loss=loss_of(config),
         augmentation={key: value for key, value in plain(config.augment).items() if key != "where"},
         trainer=plain(config.trainer),
         protocol=Protocol.of(plain(config.protocol)).plain(),

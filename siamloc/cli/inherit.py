@@ -21,7 +21,7 @@ _CHOOSES = {
     "data": ("data", "unwrap", "protocol"),
     "experiment": (
         *("data", "unwrap", "protocol", "protocol.map", "model", "pairs", "optimizer", "loss"),
-        *("augment", "epochs", "batch_size", "seed"),
+        *("augment", "epochs", "batch_size", "clip", "average", "seed"),
     ),
     "protocol": ("protocol", "protocol.map"),
 }
@@ -93,15 +93,21 @@ def _kept(
     if "seed" in training:
         kept["seed"] = training["seed"]
     if "branch" in model:
-        kept |= {"model.branch.name": model["branch"], "model.head.name": model["head"]}
+        head = {"name": model["head"], "outputs": model.get("outputs")}
+        kept |= {"model.branch.name": model["branch"], "model.head": head}
+        kept |= {f"model.{key}": model[key] for key in ("circular", "normalize") if key in model}
     if resumed and training:
         kept |= {
             "model.branch.weights": model.get("weights"),
-            "loss.margin": training["margin"],
+            "loss": _of_loss(record.get("loss", {})),
             "augment": {**(record.get("augment") or {"name": "none"}), "where": training["augment_where"]},
-            **{key: training[key] for key in ("pairs", "optimizer", "epochs", "batch_size")},
+            **{key: training[key] for key in ("pairs", "optimizer", "epochs", "batch_size", "clip", "average")},
         }
     return kept
+
+
+def _of_loss(loss: Mapping[str, Any]) -> dict[str, Any]:
+    return {"name": "contrastive", **{key: value for key, value in loss.items() if key != "class"}}
 
 
 def _of_data(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -100,10 +100,48 @@ def bundle_of(config: DictConfig) -> Path:
 
 def training_of(config: DictConfig) -> Training:
     """Return the settings of a training; those that the command line calls otherwise are checked by its names."""
-    values = {key: plain(config)[key] for key in ("seed", "epochs", "batch_size", "pairs", "optimizer")}
-    for name, key in {"workers": "loader.workers", "margin": "loss.margin", "augment_where": "augment.where"}.items():
-        values[name] = checked(OmegaConf.select(config, key), fields_of(Training)[name], key)
+    named = ("seed", "epochs", "batch_size", "clip", "average", "pairs", "optimizer")
+    values = {key: plain(config)[key] for key in named}
+    others = {"workers": "loader.workers", "margin": "loss.margin", "augment_where": "augment.where"}
+    for name, key in others.items():
+        value = OmegaConf.select(config, key)
+        if value is not None:
+            values[name] = checked(value, fields_of(Training)[name], key)
     return Training.of(values)
+
+
+def loss_of(config: DictConfig) -> Any:
+    """Return the configured loss over batches of places; None for the contrastive loss, whose margin is a setting.
+
+    Raises:
+        ConfigError: an unknown loss, or one that does not go with how the batches are drawn.
+    """
+    from siamloc.data.places import PlaceSettings
+    from siamloc.models.batch_losses import LOSSES, make_loss
+
+    options = plain(config.loss)
+    in_batch = isinstance(training_of(config).pairs, PlaceSettings)
+    if options["name"] == "contrastive" and not in_batch:
+        return None
+    if options["name"] == "contrastive" or not in_batch:
+        raise ConfigError(
+            f"loss={options['name']} does not go with these pairs: pairs=in_batch goes with loss={'|'.join(LOSSES)}, "
+            "other pairs with loss=contrastive"
+        )
+    return make_loss(**options)
+
+
+def network_of(config: DictConfig) -> dict[str, Any]:
+    """Return which network the configuration asks for, as `siamloc.models.build` takes it."""
+    model = plain(config.model)
+    return {
+        "branch": model["branch"]["name"],
+        "weights": model["branch"]["weights"],
+        "head": model["head"]["name"],
+        "outputs": model["head"].get("outputs"),
+        "circular": checked(model["circular"], bool, "model.circular") and config.data.circular,
+        "normalize": model["normalize"],
+    }
 
 
 def training_folder(config: DictConfig) -> Path:

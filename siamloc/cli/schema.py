@@ -30,13 +30,15 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     """Return the nodes of the configuration of most commands by group."""
     from analytic.descriptors.registry import DESCRIPTORS, parameters
     from siamloc.data.pairs import PairSettings
+    from siamloc.data.places import PlaceSettings
     from siamloc.evaluation.disturbed import Robustness
     from siamloc.evaluation.hierarchy import Hierarchical
     from siamloc.evaluation.layers import MapMeasures
     from siamloc.evaluation.localize import Localization
     from siamloc.maps.grouping import WAYS
-    from siamloc.models.registry import Optimizer
+    from siamloc.models.registry import Optimizer, SoftContrastive
     from siamloc.settings import defaults_of
+    from siamloc.training.recipes import RECIPES
     from siamloc.training.settings import Training
 
     training = defaults_of(Training)
@@ -55,18 +57,36 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
         **nodes_of_data(),
         "settings": {
             "pairs": defaults_of(PairSettings),
+            "places": defaults_of(PlaceSettings),
             "optimizer": defaults_of(Optimizer),
             "training": {
-                **{key: training[key] for key in ("seed", "epochs", "batch_size")},
-                "loss": {"margin": training["margin"]},
+                **{key: training[key] for key in ("seed", "epochs", "batch_size", "clip", "average")},
                 "loader": {"workers": training["workers"]},
                 "augment": {"where": training["augment_where"]},
             },
             **nodes_of_data()["settings"],
         },
         "settings/task": tasks,
+        "settings/recipe": {name: _keys_of(recipe) for name, recipe in RECIPES.items()},
+        "settings/loss": {
+            "contrastive": {"margin": training["margin"]},
+            "soft_contrastive": defaults_of(SoftContrastive),
+        },
         "settings/build": {name: defaults_of(way) for name, way in WAYS.items()},
         "parameters/descriptor": descriptors,
+    }
+
+
+def _keys_of(recipe: Any) -> dict[str, Any]:
+    """Return a recipe in the keys of the configuration; the groups of branch, head and so on are chosen by its file."""
+    chosen = ("branch", "head")
+    return {
+        "data": {"image_size": list(recipe.image_size)},
+        "model": {key: value for key, value in recipe.model.items() if key not in chosen},
+        "loss": dict(recipe.loss or {}),
+        "augment": dict(recipe.augmentation),
+        "trainer": dict(recipe.trainer),
+        **recipe.training,
     }
 
 

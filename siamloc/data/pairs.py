@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ class PairSettings(Settings):
     """
 
     WHERE = "pairs"
+    needs_positions: ClassVar[str] = "distance labels"
 
     label: Literal["auto", "room", "distance"] = "auto"
     same_room_share: Share | None = None
@@ -117,6 +118,10 @@ class PairSampler:
 
     def __len__(self) -> int:
         return self.epoch_pairs
+
+    def summary(self) -> str:
+        """Say what an epoch has."""
+        return f"{self.epoch_pairs} {self.label} pairs"
 
     def epoch(self, epoch: int, rank: int = 0, world_size: int = 1) -> Pairs:
         """Draw the pairs of an epoch, or the share of one process among `world_size`.

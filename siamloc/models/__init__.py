@@ -1,4 +1,4 @@
-"""Siamese networks: branches and heads, the contrastive loss, the Lightning module, trained weights ([T] 5.2-5.3).
+"""Siamese networks: branches and heads, losses, the Lightning modules, trained weights ([T] 5.2-5.3).
 
 Importing this package loads no torch; each name is loaded when it is first used.
 """
@@ -11,10 +11,12 @@ from siamloc.lazy import lazy
 from siamloc.models.registry import BRANCHES, HEADS, Optimizer
 
 if TYPE_CHECKING:
+    from siamloc.models.batch_losses import Origins, SoftContrastiveLoss
     from siamloc.models.checkpoint import load
     from siamloc.models.describing import NetworkDescriptor, as_descriptor
     from siamloc.models.losses import ContrastiveLoss
     from siamloc.models.network import Network, build
+    from siamloc.models.places import PlaceModule
     from siamloc.models.siamese import SiameseModule
 
 __all__ = [
@@ -24,7 +26,10 @@ __all__ = [
     "Network",
     "NetworkDescriptor",
     "Optimizer",
+    "Origins",
+    "PlaceModule",
     "SiameseModule",
+    "SoftContrastiveLoss",
     "as_descriptor",
     "build",
     "load",
@@ -34,7 +39,10 @@ _HOMES = {
     "ContrastiveLoss": "losses",
     "Network": "network",
     "NetworkDescriptor": "describing",
+    "Origins": "batch_losses",
+    "PlaceModule": "places",
     "SiameseModule": "siamese",
+    "SoftContrastiveLoss": "batch_losses",
     "as_descriptor": "describing",
     "build": "network",
     "load": "checkpoint",

@@ -5,21 +5,25 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from math import prod
 from os import PathLike, fspath
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
+from siamloc.models.circular import circular as around
+from siamloc.models.heads import Fourier, GeneralizedMean, make_head
+from siamloc.models.panoresnet import ResidualBlock, residual_features
 from siamloc.models.registry import branch_spec, head_widths
 from siamloc.models.weights import fill, find_weights
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 SIMPLE_GRID = (4, 16)
+RESIDUAL = 0.1  # share of the two convolutions in what a residual block gives at first
+DARK = 1e-3  # keeps an image without contrast from being divided by 0
 
 
 def build(
@@ -28,6 +32,10 @@ def build(
     image_size: Sequence[int] = (128, 512),
     weights: str | PathLike[str] | None = None,
     seed: int = 0,
+    *,
+    outputs: int | None = None,
+    circular: bool = False,
+    normalize: Literal["channels", "image"] | None = None,
 ) -> Network:
     """Make a network that describes panoramas: (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
 
@@ -45,6 +53,11 @@ def build(
             "IMAGENET1K_V1" for a pre-trained branch; or the path of a state dict (.pth, .ckpt, .safetensors) of
             this network, of a torchvision network with this branch, or of a checkpoint of `SiameseModule`.
         seed: of the random weights; any integer from 0 to 2**63 - 1.
+        outputs: length D of a descriptor, for the heads "flat", "gem" and "fourier"; 256 if None.
+        circular: let convolutions and pools wrap around the azimuth: for panoramas, whose columns are a full turn.
+        normalize: "channels": subtract a mean and divide by a standard deviation for each channel, ImageNet's unless
+            the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.
+            What the branch is meant for if None.
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
@@ -58,10 +71,12 @@ def build(
     size = checked_image_size(image_size)
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
         raise ConfigError(f"the seed must be an integer from 0 to 2**63 - 1, got {seed!r}")
-    branch_spec(branch)
-    head_widths(head)
+    norm = branch_spec(branch).normalize if normalize is None else normalize
+    head_widths(head, outputs)
+    if norm not in ("channels", "image"):
+        raise ConfigError(f"normalize must be channels or image, got {normalize!r}")
     with torch.device("meta"):
-        network = Network(branch, head, size)
+        network = Network(branch, head, size, outputs=outputs, circular=circular, normalize=norm)
     network.to_empty(device="cpu")
     _initialize(network, seed)
     network.settings = {
@@ -70,6 +85,9 @@ def build(
         "image_size": list(size),
         "weights": None if weights is None else fspath(weights),
         "seed": seed,
+        "outputs": network.outputs if len(head_widths(head)) == 1 else None,
+        "circular": bool(circular),
+        "normalize": norm,
     }
     if weights is not None:
         found = find_weights(branch, weights)
@@ -86,6 +104,9 @@ class Network(nn.Module):
         branch: a name in `BRANCHES`.
         head: a name in `HEADS`.
         image_size: (H, W) in pixels.
+        outputs: length of a descriptor, for heads that let it be chosen.
+        circular: whether the branch wraps around the azimuth.
+        normalize: "channels" or "image".
 
     Attributes:
         branch: the `Branch`, which also normalizes.
@@ -95,14 +116,22 @@ class Network(nn.Module):
         settings: the arguments of `build` that made it, as plain values.
     """
 
-    def __init__(self, branch: str, head: str, image_size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        branch: str,
+        head: str,
+        image_size: tuple[int, int],
+        outputs: int | None = None,
+        circular: bool = False,
+        normalize: str = "channels",
+    ) -> None:
         super().__init__()
-        shape = feature_shape(branch, image_size)
+        shape = feature_shape(branch, image_size, circular)
         self.image_size = image_size
         self.settings: dict[str, Any] = {"branch": branch, "head": head, "image_size": list(image_size)}
         self.grid = shape[1:]
-        self.branch = Branch(branch)
-        self.head = Head(head, prod(shape))
+        self.branch = Branch(branch, circular, normalize)
+        self.head = make_head(head, shape, outputs)
 
     @property
     def outputs(self) -> int:
@@ -146,16 +175,20 @@ class Network(nn.Module):
 class Branch(nn.Module):
     """A feature extractor: (B, 3, H, W) in [0, 1] -> (B, C, h, w).
 
-    The channels are normalized first, with the mean and standard deviation of ImageNet unless the loaded weights
-    say otherwise. Branches without ImageNet weights use the same numbers: they bring indoor images close to zero
-    mean and unit variance, which is what He initialization counts on, and one input convention serves all.
+    The images are normalized first. "channels" uses the mean and standard deviation of ImageNet unless the loaded
+    weights say otherwise; branches without ImageNet weights use the same numbers, which bring indoor images close to
+    zero mean and unit variance, what He initialization counts on. "image" does so for each image by its own numbers,
+    so that neither exposure nor contrast matters.
 
     The torchvision networks keep their own stride: nothing is pooled or scaled to a fixed grid after them. At
     128 x 512 VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU as it does in its paper. The
-    simple branches keep the full resolution through three 3 x 3 convolutions and then average it to 4 x 16.
+    simple branches keep the full resolution through three 3 x 3 convolutions and then average it to 4 x 16. Where
+    the columns wrap around, AlexNet gives 3 x 16.
 
     Args:
         name: a name in `BRANCHES`.
+        circular: whether convolutions and pools wrap around the azimuth.
+        normalize: "channels" or "image".
 
     Raises:
         ConfigError: an unknown name.
@@ -164,10 +197,11 @@ class Branch(nn.Module):
     mean: Tensor
     std: Tensor
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, circular: bool = False, normalize: str = "channels") -> None:
         super().__init__()
         self.name = name
-        self.features = _features(name)
+        self.normalize = normalize
+        self.features = _features(name, circular)
         self.register_buffer("mean", torch.empty(1, 3, 1, 1))
         self.register_buffer("std", torch.empty(1, 3, 1, 1))
         self.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
@@ -180,51 +214,23 @@ class Branch(nn.Module):
 
     def forward(self, panorama: Tensor) -> Tensor:
         """Return the features of panoramas (B, 3, H, W) in [0, 1]."""
-        return self.features((panorama - self.mean) / self.std)
-
-
-class Head(nn.Module):
-    """Three fully connected layers with a ReLU between them: (B, C, h, w) -> (B, D).
-
-    Nothing follows the last layer, and there is no softmax before it: a softmax would press the descriptors of all
-    places together, and the published code of the thesis has none.
-
-    Args:
-        name: a name in `HEADS`.
-        inputs: C * h * w.
-
-    Raises:
-        ConfigError: an unknown name.
-    """
-
-    def __init__(self, name: str, inputs: int) -> None:
-        super().__init__()
-        self.name = name
-        first, second, self.outputs = head_widths(name)
-        self.layers = nn.Sequential(
-            nn.Flatten(),
-            nn.Linear(inputs, first),
-            nn.ReLU(inplace=True),
-            nn.Linear(first, second),
-            nn.ReLU(inplace=True),
-            nn.Linear(second, self.outputs),
-        )
-
-    def forward(self, features: Tensor) -> Tensor:
-        """Return the descriptors of features (B, C, h, w)."""
-        return self.layers(features)
+        if self.normalize == "channels":
+            return self.features((panorama - self.mean) / self.std)
+        centred = panorama - panorama.mean(dim=(1, 2, 3), keepdim=True)
+        deviation = centred.square().mean(dim=(1, 2, 3), keepdim=True).sqrt()
+        return self.features(centred / (deviation + DARK))
 
 
 @lru_cache(maxsize=256)
-def feature_shape(name: str, image_size: tuple[int, int]) -> tuple[int, int, int]:
+def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False) -> tuple[int, int, int]:
     """Return channels, rows and columns of the features at an image size (H, W); computes shapes only.
 
     Raises:
         ConfigError: an unknown branch, or an image smaller than the branch can take.
     """
-    shape = _shape_or_none(name, *image_size)
+    shape = _shape_or_none(name, *image_size, circular)
     if shape is None:
-        rows, columns = smallest_size(name)
+        rows, columns = smallest_size(name, circular)
         raise ConfigError(
             f"an image of {image_size[0]} x {image_size[1]} pixels is too small for the branch {name!r}: "
             f"it needs at least {rows} x {columns}"
@@ -233,12 +239,12 @@ def feature_shape(name: str, image_size: tuple[int, int]) -> tuple[int, int, int
 
 
 @lru_cache(maxsize=64)
-def smallest_size(name: str) -> tuple[int, int]:
+def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
     """Return the smallest image (H, W) that the branch can take; each side alone may be as small as that."""
-    if branch_spec(name).widths is not None:
+    if branch_spec(name).kind == "simple":
         return SIMPLE_GRID
-    side = _first(lambda side: _shape_or_none(name, side, side) is not None, enough=256)
-    return side, side  # their kernels are square, so that rows and columns are treated alike
+    rows = _first(lambda side: _shape_or_none(name, side, 256, circular) is not None, enough=256)
+    return rows, _first(lambda side: _shape_or_none(name, 256, side, circular) is not None, enough=256)
 
 
 def checked_image_size(image_size: Sequence[int]) -> tuple[int, int]:
@@ -277,17 +283,30 @@ def _initialize(network: Network, seed: int) -> None:
                     module.weight /= (2 * network.outputs) ** 0.5
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
+        elif isinstance(module, (Fourier, GeneralizedMean)):
+            module.reset()
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")
+    for module in network.modules():  # each block begins as little more than what its shortcut gives
+        if isinstance(module, ResidualBlock):
+            nn.init.constant_(module.second[1].weight, RESIDUAL)  # type: ignore[arg-type]
 
 
-def _features(name: str) -> nn.Sequential:
-    widths = branch_spec(name).widths
-    if widths is not None:
+def _features(name: str, circular: bool = False) -> nn.Module:
+    spec = branch_spec(name)
+    if spec.kind == "residual":
+        features: nn.Sequential = residual_features(spec.widths)
+    elif spec.kind == "simple":
         layers: list[nn.Module] = []
-        for inputs, outputs in zip((3, *widths), widths, strict=False):
+        for inputs, outputs in zip((3, *spec.widths), spec.widths, strict=False):
             layers += [nn.Conv2d(inputs, outputs, kernel_size=3, padding=1), nn.ReLU(inplace=True)]
-        return nn.Sequential(*layers, nn.AdaptiveAvgPool2d(SIMPLE_GRID))
+        features = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(SIMPLE_GRID))
+    else:
+        features = _torchvision_features(name)
+    return around(features) if circular else features
+
+
+def _torchvision_features(name: str) -> nn.Sequential:
     ensure_torchvision()
     from torchvision import models
 
@@ -302,17 +321,18 @@ def _features(name: str) -> nn.Sequential:
 
 
 @lru_cache(maxsize=32)
-def _weightless(name: str) -> nn.Module:
+def _weightless(name: str, circular: bool) -> nn.Module:
     with torch.device("meta"):
-        return _features(name).eval()
+        return _features(name, circular).eval()
 
 
-def _shape_or_none(name: str, rows: int, columns: int) -> tuple[int, int, int] | None:
-    if branch_spec(name).widths is not None and (rows < SIMPLE_GRID[0] or columns < SIMPLE_GRID[1]):
+def _shape_or_none(name: str, rows: int, columns: int, circular: bool) -> tuple[int, int, int] | None:
+    if branch_spec(name).kind == "simple" and (rows < SIMPLE_GRID[0] or columns < SIMPLE_GRID[1]):
         return None
     try:
         with torch.no_grad():
-            channels, height, width = _weightless(name)(torch.empty(1, 3, rows, columns, device="meta")).shape[1:]
+            features = _weightless(name, circular)(torch.empty(1, 3, rows, columns, device="meta"))
+            channels, height, width = features.shape[1:]
     except RuntimeError:
         return None
     return (channels, height, width) if height > 0 and width > 0 else None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import NotNegative, Positive, Rule, Settings
+from siamloc.settings import NotNegative, Positive, Probability, Rule, Settings
 
 
 @dataclass(frozen=True)
@@ -15,32 +15,42 @@ class BranchSpec:
 
     Attributes:
         name: what configurations call it; for a torchvision network its name there.
-        widths: outputs of the three convolutions of a simple branch; None for a torchvision network.
+        kind: "torchvision", "simple" or "residual".
+        widths: outputs of the convolutions of a simple branch, and of the stages of a residual one.
+        normalize: what happens to images first: "channels" or "image", see `siamloc.models.build`.
     """
 
     name: str
-    widths: tuple[int, int, int] | None = None
+    kind: Literal["torchvision", "simple", "residual"] = "torchvision"
+    widths: tuple[int, ...] = ()
+    normalize: Literal["channels", "image"] = "channels"
 
 
 BRANCHES: dict[str, BranchSpec] = {
     spec.name: spec
     for spec in (
-        BranchSpec("simple1", widths=(3, 8, 16)),
-        BranchSpec("simple2", widths=(3, 16, 32)),
+        BranchSpec("simple1", "simple", widths=(3, 8, 16)),
+        BranchSpec("simple2", "simple", widths=(3, 16, 32)),
         BranchSpec("alexnet"),
         BranchSpec("densenet121"),
         *(BranchSpec(f"vgg{depth}{suffix}") for suffix in ("", "_bn") for depth in (11, 13, 16, 19)),
+        BranchSpec("panoresnet", "residual", widths=(32, 64, 128, 192), normalize="image"),
     )
 }
-"""The feature extractors of [T] table 5.1; `*_bn` has a batch normalization after each convolution."""
+"""The feature extractors of [T] table 5.1, `*_bn` with a batch normalization after each convolution; and `panoresnet`,
+a small residual network of ours for training from random weights."""
 
-HEADS: dict[str, tuple[int, int, int]] = {
+HEADS: dict[str, tuple[int, ...]] = {
     "fc500_500_5": (500, 500, 5),
     "fc500_100_10": (500, 100, 10),
     "fc1000_1000_10": (1000, 1000, 10),
     "fc4096_4096_1000": (4096, 4096, 1000),
+    "flat": (256,),
+    "gem": (256,),
+    "fourier": (256,),
 }
-"""Neurons of the three fully connected layers, versions 1 to 4 of [T] table 5.2."""
+"""Neurons of the fully connected layers: three in versions 1 to 4 of [T] table 5.2; one in the heads that give
+descriptors of unit length, whose number of outputs can be chosen."""
 
 
 Momentum = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
@@ -55,6 +65,9 @@ class Optimizer(Settings):
         learning_rate: step size.
         momentum: of "sgd"; for the other two the decay of the first moment (beta 1).
         weight_decay: share of a weight that each step takes away, times the learning rate.
+        schedule: "constant", or "one_cycle": the learning rate grows to `learning_rate` and falls to almost 0, each
+            along half a cosine, over the whole training ([Smith 2018]).
+        warm_up: share of the steps in which it grows.
     """
 
     WHERE = "optimizer"
@@ -63,6 +76,27 @@ class Optimizer(Settings):
     learning_rate: Positive = 0.001
     momentum: Momentum = 0.9
     weight_decay: NotNegative = 0.0
+    schedule: Literal["constant", "one_cycle"] = "constant"
+    warm_up: Probability = 0.2
+
+
+@dataclass(frozen=True)
+class SoftContrastive(Settings):
+    """The parameters of `SoftContrastiveLoss`.
+
+    Attributes:
+        temperature: of the softmax of the similarities of descriptors of unit length.
+        kernel: how alike two images should look, by the distance x between them: "gaussian",
+            exp(-x^2 / 2 sigma^2), or "exponential", exp(-x / sigma), which tells the nearest from the second nearest
+            and still says something of those beyond.
+        sigma: width of the kernel, in the unit of the positions.
+    """
+
+    WHERE = "loss"
+
+    temperature: Positive = 0.07
+    kernel: Literal["gaussian", "exponential"] = "gaussian"
+    sigma: Positive = 0.4
 
 
 def branch_spec(name: str) -> BranchSpec:
@@ -76,12 +110,22 @@ def branch_spec(name: str) -> BranchSpec:
     return BRANCHES[name]
 
 
-def head_widths(name: str) -> tuple[int, int, int]:
-    """Look up the neurons of a head's three layers by its name.
+def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
+    """Look up the neurons of a head's layers by its name.
+
+    Args:
+        name: a name in `HEADS`.
+        outputs: length of a descriptor, for heads of one layer; the head's own if None.
 
     Raises:
-        ConfigError: an unknown name.
+        ConfigError: an unknown name, no positive number, or outputs for a head of the thesis.
     """
     if name not in HEADS:
         raise ConfigError(f"unknown head {name!r}: {hint(name, HEADS)}")
-    return HEADS[name]
+    if outputs is None:
+        return HEADS[name]
+    if len(HEADS[name]) > 1:
+        raise ConfigError(f"the head {name} gives {HEADS[name][-1]} numbers, as its name says: leave outputs out")
+    if isinstance(outputs, bool) or not isinstance(outputs, int) or outputs < 1:
+        raise ConfigError(f"outputs must be a whole number from 1, got {outputs!r}")
+    return (outputs,)

@@ -13,15 +13,14 @@ from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.checkpoint import CONTENT_KEY, FORMAT_VERSION
-from siamloc.models.describing import as_float, identity_of, margin_of
+from siamloc.models.describing import as_float, margin_of
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
+from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
 from siamloc.models.registry import Optimizer
 from siamloc.models.statistics import PairStatistics
 
 ensure_torchvision()
 
-from lightning.pytorch import LightningModule  # noqa: E402
 from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 
 Loss = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -32,7 +31,7 @@ _CAPTION_ROWS = 16
 _GAP = 2
 
 
-class SiameseModule(LightningModule):
+class SiameseModule(NetworkModule):
     """Train one network on both images of a pair: its loss, its optimizer and what is logged.
 
     A batch is a dictionary with `first` and `second` (B, 3, H, W), uint8 or floating point in [0, 1]; `label` (B,)
@@ -63,25 +62,11 @@ class SiameseModule(LightningModule):
     """
 
     def __init__(self, network: nn.Module, loss: Loss | None = None, optimizer: Optimizer | None = None) -> None:
-        super().__init__()
-        if not isinstance(network, nn.Module):
-            raise ConfigError(f"a network is a torch module, such as siamloc.models.build makes, got {network!r}")
         if loss is not None and not callable(loss):
             raise ConfigError(f"a loss is a function or a module (d0, d1, y) -> scalar, got {loss!r}")
-        self.network = network
-        self.loss = ContrastiveLoss() if loss is None else loss
-        self.optimizer = Optimizer() if optimizer is None else optimizer
+        super().__init__(network, ContrastiveLoss() if loss is None else loss, optimizer)
         self.train_statistics = PairStatistics(margin_of(self.loss))
         self.val_statistics = PairStatistics(margin_of(self.loss))
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """That of the network: see `NetworkDescriptor`."""
-        return identity_of(self.network)
-
-    def forward(self, panorama: Tensor) -> Tensor:
-        """Compute the descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1]."""
-        return self.network(panorama)
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Compute the loss of a batch of pairs."""
@@ -102,57 +87,26 @@ class SiameseModule(LightningModule):
         """Log the statistics of the validation."""
         self._log_epoch("val", self.val_statistics)
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Make the optimizer of all weights, those of the loss included."""
-        settings = self.optimizer
-        common: dict[str, Any] = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
-        if settings.name == "sgd":
-            return torch.optim.SGD(self.parameters(), momentum=settings.momentum, **common)
-        kind = torch.optim.Adam if settings.name == "adam" else torch.optim.AdamW
-        return kind(self.parameters(), betas=(settings.momentum, 0.999), **common)
-
-    def content(self) -> dict[str, Any]:
-        """Describe in plain values what is trained: the network, the loss and the optimizer."""
-        loss: dict[str, Any] = {"class": name_of(self.loss)}
-        if margin_of(self.loss) is not None:
-            loss["margin"] = margin_of(self.loss)
-        model = getattr(self.network, "settings", None)
-        if not isinstance(model, dict) or "branch" not in model:
-            model = {"class": name_of(self.network)}
-        return {"model": model, "loss": loss, "optimizer": self.optimizer.plain()}
-
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Write what `siamloc.models.load` needs alongside the weights."""
-        checkpoint[CONTENT_KEY] = {"format": FORMAT_VERSION, **self.content()}
-
     def _step(self, batch: Mapping[str, Tensor], batch_index: int, stage: str, statistics: PairStatistics) -> Tensor:
         missing = [key for key in _BATCH_KEYS if key not in batch]
         if missing:
             raise DataError(f"a batch of pairs needs {', '.join(_BATCH_KEYS)}; missing: {', '.join(missing)}")
         label = batch["label"]
         check_labels(label, len(batch["first"]))
-        descriptors = self.network(as_float(torch.cat([batch["first"], batch["second"]])))
-        d0, d1 = _checked(descriptors, 2 * len(label)).chunk(2)
-        loss = self.loss(d0, d1, label)
-        if not isinstance(loss, Tensor) or loss.numel() != 1:
-            raise DataError(f"the loss {name_of(self.loss)} must give one number, got {_shown(loss)}")
+        images = as_float(torch.cat([batch["first"], batch["second"]]))
+        descriptors = checked_descriptors(self.network(images), 2 * len(label))
+        d0, d1 = descriptors.chunk(2)
+        loss = checked_loss(self.loss(d0, d1, label), self.loss)
         distance = pair_distance(d0.detach(), d1.detach())
-        statistics.update(descriptors.detach(), distance, loss.detach().squeeze(), batch["same"])
+        statistics.update(descriptors.detach(), distance, loss.detach(), batch["same"])
         if batch_index == 0:
             self._draw(batch, distance, stage)
-        return loss.squeeze()
+        return loss
 
     def _log_epoch(self, stage: str, statistics: PairStatistics) -> None:
         values = statistics.compute() if statistics.update_called else {}
         statistics.reset()
-        loss = values.get("loss")
-        if loss is not None and not bool(torch.isfinite(torch.as_tensor(loss))):
-            raise ConfigError(
-                f"the training diverged: {stage}/loss of epoch {self.current_epoch + 1} is {float(loss)}; train again "
-                f"with a smaller optimizer.learning_rate than {self.optimizer.learning_rate:g}"
-            )
-        # The sums are already those of all processes; averaging equal numbers over them changes nothing.
-        self.log_dict({f"{stage}/{name}": value for name, value in values.items()}, sync_dist=True)
+        self.log_epoch(stage, values)
 
     def _draw(self, batch: Mapping[str, Tensor], distance: Tensor, stage: str) -> None:
         if self._trainer is None or self.trainer.sanity_checking or not self.trainer.is_global_zero:
@@ -164,11 +118,6 @@ class SiameseModule(LightningModule):
         picture = pair_picture(*(column[:PICTURED_PAIRS].cpu().numpy() for column in columns))
         for board in boards:
             board.experiment.add_image(f"{stage}/pairs", picture, self.global_step, dataformats="HWC")
-
-
-def name_of(thing: object) -> str:
-    """Name a function, or the class of an object, wherever it is defined."""
-    return str(getattr(thing, "__qualname__", type(thing).__qualname__))
 
 
 def pair_picture(
@@ -187,18 +136,6 @@ def pair_picture(
     """
     rows = [_row(*pair) for pair in zip(first, second, label, distance, strict=True)]
     return np.concatenate(rows, axis=0)
-
-
-def _checked(descriptors: Any, images: int) -> Tensor:
-    if not isinstance(descriptors, Tensor) or descriptors.ndim != 2 or len(descriptors) != images:
-        raise DataError(
-            f"the network must give one descriptor per image, shape ({images}, D), got {_shown(descriptors)}"
-        )
-    return descriptors
-
-
-def _shown(value: Any) -> str:
-    return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
 
 
 def _row(first: NDArray[Any], second: NDArray[Any], label: float, distance: float) -> NDArray[np.uint8]:

@@ -127,8 +127,8 @@ def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
 
 
 def _imagenet(branch: str, name: str) -> Weights:
-    if branch_spec(branch).widths is not None:
-        trained = ", ".join(spec.name for spec in BRANCHES.values() if spec.widths is None)
+    if branch_spec(branch).kind != "torchvision":
+        trained = ", ".join(spec.name for spec in BRANCHES.values() if spec.kind == "torchvision")
         raise ConfigError(
             f"the branch {branch!r} has no weights called {name!r}: give none or a path "
             f"(ImageNet weights exist for {trained})"

@@ -8,26 +8,40 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from siamloc.data.pairs import PairSampler, PairSettings
+from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.lazy import lazy
 from siamloc.models.registry import Optimizer
 from siamloc.runs import Run
+from siamloc.training.recipes import RECIPES, Recipe, recipe
 from siamloc.training.settings import Training
 
 if TYPE_CHECKING:
     from siamloc.training.batches import PairAugmentation, PairDataModule
     from siamloc.training.fitting import fit
+    from siamloc.training.place_batches import PlaceDataModule
 
 __all__ = [
+    "RECIPES",
     "Optimizer",
     "PairAugmentation",
     "PairDataModule",
     "PairSampler",
     "PairSettings",
+    "PlaceDataModule",
+    "PlaceSampler",
+    "PlaceSettings",
+    "Recipe",
     "Run",
     "Training",
     "fit",
+    "recipe",
 ]
 
-_HOMES = {"PairAugmentation": "batches", "PairDataModule": "batches", "fit": "fitting"}
+_HOMES = {
+    "PairAugmentation": "batches",
+    "PairDataModule": "batches",
+    "PlaceDataModule": "place_batches",
+    "fit": "fitting",
+}
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -58,6 +58,15 @@ class PairAugmentation:
             sides.append({name: value[mine] for name, value in drawn.items()})
         return sides
 
+    def draw_batch(
+        self, epoch: int, batch: int, images: int, image_shape: tuple[int, ...], mine: slice
+    ) -> dict[str, Tensor]:
+        """Draw the parameters of some of the images of one batch, whose number decides them together with the epoch."""
+        whole = torch.empty((images, *image_shape), dtype=torch.uint8, device="meta")  # for its shape only
+        words = np.random.SeedSequence([self.seed, epoch, batch, 0xA07]).generate_state(1, np.uint64)
+        drawn = self.effect.draw(torch.Generator().manual_seed(int(words[0] >> np.uint64(1))), whole)
+        return {name: value[mine] for name, value in drawn.items()}
+
 
 class PairBatches(Dataset[dict[str, Any]]):
     """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.

@@ -21,7 +21,7 @@ from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint  # noqa: E402
 
-_SAID = ("train/loss", "train/accuracy", "val/loss", "val/accuracy")
+_SAID = ("train/loss", "train/accuracy", "val/loss", "val/accuracy", "val/error", "val/room")
 _SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter failed")
 
 
@@ -46,8 +46,8 @@ class AtomicCheckpoints(TorchCheckpointIO):
                 ) from error
 
 
-def checkpoint_callbacks(folder: Path, *, validated: bool) -> list[Callback]:
-    """Make the callbacks that keep `last.ckpt` after every epoch and `best.ckpt` by the validation loss."""
+def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
+    """Make the callbacks that keep `last.ckpt` after every epoch, and `best.ckpt` by the lowest of a logged figure."""
     last = ModelCheckpoint(
         dirpath=folder,
         filename="last",
@@ -56,12 +56,12 @@ def checkpoint_callbacks(folder: Path, *, validated: bool) -> list[Callback]:
         save_on_train_epoch_end=True,
         enable_version_counter=False,
     )
-    if not validated:
+    if monitor is None:
         return [last]
     best = ModelCheckpoint(
         dirpath=folder,
         filename="best",
-        monitor="val/loss",
+        monitor=monitor,
         mode="min",
         save_top_k=1,
         save_on_train_epoch_end=False,

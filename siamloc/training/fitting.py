@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import nn
@@ -19,21 +19,27 @@ import augment
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
+from siamloc.data.pairs import PairSettings
+from siamloc.data.places import PlaceSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.files import content_key, plain
 from siamloc.models.checkpoint import load, read_checkpoint
 from siamloc.models.describing import describe
 from siamloc.models.losses import ContrastiveLoss
+from siamloc.models.module import NetworkModule
+from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import takes
 from siamloc.training.batches import PairAugmentation, PairDataModule
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, checkpoint_callbacks
+from siamloc.training.place_batches import PlaceDataModule
 from siamloc.training.settings import Training
 
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
+from lightning.pytorch.callbacks import EMAWeightAveraging  # noqa: E402
 from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 from lightning.pytorch.utilities.exceptions import MisconfigurationException  # noqa: E402
 
@@ -57,7 +63,7 @@ def fit(
     *,
     run: str | Path | Run,
     validation: FrameTable | None = None,
-    loss: Loss | None = None,
+    loss: Loss | BatchLoss | None = None,
     augmentation: augment.Effect | Mapping[str, Any] | str | None = None,
     trainer: Mapping[str, Any] | None = None,
     resume: bool = False,
@@ -67,10 +73,10 @@ def fit(
 ) -> Run:
     """Train a network on pairs of frames, in place.
 
-    Afterwards it holds the weights that `siamloc.models.load(run)` gives: the best by the validation loss, or the last
-    where nothing is validated. Everything that can be checked is checked before the run's folder is touched. Where
-    several processes train together (`trainer={"devices": 2, "strategy": "ddp"}`, torchrun, SLURM), each calls `fit`,
-    and only the first writes.
+    Afterwards it holds the weights that `siamloc.models.load(run)` gives: the best by the validation (by the loss of
+    pairs, or with batches of places by the error of localization), or the last where nothing is validated. Everything
+    that can be checked is checked before the run's folder is touched. Where several processes train together
+    (`trainer={"devices": 2, "strategy": "ddp"}`, torchrun, SLURM), each calls `fit`, and only the first writes.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -78,11 +84,12 @@ def fit(
         frames: training frames, among those of the library.
         run: folder of the run, a new or empty one.
         validation: frames by which the checkpoint is chosen, other ones than `frames`.
-        loss: (d0 (B, D), d1 (B, D), y (B,)) -> scalar, the mean over the pairs; `ContrastiveLoss(margin)` if None.
+        loss: of pairs, (d0 (B, D), d1 (B, D), y (B,)) -> scalar, the mean over the pairs, `ContrastiveLoss(margin)` if
+            None; of batches of places, (descriptors (N, D), `Origins`) -> scalar, `SoftContrastiveLoss()` if None.
         augmentation: what happens to the training images: an effect or a policy of `augment`, a policy's name, or
             plain values as a policy file has them; nothing if None.
         trainer: further arguments of `lightning.Trainer`, such as {"accelerator": "gpu"}. Callbacks and plugins are
-            added to those of the training.
+            added to those of the training. {"precision": "auto"} is bfloat16 where the device computes it fast.
         resume: go on from the last checkpoint of the run; only `epochs`, `workers` and the place of files may differ.
         overwrite: replace a run: what siamloc wrote into the folder is removed, all other files stay.
         protocol: who does what in the data, as plain values for the record; the sequences of the frames if None.
@@ -120,17 +127,8 @@ def fit(
         _check_folder(run, resume, overwrite)
     train, validated = _usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
-    data = PairDataModule(
-        images,
-        train,
-        validated,
-        pairs=settings.pairs,
-        batch_size=settings.batch_size,
-        workers=settings.workers,
-        augmentation=None if effect is None else PairAugmentation(effect, settings.augment_where, settings.seed),
-        seed=settings.seed,
-    )
-    module = SiameseModule(network, ContrastiveLoss(settings.margin) if loss is None else loss, settings.optimizer)
+    change = None if effect is None else PairAugmentation(effect, settings.augment_where, settings.seed)
+    data, module = _parts(network, images, train, validated, loss, change, settings)
     _check_network(network, images)
     content = module.content()
     used = {
@@ -153,7 +151,7 @@ def fit(
             _open(run, used, resume=resume, validated=validated is not None)
             name = content["model"].get("class") or f"{content['model']['branch']} + {content['model']['head']}"
             print(
-                f"training {name} on {len(train)} frames, {len(data.sampler)} {data.sampler.label} pairs per epoch, "
+                f"training {name} on {len(train)} frames, {data.sampler.summary()} per epoch, "
                 f"epochs: {settings.epochs}, into {run.folder}",
                 file=sys.stderr,
             )
@@ -204,7 +202,8 @@ def _usable(
 ) -> tuple[FrameTable, FrameTable | None]:
     """Select the frames whose image can be read; for distance labels those that have a position."""
     found: list[FrameTable | None] = []
-    distance = settings.pairs.label == "distance"
+    pairs = settings.pairs
+    distance = isinstance(pairs, PlaceSettings) or pairs.label == "distance"
     for name, table in (("training", frames), ("validation", validation)):
         if table is None:
             found.append(None)
@@ -212,11 +211,11 @@ def _usable(
         readable = images.readable(table)
         if not len(readable):
             raise DataError(f"there are no {name} frames" if not len(table) else f"no {name} image can be read")
-        if name == "training" and settings.pairs.label == "auto":
+        if name == "training" and isinstance(pairs, PairSettings) and pairs.label == "auto":
             distance = len(set(readable.place.tolist())) == 1
         if distance:
             missing = readable.path[~readable.has_position].tolist()
-            what = f"{name} frames have no position, which distance labels need"
+            what = f"{name} frames have no position, which {pairs.needs_positions} need"
             leave_out(missing, len(readable), what, str(images.settings()["on_error"]))
             readable = readable.take(readable.has_position)
         found.append(readable)
@@ -231,6 +230,25 @@ def _usable(
                 "would not be honest: validate with other frames"
             )
     return train, validated
+
+
+def _parts(
+    network: nn.Module,
+    images: PanoramaLibrary,
+    train: FrameTable,
+    validated: FrameTable | None,
+    loss: Loss | BatchLoss | None,
+    augmentation: PairAugmentation | None,
+    settings: Training,
+) -> tuple[PairDataModule | PlaceDataModule, NetworkModule]:
+    """Make what serves the batches, and what happens with them: pairs, or places with all their pairs."""
+    common: dict[str, Any] = {"workers": settings.workers, "augmentation": augmentation, "seed": settings.seed}
+    if isinstance(settings.pairs, PlaceSettings):
+        places = PlaceDataModule(images, train, validated, places=settings.pairs, **common)
+        return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer)
+    pairs = PairDataModule(images, train, validated, pairs=settings.pairs, batch_size=settings.batch_size, **common)
+    chosen = ContrastiveLoss(settings.margin) if loss is None else cast(Loss, loss)
+    return pairs, SiameseModule(network, chosen, settings.optimizer)
 
 
 def _effect(
@@ -276,12 +294,19 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, *,
         ConfigError: arguments that Lightning refuses.
     """
     options = {**TRAINER, **(further or {})}
+    if options.get("precision") == "auto":
+        options["precision"] = _fast_precision()
     callbacks = [*_listed(options.pop("callbacks", None)), _Seeds(settings.seed), Curves(run)]
+    if settings.average is not None:
+        callbacks.append(EMAWeightAveraging(decay=settings.average))
+    if settings.clip is not None:
+        options.setdefault("gradient_clip_val", settings.clip)
+    monitor = "val/error" if isinstance(settings.pairs, PlaceSettings) else "val/loss"
     own: dict[str, Any] = {
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
         "logger": TensorBoardLogger(run.folder, name="tensorboard", version=""),
-        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, validated=validated)],
+        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor if validated else None)],
         "plugins": [*_listed(options.pop("plugins", None)), AtomicCheckpoints()],
         "num_sanity_val_steps": 0,
         "limit_val_batches": 1.0 if validated else 0,
@@ -296,6 +321,15 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, *,
     except (MisconfigurationException, TypeError, ValueError, RuntimeError) as error:
         first_line = str(error).strip().splitlines()[0]
         raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
+
+
+def _fast_precision() -> str:
+    """Return bfloat16 for most of the network where the device has instructions for it, else full precision."""
+    if torch.cuda.is_available():
+        fast = torch.cuda.is_bf16_supported()
+    else:
+        fast = torch.cpu._is_amx_tile_supported()
+    return "bf16-mixed" if fast else "32-true"
 
 
 def _open(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
@@ -317,7 +351,9 @@ def _names(*, validated: bool) -> list[str]:
     return ["metrics.csv", "checkpoints/last.ckpt", *best, "tensorboard/hparams.yaml"]
 
 
-def _train(trainer: Trainer, module: SiameseModule, data: PairDataModule, run: Run, start: Path | None) -> None:
+def _train(
+    trainer: Trainer, module: NetworkModule, data: PairDataModule | PlaceDataModule, run: Run, start: Path | None
+) -> None:
     """Fit; when the user stops it, say how to go on.
 
     Raises:

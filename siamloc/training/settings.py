@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from siamloc.data.pairs import PairSettings
+from siamloc.data.places import PlaceSettings
 from siamloc.models.registry import Optimizer
-from siamloc.settings import Count, Natural, Positive, Settings
+from siamloc.settings import Count, Natural, Positive, Probability, Settings
 
 
 @dataclass(frozen=True)
@@ -15,13 +16,17 @@ class Training(Settings):
     """How a network is trained.
 
     Attributes:
-        epochs: how often `pairs.epoch_pairs` pairs are drawn and learned from.
-        batch_size: pairs in a step.
+        epochs: how often `pairs.epoch_pairs` pairs, or `pairs.epoch_batches` batches of places, are drawn and learned
+            from.
+        batch_size: pairs in a step; batches of places have `pairs.places * pairs.images` images.
         seed: of the pairs and of their augmentation; that of the first weights belongs to `siamloc.models.build`.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        pairs: which pairs of frames, with which labels.
+        pairs: which pairs of frames, with which labels: `PairSettings`; or batches of places, all of whose pairs are
+            learned from: `PlaceSettings`.
         optimizer: how the weights are updated.
         margin: of the contrastive loss; a loss of your own has its own.
+        clip: length that the gradient is cut to; not cut if None.
+        average: decay of the moving average of the weights, which is what is kept; no average if None.
         augment_where: "cpu": pictures are changed where batches are gathered; "gpu": after they have come to the
             device.
 
@@ -34,7 +39,9 @@ class Training(Settings):
     batch_size: Count = 16
     seed: Natural = 0
     workers: Natural = 0
-    pairs: PairSettings = field(default_factory=PairSettings)
+    pairs: PairSettings | PlaceSettings = field(default_factory=PairSettings)
     optimizer: Optimizer = field(default_factory=Optimizer)
     margin: Positive = 2.0
+    clip: Positive | None = None
+    average: Probability | None = None
     augment_where: Literal["cpu", "gpu"] = "cpu"

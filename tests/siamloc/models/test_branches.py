@@ -20,6 +20,7 @@ CONVOLUTIONS = {
     "vgg13": 10,
     "vgg16": 13,
     "vgg19": 16,
+    "panoresnet": 1 + 2 * 6 + 3,
 }
 AT_128_512 = {
     "simple1": (16, 4, 16),
@@ -27,6 +28,7 @@ AT_128_512 = {
     "alexnet": (256, 3, 15),
     "densenet121": (1024, 4, 16),
     "vgg": (512, 4, 16),
+    "panoresnet": (192, 8, 32),
 }
 SMALLEST = {"simple1": (4, 16), "simple2": (4, 16), "alexnet": (63, 63), "densenet121": (29, 29), "vgg": (32, 32)}
 
@@ -35,7 +37,7 @@ def family(name):
     return "vgg" if name.startswith("vgg") else name
 
 
-def test_the_registry_holds_the_twelve_branches():
+def test_the_registry_holds_the_twelve_branches_of_the_thesis_and_ours():
     assert sorted(BRANCHES) == sorted([*CONVOLUTIONS, "vgg11_bn", "vgg13_bn", "vgg16_bn", "vgg19_bn"])
 
 

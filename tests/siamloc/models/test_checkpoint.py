@@ -74,9 +74,12 @@ def test_what_was_trained_stands_in_plain_values(trained):
             "image_size": [32, 64],
             "weights": None,
             "seed": 7,
+            "outputs": None,
+            "circular": False,
+            "normalize": "channels",
         },
         "loss": {"class": "ContrastiveLoss", "margin": 1.5},
-        "optimizer": {"name": "sgd", "learning_rate": 0.001, "momentum": 0.5, "weight_decay": 0.0},
+        "optimizer": {**Optimizer().plain(), "momentum": 0.5},
     }
 
 

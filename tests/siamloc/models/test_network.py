@@ -54,16 +54,20 @@ def test_unknown_names_in_the_packages_are_attribute_errors():
             _ = package.nonsense
 
 
-def test_heads_are_those_of_the_thesis():
-    assert HEADS == {
-        "fc500_500_5": (500, 500, 5),
-        "fc500_100_10": (500, 100, 10),
-        "fc1000_1000_10": (1000, 1000, 10),
-        "fc4096_4096_1000": (4096, 4096, 1000),
-    }
+THESIS = {
+    "fc500_500_5": (500, 500, 5),
+    "fc500_100_10": (500, 100, 10),
+    "fc1000_1000_10": (1000, 1000, 10),
+    "fc4096_4096_1000": (4096, 4096, 1000),
+}
 
 
-@pytest.mark.parametrize(("name", "widths"), HEADS.items())
+def test_heads_are_those_of_the_thesis_and_three_of_unit_length():
+    assert {name: widths for name, widths in HEADS.items() if len(widths) == 3} == THESIS
+    assert set(HEADS) - set(THESIS) == {"flat", "gem", "fourier"}
+
+
+@pytest.mark.parametrize(("name", "widths"), THESIS.items())
 def test_head_has_three_layers_and_nothing_after_the_last(name, widths):
     network = build("simple1", name, SIZE)
     layers = [part for part in network.head.modules() if not list(part.children())]

@@ -185,15 +185,24 @@ def test_other_files_are_refused(tmp_path):
             parity(build("simple1", "fc500_500_5", SIZE), tmp_path / name)
 
 
+OF_THE_THESIS = [name for name, widths in HEADS.items() if len(widths) == 3]
+OURS = [name for name in HEADS if name not in OF_THE_THESIS]
+NETWORKS = [
+    *((branch, head, False) for branch in BRANCHES for head in OF_THE_THESIS if branch != "panoresnet"),
+    *((branch, head, True) for branch in ("simple1", "alexnet", "densenet121", "vgg11_bn") for head in OURS),
+    *(("panoresnet", head, circular) for head in OURS for circular in (True, False)),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("head", HEADS)
-@pytest.mark.parametrize("branch", BRANCHES)
-def test_every_network_trains_a_step_and_exports(tmp_path, branch, head):
+@pytest.mark.parametrize(("branch", "head", "circular"), NETWORKS)
+def test_every_network_trains_a_step_and_exports(tmp_path, branch, head, circular):
     size = SIZES.get(branch, SIZE)
-    module = SiameseModule(build(branch, head, size))
+    module = SiameseModule(build(branch, head, size, circular=circular))
     images = torch.randint(0, 256, (2, 4, 3, *size), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
     same = torch.tensor([True, False, True, False])
-    before = module.network.head.layers[-1].weight.clone()
+    last = [part for part in module.network.head.modules() if isinstance(part, torch.nn.Linear)][-1]
+    before = last.weight.clone()
     optimizer = module.configure_optimizers()
     loss = module.training_step({"first": images[0], "second": images[1], "label": (~same).float(), "same": same}, 0)
     loss.backward()
@@ -203,7 +212,7 @@ def test_every_network_trains_a_step_and_exports(tmp_path, branch, head):
         assert torch.isfinite(parameter.grad).all(), name
         assert parameter.ndim == 1 or parameter.grad.any(), name
     optimizer.step()
-    assert not torch.equal(before, module.network.head.layers[-1].weight)
+    assert not torch.equal(before, last.weight)
 
     report = export_onnx(module, tmp_path / "network.onnx", size)
     assert report["parity"]["batches"] == [1, 2, 7]

@@ -1,0 +1,128 @@
+"""Losses over all pairs of a batch: each image is described once, and compared with every other one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.models.registry import SoftContrastive
+from siamloc.settings import takes
+
+
+@dataclass(frozen=True)
+class Origins:
+    """Where the images of a batch come from, one entry for each of N images, on the device of the descriptors.
+
+    Attributes:
+        xy: (N, 2) floating point, in the unit of the positions; NaN where unknown.
+        building: (N,) whole numbers.
+        room: (N,) whole numbers, those of two buildings different; negative where unknown.
+        frame: (N,) whole numbers: a frame that is drawn twice has the same one.
+    """
+
+    xy: Tensor
+    building: Tensor
+    room: Tensor
+    frame: Tensor
+
+    def distances(self) -> Tensor:
+        """Return the distances (N, N): infinite between buildings, NaN where a position is unknown."""
+        apart = torch.linalg.vector_norm(self.xy[:, None] - self.xy[None], dim=2)
+        return torch.where(self.building[:, None] == self.building[None], apart, math.inf)
+
+    def same_room(self) -> Tensor:
+        """Return (N, N) bool: True where both show the same known room."""
+        return (self.room[:, None] == self.room[None]) & (self.room >= 0)[:, None]
+
+
+class SoftContrastiveLoss(nn.Module):
+    """Let each image look like its neighbours in the building, the more so the nearer they are.
+
+    The mean over the images i of the cross-entropy, over all other images j, between the softmax of the similarities
+    and a kernel of the distances in the building, for instance a Gaussian:
+
+        p_ij = exp(-|x_i - x_j|^2 / 2 sigma^2) / sum_k,    q_ij = exp(d_i . d_j / temperature) / sum_k.
+
+    It is InfoNCE with a target that fades with the distance instead of ending at a radius. Images without a neighbour
+    in the batch do not count.
+
+    Args:
+        settings: see `siamloc.models.registry.SoftContrastive`.
+
+    Raises:
+        ConfigError: a parameter that is not positive.
+
+    Example:
+        >>> xy = torch.tensor([[0.0, 0.0], [0.1, 0.0], [5.0, 0.0]])
+        >>> origins = Origins(xy, torch.zeros(3), torch.zeros(3), torch.arange(3))
+        >>> alike = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        >>> bool(SoftContrastiveLoss()(alike, origins) < SoftContrastiveLoss()(alike.roll(1, 0), origins))
+        True
+    """
+
+    @takes(SoftContrastive)
+    def __init__(self, *, settings: SoftContrastive) -> None:
+        super().__init__()
+        self.temperature, self.sigma = float(settings.temperature), float(settings.sigma)
+        self.kernel = settings.kernel
+        self.settings = {"name": "soft_contrastive", **settings.plain()}
+
+    def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Compute the loss of a batch, a scalar.
+
+        Args:
+            descriptors: (N, D), of unit length.
+            origins: of the N images, all with positions.
+
+        Raises:
+            DataError: other shapes.
+        """
+        check_batch(descriptors, origins)
+        with torch.autocast(device_type=descriptors.device.type, enabled=False):
+            found = descriptors.float()
+            itself = torch.eye(len(found), dtype=torch.bool, device=found.device)
+            similarity = (found @ found.T / self.temperature).masked_fill(itself, -math.inf)
+            apart = origins.distances() / self.sigma
+            near = torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2).masked_fill(itself, 0)
+            weight = near.sum(dim=1, keepdim=True)
+            counts = weight[:, 0] > _LEAST_WEIGHT
+            wanted = near / weight.clamp(min=_LEAST_WEIGHT)
+            # The softmax of an image with itself is 0, and its logarithm must not meet the 0 that is wanted.
+            told = similarity.log_softmax(dim=1).masked_fill(itself, 0)
+            cost = -(wanted * told).sum(dim=1)
+            return (cost * counts).sum() / counts.sum().clamp(min=1)
+
+    def extra_repr(self) -> str:
+        """Name the parameters when the loss is printed."""
+        return f"temperature={self.temperature:g}, kernel={self.kernel}, sigma={self.sigma:g}"
+
+
+LOSSES: dict[str, type[SoftContrastiveLoss]] = {"soft_contrastive": SoftContrastiveLoss}
+"""The losses over a batch, by the names that configurations call them."""
+
+_LEAST_WEIGHT = 1e-6
+
+
+def make_loss(name: str, **parameters: Any) -> SoftContrastiveLoss:
+    """Make a loss over a batch by its name.
+
+    Raises:
+        ConfigError: an unknown name or parameter.
+    """
+    if name not in LOSSES:
+        raise ConfigError(f"unknown loss {name!r}: {hint(name, LOSSES)}")
+    return LOSSES[name](settings=parameters)
+
+
+def check_batch(descriptors: Tensor, origins: Origins) -> None:
+    """Raise DataError unless there is a descriptor (N, D) for each of N origins."""
+    if descriptors.ndim != 2 or 0 in descriptors.shape or origins.xy.shape != (len(descriptors), 2):
+        raise DataError(
+            "a loss over a batch needs descriptors (N, D) and as many origins, "
+            f"got {tuple(descriptors.shape)} and {tuple(origins.xy.shape)}"
+        )

@@ -1,0 +1,86 @@
+"""Convolutions and pooling around the azimuth: the columns of a panorama are a full turn, so nothing ends at its sides.
+
+A layer of stride s gives exactly W / s columns where s divides W, and turning the panorama by s columns turns what the
+layer gives by one column.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+class CircularConv2d(nn.Conv2d):
+    """A convolution whose columns wrap around; rows are padded with zeros as they were."""
+
+    def _conv_forward(self, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+        input = _wrapped(input, self.kernel_size[1], self.stride[1], int(self.padding[1]), self.dilation[1])
+        rows = int(self.padding[0])
+        return F.conv2d(input, weight, bias, self.stride, (rows, 0), self.dilation, self.groups)
+
+
+class CircularMaxPool2d(nn.MaxPool2d):
+    """A maximum over windows whose columns wrap around."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """Pool features (B, C, H, W)."""
+        kernel, stride, padding = (_pair(value) for value in (self.kernel_size, self.stride, self.padding))
+        input = _wrapped(input, kernel[1], stride[1], padding[1])
+        return F.max_pool2d(input, kernel, stride, (padding[0], 0), ceil_mode=self.ceil_mode)
+
+
+def circular(module: nn.Module) -> nn.Module:
+    """Let all convolutions and pools of a module wrap around the azimuth, in place; names and weights stay.
+
+    Returns:
+        The module, or what takes its place where it is such a layer itself.
+
+    Example:
+        >>> from torch import nn
+        >>> layer = circular(nn.Sequential(nn.Conv2d(3, 8, kernel_size=5, stride=2, padding=2)))
+        >>> panorama = torch.rand(1, 3, 32, 64)
+        >>> turned = layer(panorama.roll(2, dims=3))
+        >>> torch.allclose(turned, layer(panorama).roll(1, dims=3), atol=1e-6)
+        True
+    """
+    for name, part in module.named_children():
+        setattr(module, name, circular(part))
+    if type(module) is nn.Conv2d and isinstance(module.padding, tuple):
+        return _same_weights(
+            module,
+            CircularConv2d(
+                module.in_channels,
+                module.out_channels,
+                module.kernel_size,  # type: ignore[arg-type]
+                module.stride,  # type: ignore[arg-type]
+                module.padding,  # type: ignore[arg-type]
+                module.dilation,  # type: ignore[arg-type]
+                module.groups,
+                bias=module.bias is not None,
+                device="meta",
+            ),
+        )
+    if type(module) is nn.MaxPool2d:
+        return CircularMaxPool2d(module.kernel_size, module.stride, module.padding, ceil_mode=module.ceil_mode)
+    return module
+
+
+def _same_weights(source: nn.Conv2d, target: nn.Conv2d) -> nn.Conv2d:
+    target.weight, target.bias = source.weight, source.bias
+    return target.train(source.training)
+
+
+def _wrapped(features: Tensor, kernel: int, stride: int, left: int, dilation: int = 1) -> Tensor:
+    """Return features with columns of the other side on the left, as many as were padded there, and on the right."""
+    right = max(dilation * (kernel - 1) + 1 - stride - left, 0)
+    parts = [features]
+    if left:
+        parts.insert(0, features[..., -left:])
+    if right:
+        parts.append(features[..., :right])
+    return torch.cat(parts, dim=-1) if len(parts) > 1 else features
+
+
+def _pair(value: int | tuple[int, ...]) -> tuple[int, int]:
+    return (value, value) if isinstance(value, int) else (int(value[0]), int(value[1]))

@@ -1,0 +1,160 @@
+"""Heads: from the features of a panorama, (B, C, h, w), to its descriptor, (B, D)."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from siamloc.models.registry import head_widths
+
+_SMALLEST = 1e-6
+
+
+class Head(nn.Module):
+    """Base of all heads.
+
+    Attributes:
+        name: a name in `HEADS`.
+        outputs: length D of a descriptor.
+    """
+
+    outputs: int
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+
+
+class FullyConnected(Head):
+    """Three fully connected layers with a ReLU between them ([T] table 5.2).
+
+    Nothing follows the last layer, and there is no softmax before it: a softmax would press the descriptors of all
+    places together, and the published code of the thesis has none.
+
+    Args:
+        name: what the head is called.
+        shape: (C, h, w) of the features.
+        widths: neurons of the three layers; the last number is D.
+    """
+
+    def __init__(self, name: str, shape: tuple[int, int, int], widths: tuple[int, ...]) -> None:
+        super().__init__(name)
+        first, second, self.outputs = widths
+        self.layers = nn.Sequential(
+            nn.Flatten(),
+            nn.Linear(shape[0] * shape[1] * shape[2], first),
+            nn.ReLU(inplace=True),
+            nn.Linear(first, second),
+            nn.ReLU(inplace=True),
+            nn.Linear(second, self.outputs),
+        )
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return the descriptors of features (B, C, h, w)."""
+        return self.layers(features)
+
+
+class Flat(Head):
+    """One fully connected layer over all features, scaled to unit length: what is seen where, relative to the robot.
+
+    Args:
+        name: what the head is called.
+        shape: (C, h, w) of the features.
+        outputs: length D of a descriptor.
+    """
+
+    def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
+        super().__init__(name)
+        self.outputs = outputs
+        self.layer = nn.Linear(shape[0] * shape[1] * shape[2], outputs)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return the descriptors of features (B, C, h, w)."""
+        return F.normalize(self.layer(features.flatten(1)))
+
+
+class GeneralizedMean(Head):
+    """The generalized mean of each channel over the panorama, then one layer, scaled to unit length [Radenovic 2018].
+
+    The mean of the p-th powers, to the power 1 / p; p is learned and begins with 3. p = 1 is the average, a large p the
+    maximum. It forgets where in the panorama something is.
+
+    Args:
+        name: what the head is called.
+        shape: (C, h, w) of the features.
+        outputs: length D of a descriptor.
+    """
+
+    def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
+        super().__init__(name)
+        self.outputs = outputs
+        self.power = nn.Parameter(torch.empty(1))
+        self.layer = nn.Linear(shape[0], outputs)
+
+    def reset(self) -> None:
+        """Let the power begin with 3."""
+        nn.init.constant_(self.power, 3.0)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return the descriptors of features (B, C, h, w)."""
+        powers = features.clamp(min=_SMALLEST) ** self.power
+        return F.normalize(self.layer(powers.mean(dim=(2, 3)) ** (1 / self.power)))
+
+
+class Fourier(Head):
+    """The Fourier magnitudes of each row of each channel along the azimuth, then one layer, scaled to unit length.
+
+    Turning a signal changes the phases of its Fourier series alone. So where the branch wraps around
+    (`siamloc.models.build(..., circular=True)`), a robot that has turned by a whole column of the features has the same
+    descriptor, and nearly the same in between; the rows still say where in elevation something is.
+
+    Args:
+        name: what the head is called.
+        shape: (C, h, w) of the features.
+        outputs: length D of a descriptor.
+    """
+
+    cosine: Tensor
+    sine: Tensor
+
+    def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
+        super().__init__(name)
+        self.outputs = outputs
+        channels, rows, columns = shape
+        frequencies = columns // 2 + 1
+        for part in ("cosine", "sine"):
+            self.register_buffer(part, torch.empty(columns, frequencies), persistent=False)
+        self.layer = nn.Linear(channels * rows * frequencies, outputs)
+
+    def reset(self) -> None:
+        """Fill in the Fourier basis, scaled so that the transform keeps the length of a signal."""
+        columns, frequencies = self.cosine.shape
+        angle = torch.arange(columns, dtype=torch.float64)[:, None] * torch.arange(frequencies, dtype=torch.float64)
+        angle = (angle % columns) * (2 * torch.pi / columns)
+        with torch.no_grad():
+            self.cosine.copy_(angle.cos() / columns**0.5)
+            self.sine.copy_(angle.sin() / columns**0.5)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return the descriptors of features (B, C, h, w)."""
+        # As a product with the basis: w is small, and every device and runtime has it.
+        squared = (features @ self.cosine) ** 2 + (features @ self.sine) ** 2
+        return F.normalize(self.layer((squared + _SMALLEST).sqrt().flatten(1)))
+
+
+_KINDS: dict[str, type[Flat] | type[GeneralizedMean] | type[Fourier]] = {
+    "flat": Flat,
+    "gem": GeneralizedMean,
+    "fourier": Fourier,
+}
+
+
+def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None) -> Head:
+    """Make a head by its name for features of a shape (C, h, w).
+
+    Raises:
+        ConfigError: an unknown name, or outputs for a head that has its own.
+    """
+    widths = head_widths(name, outputs)
+    return _KINDS[name](name, shape, widths[0]) if name in _KINDS else FullyConnected(name, shape, widths)

@@ -1,0 +1,131 @@
+"""What every training of a network shares: its optimizer, what is logged, and what a checkpoint says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import ConfigError, DataError
+from siamloc.models.checkpoint import CONTENT_KEY, FORMAT_VERSION
+from siamloc.models.describing import identity_of, margin_of
+from siamloc.models.registry import Optimizer
+
+ensure_torchvision()
+
+from lightning.pytorch import LightningModule  # noqa: E402
+
+
+class NetworkModule(LightningModule):
+    """Base of the modules that train a network.
+
+    Args:
+        network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
+        loss: a module, whose parameters are trained as well, or a function.
+        optimizer: how the weights are updated.
+
+    Raises:
+        ConfigError: a network that is no module, or a loss that cannot be called.
+    """
+
+    def __init__(self, network: nn.Module, loss: Any, optimizer: Optimizer | None = None) -> None:
+        super().__init__()
+        if not isinstance(network, nn.Module):
+            raise ConfigError(f"a network is a torch module, such as siamloc.models.build makes, got {network!r}")
+        if not callable(loss):
+            raise ConfigError(f"a loss is a function or a module that gives a scalar, got {loss!r}")
+        self.network = network
+        self.loss = loss
+        self.optimizer = Optimizer() if optimizer is None else optimizer
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """That of the network: see `NetworkDescriptor`."""
+        return identity_of(self.network)
+
+    def forward(self, panorama: Tensor) -> Tensor:
+        """Compute the descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1]."""
+        return self.network(panorama)
+
+    def configure_optimizers(self) -> Any:
+        """Make the optimizer of all weights, those of the loss included, and the schedule of its learning rate."""
+        settings = self.optimizer
+        common: dict[str, Any] = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
+        if settings.name == "sgd":
+            made: torch.optim.Optimizer = torch.optim.SGD(self.parameters(), momentum=settings.momentum, **common)
+        else:
+            kind = torch.optim.Adam if settings.name == "adam" else torch.optim.AdamW
+            made = kind(self.parameters(), betas=(settings.momentum, 0.999), **common)
+        if settings.schedule == "constant":
+            return made
+        steps = int(self.trainer.estimated_stepping_batches)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(
+            made, settings.learning_rate, total_steps=max(steps, 2), pct_start=settings.warm_up, cycle_momentum=False
+        )
+        return {"optimizer": made, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+    def content(self) -> dict[str, Any]:
+        """Describe in plain values what is trained: the network, the loss and the optimizer."""
+        loss: dict[str, Any] = {"class": name_of(self.loss), **getattr(self.loss, "settings", {})}
+        if margin_of(self.loss) is not None:
+            loss["margin"] = margin_of(self.loss)
+        model = getattr(self.network, "settings", None)
+        if not isinstance(model, dict) or "branch" not in model:
+            model = {"class": name_of(self.network)}
+        return {"model": model, "loss": loss, "optimizer": self.optimizer.plain()}
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Write what `siamloc.models.load` needs alongside the weights."""
+        checkpoint[CONTENT_KEY] = {"format": FORMAT_VERSION, **self.content()}
+
+    def log_epoch(self, stage: str, values: Mapping[str, Any]) -> None:
+        """Log the figures of an epoch as `stage/name`.
+
+        Raises:
+            ConfigError: the loss is not finite.
+        """
+        loss = values.get("loss")
+        if loss is not None and not bool(torch.isfinite(torch.as_tensor(loss))):
+            raise ConfigError(
+                f"the training diverged: {stage}/loss of epoch {self.current_epoch + 1} is {float(loss)}; train again "
+                f"with a smaller optimizer.learning_rate than {self.optimizer.learning_rate:g}"
+            )
+        # The sums are already those of all processes; averaging equal numbers over them changes nothing.
+        self.log_dict({f"{stage}/{name}": value for name, value in values.items()}, sync_dist=True)
+
+
+def name_of(thing: object) -> str:
+    """Name a function, or the class of an object, wherever it is defined."""
+    return str(getattr(thing, "__qualname__", type(thing).__qualname__))
+
+
+def shown(value: Any) -> str:
+    """Describe what a network or a loss gave, for an error message."""
+    return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+
+
+def checked_descriptors(descriptors: Any, images: int) -> Tensor:
+    """Return what a network gave for so many images.
+
+    Raises:
+        DataError: it is not one descriptor per image.
+    """
+    if not isinstance(descriptors, Tensor) or descriptors.ndim != 2 or len(descriptors) != images:
+        raise DataError(
+            f"the network must give one descriptor per image, shape ({images}, D), got {shown(descriptors)}"
+        )
+    return descriptors
+
+
+def checked_loss(loss: Any, kind: object) -> Tensor:
+    """Return what a loss gave.
+
+    Raises:
+        DataError: it is not one number.
+    """
+    if not isinstance(loss, Tensor) or loss.numel() != 1:
+        raise DataError(f"the loss {name_of(kind)} must give one number, got {shown(loss)}")
+    return loss.squeeze()

@@ -1,0 +1,109 @@
+"""What happens in a step of training on places, all pairs of a batch at once: the `LightningModule`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor, nn
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import DataError
+from siamloc.models.batch_losses import Origins, SoftContrastiveLoss
+from siamloc.models.describing import as_float
+from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
+from siamloc.models.registry import Optimizer
+
+ensure_torchvision()
+
+BatchLoss = Callable[[Tensor, Origins], Tensor]
+
+_KEYS = ("images", "xy", "building", "room", "frame")
+_ROOMS_NEED = 2
+
+
+class PlaceModule(NetworkModule):
+    """Train a network on all pairs of a batch.
+
+    A batch is a dictionary with `images` (N, 3, H, W), uint8 or floating point in [0, 1], and what `Origins` holds:
+    `xy`, `building`, `room`, `frame`. A batch of the validation has `known` (N,) bool as well: True for frames of the
+    map, in which the others are looked for.
+
+    Logged at the end of an epoch: `train/loss` and `train/spread`, the mean distance of descriptors from their mean,
+    near 0 where the network gives every image the same descriptor; of the validation `val/error`, the mean distance
+    from the map frame with the nearest descriptor, `val/median`, and `val/room`, the share whose room it has.
+
+    Args:
+        network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
+        loss: (descriptors (N, D), `Origins`) -> scalar, a module or a function; a `SoftContrastiveLoss` if None.
+        optimizer: how the weights are updated.
+
+    Raises:
+        ConfigError: a network that is no module, or a loss that cannot be called.
+    """
+
+    def __init__(self, network: nn.Module, loss: BatchLoss | None = None, optimizer: Optimizer | None = None) -> None:
+        super().__init__(network, SoftContrastiveLoss() if loss is None else loss, optimizer)
+        self._sums = torch.zeros(3, dtype=torch.float64)
+        self._described: list[dict[str, Tensor]] = []
+
+    def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
+        """Compute the loss of a batch."""
+        origins = _origins(batch)
+        descriptors = checked_descriptors(self.network(as_float(batch["images"])), len(batch["images"]))
+        if self._trainer is not None and self.trainer.world_size > 1:
+            descriptors, origins = self._of_all(descriptors, origins)
+        loss = checked_loss(self.loss(descriptors, origins), self.loss)
+        seen = descriptors.detach()
+        apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)
+        self._sums += torch.stack([loss.detach(), apart.mean(), torch.ones_like(loss)]).double().cpu()
+        if self._trainer is not None:
+            self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=True, batch_size=1)
+        return loss
+
+    def on_train_epoch_end(self) -> None:
+        """Log the figures of the training epoch."""
+        loss, spread, count = self._sums.tolist()
+        self._sums.zero_()
+        if count:
+            self.log_epoch("train", {"loss": loss / count, "spread": spread / count})
+
+    def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
+        """Describe a batch of map frames and queries."""
+        if "known" not in batch:
+            raise DataError("a batch of the validation needs known, which says what belongs to the map")
+        found = checked_descriptors(self.network(as_float(batch["images"])), len(batch["images"])).float()
+        self._described.append({"descriptors": found, **{key: batch[key] for key in (*_KEYS[1:], "known")}})
+
+    def on_validation_epoch_end(self) -> None:
+        """Look for the queries in the map, and log how far off they are found."""
+        parts, self._described = self._described, []
+        if not parts:
+            return
+        whole = {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
+        known, query = whole["known"], ~whole["known"]
+        match = torch.cdist(whole["descriptors"][query], whole["descriptors"][known]).argmin(dim=1)
+        error = torch.linalg.vector_norm(whole["xy"][query] - whole["xy"][known][match], dim=1)
+        error = error[torch.isfinite(error)]
+        figures = {"error": error.mean(), "median": error.median()} if len(error) else {}
+        rooms = whole["room"][known]
+        if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED:
+            asked = whole["room"][query]
+            figures["room"] = (rooms[match] == asked)[asked >= 0].double().mean().float()
+        self.log_epoch("val", figures)
+
+    def _of_all(self, descriptors: Tensor, origins: Origins) -> tuple[Tensor, Origins]:
+        """Gather the batch of all processes, with gradients."""
+
+        def gathered(value: Tensor, grads: bool = False) -> Tensor:
+            return self.all_gather(value, sync_grads=grads).flatten(0, 1)  # type: ignore[union-attr]
+
+        fields = {name: gathered(getattr(origins, name)) for name in _KEYS[1:]}
+        return gathered(descriptors, grads=True), Origins(**fields)
+
+
+def _origins(batch: Mapping[str, Tensor]) -> Origins:
+    missing = [key for key in _KEYS if key not in batch]
+    if missing:
+        raise DataError(f"a batch of places needs {', '.join(_KEYS)}; missing: {', '.join(missing)}")
+    return Origins(**{key: batch[key] for key in _KEYS[1:]})

@@ -1,0 +1,179 @@
+"""`PlaceDataModule`: batches of places for training, and the frames of a validation drive with those of the map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.places import PlaceSampler, PlaceSettings
+from siamloc.training.batches import EpochSampler, PairAugmentation
+
+ensure_torchvision()
+from lightning.pytorch import LightningDataModule  # noqa: E402
+
+_DESCRIBED_AT_ONCE = 64
+_VALIDATED_WITH = 500  # map frames, and queries, at most
+
+
+class PlaceBatches(Dataset[dict[str, Any]]):
+    """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.
+
+    Each item is a dictionary: `images` (N, 3, H, W) uint8, `xy` (N, 2) float32, `building`, `room` and `frame` (N,).
+
+    Args:
+        library: decoded panoramas.
+        sampler: draws the frames.
+        augmentation: what happens to the images, if anything.
+        rank: number of this process among those that train together.
+        world_size: how many those are.
+    """
+
+    def __init__(
+        self,
+        library: PanoramaLibrary,
+        sampler: PlaceSampler,
+        augmentation: PairAugmentation | None = None,
+        rank: int = 0,
+        world_size: int = 1,
+    ) -> None:
+        self._library = library
+        self._sampler = sampler
+        self._rows = library.rows(sampler.frames)
+        self._origins = origins_of(sampler.frames)
+        self._augmentation = augmentation
+        self._rank, self._world_size = rank, world_size
+
+    def __len__(self) -> int:
+        return len(self._sampler)
+
+    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
+        epoch, batch = number
+        if not 0 <= batch < len(self):
+            raise IndexError(f"batch {batch} of {len(self)}")
+        rows = self._sampler.batch(epoch, batch, self._rank, self._world_size)
+        images = torch.from_numpy(self._library.batch(self._rows[rows]))
+        item: dict[str, Any] = {"images": images, **{name: value[rows] for name, value in self._origins.items()}}
+        if self._augmentation is not None:
+            mine = slice(self._rank * len(rows), (self._rank + 1) * len(rows))
+            params = self._augmentation.draw_batch(
+                epoch, batch, len(rows) * self._world_size, self._library.image_shape, mine
+            )
+            if self._augmentation.where == "gpu":
+                item["change"] = params
+            else:
+                item["images"] = self._augmentation.effect.apply(images, params)
+        return item
+
+
+class _ValidationBatches(Dataset[dict[str, Any]]):
+    """Frames of the map, then queries, in batches; every process has all of them."""
+
+    def __init__(self, library: PanoramaLibrary, known: FrameTable, queries: FrameTable) -> None:
+        self._library = library
+        self._rows = np.concatenate([library.rows(known), library.rows(queries)])
+        parts = origins_of(known, queries)
+        self._columns = {**parts, "known": torch.arange(len(self._rows)) < len(known)}
+
+    def __len__(self) -> int:
+        return -(-len(self._rows) // _DESCRIBED_AT_ONCE)
+
+    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
+        rows = slice(number[1] * _DESCRIBED_AT_ONCE, (number[1] + 1) * _DESCRIBED_AT_ONCE)
+        images = torch.from_numpy(self._library.batch(self._rows[rows]))
+        return {"images": images, **{name: value[rows] for name, value in self._columns.items()}}
+
+
+class PlaceDataModule(LightningDataModule):
+    """Serve batches of places to a `PlaceModule`.
+
+    The batches of an epoch follow from the seed and the number of the epoch, so that a resumed run sees those it would
+    have seen. It works with any `Trainer` as it is.
+
+    Args:
+        library: decoded panoramas of all frames.
+        train: training frames, among those of the library.
+        validation: frames that are looked for among the training frames after every epoch, or None. Of both at most
+            500 are taken, evenly.
+        places: which images a batch has; the defaults of `PlaceSettings` if None.
+        workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
+        augmentation: what happens to training images; nothing if None.
+        seed: of the batches.
+    """
+
+    def __init__(
+        self,
+        library: PanoramaLibrary,
+        train: FrameTable,
+        validation: FrameTable | None = None,
+        *,
+        places: PlaceSettings | None = None,
+        workers: int = 0,
+        augmentation: PairAugmentation | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self._library = library
+        self._workers = int(workers)
+        self._augmentation = augmentation
+        self.sampler = PlaceSampler(train, places, seed=seed)
+        self._validation = validation
+
+    def train_dataloader(self) -> DataLoader[Any]:
+        """Make the loader of the training batches."""
+        epoch, rank, world_size = 0, 0, 1
+        if self.trainer is not None:
+            # A trainer that resumes asks for the first batches before it calls `set_epoch`, with this number.
+            epoch = self.trainer.fit_loop.epoch_progress.current.processed  # type: ignore[attr-defined]
+            rank, world_size = self.trainer.global_rank, self.trainer.world_size
+        batches = PlaceBatches(self._library, self.sampler, self._augmentation, rank, world_size)
+        return self._loader(batches, epoch)
+
+    def val_dataloader(self) -> DataLoader[Any] | list[Any]:
+        """Make the loader of the validation; an empty list where there are no validation frames."""
+        if self._validation is None:
+            return []
+        known, queries = (_evenly(frames) for frames in (self.sampler.frames, self._validation))
+        return self._loader(_ValidationBatches(self._library, known, queries), None)
+
+    def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
+        """Apply the augmentation that was put off until the batch is on the device."""
+        params = batch.pop("change", None)
+        if params is not None and self._augmentation is not None:
+            batch["images"] = self._augmentation.effect.apply(batch["images"], params)
+        return batch
+
+    def _loader(self, batches: PlaceBatches | _ValidationBatches, epoch: int | None) -> DataLoader[Any]:
+        return DataLoader(
+            batches,
+            batch_size=None,
+            sampler=EpochSampler(batches, epoch),
+            num_workers=self._workers,
+            persistent_workers=self._workers > 0,
+            generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator
+        )
+
+
+def origins_of(*tables: FrameTable) -> dict[str, Tensor]:
+    """Return where the frames of tables come from, one after the other, as `siamloc.models.Origins` holds it."""
+    place = np.concatenate([frames.place for frames in tables])
+    unknown = np.concatenate([frames.room == "" for frames in tables])
+    room = np.where(unknown, -1, np.unique(place, return_inverse=True)[1])
+    building = np.unique(np.concatenate([frames.building for frames in tables]), return_inverse=True)[1]
+    return {
+        "xy": torch.from_numpy(np.concatenate([frames.xy for frames in tables])).float(),
+        "building": torch.from_numpy(building),
+        "room": torch.from_numpy(room),
+        "frame": torch.arange(len(place)),
+    }
+
+
+def _evenly(frames: FrameTable) -> FrameTable:
+    count = min(len(frames), _VALIDATED_WITH)
+    return frames.take(np.linspace(0, len(frames) - 1, count).round().astype(np.int64))

@@ -1,0 +1,112 @@
+"""Recipes: everything that a training is made of, under one name. Loads no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.errors import ConfigError, hint
+from siamloc.runs import Run
+
+if TYPE_CHECKING:
+    from siamloc.models.network import Network
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A network, a loss, an augmentation and the settings of the training, as plain values.
+
+    Attributes:
+        image_size: rows and columns of the panoramas.
+        model: arguments of `siamloc.models.build`.
+        loss: name and parameters of a loss over batches of places; None for the contrastive loss of pairs.
+        augmentation: as `siamloc.training.fit` takes it.
+        training: fields of `siamloc.training.Training`.
+        trainer: arguments of Lightning's trainer.
+
+    Example:
+        >>> recipe("modern").training["pairs"]["near"]
+        0.5
+    """
+
+    image_size: tuple[int, int]
+    model: Mapping[str, Any]
+    training: Mapping[str, Any]
+    loss: Mapping[str, Any] | None = None
+    augmentation: Mapping[str, Any] = field(default_factory=lambda: {"name": "none"})
+    trainer: Mapping[str, Any] = field(default_factory=dict)
+
+    def build(self, image_size: Sequence[int] | None = None, seed: int = 0, **changes: Any) -> Network:
+        """Make the network, for panoramas of another size if one is given; see `siamloc.models.build`."""
+        from siamloc.models import build
+
+        return build(**{**self.model, "image_size": image_size or self.image_size, "seed": seed, **changes})
+
+    def fit(
+        self,
+        network: Any,
+        images: PanoramaLibrary,
+        frames: FrameTable,
+        *,
+        run: str | Path | Run,
+        validation: FrameTable | None = None,
+        **changes: Any,
+    ) -> Run:
+        """Train a network by the recipe; what is given besides takes the place of the recipe's own settings.
+
+        `pairs`, `optimizer` and `trainer` are changed key by key; `siamloc.training.fit` says what there is, and what
+        it raises.
+        """
+        from siamloc.models.batch_losses import make_loss
+        from siamloc.training.fitting import fit
+
+        options = {"augmentation": dict(self.augmentation), "trainer": dict(self.trainer), **self.training}
+        if self.loss is not None:
+            options["loss"] = make_loss(**self.loss)
+        for key, value in changes.items():
+            nested = key in ("pairs", "optimizer", "trainer") and isinstance(value, Mapping)
+            options[key] = {**options.get(key, {}), **value} if nested else value
+        return fit(network, images, frames, run=run, validation=validation, **options)
+
+
+RECIPES: dict[str, Recipe] = {
+    "modern": Recipe(
+        image_size=(64, 256),
+        model={"branch": "panoresnet", "head": "fourier", "circular": True},
+        loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.2},
+        augmentation={"name": "lighting", "rotate": 1.0},
+        training={
+            "epochs": 12,
+            "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 50},
+            "optimizer": {"name": "adamw", "learning_rate": 0.002, "weight_decay": 0.01, "schedule": "one_cycle"},
+            "clip": 1.0,
+            "average": 0.98,
+        },
+        trainer={"precision": "auto"},
+    ),
+}
+"""Our recipes, by the names of the files in conf/experiment.
+
+`modern`: any data with positions in metres. A small residual network that wraps around the azimuth, trained from random
+weights on batches of places, some five minutes on two processor cores.
+"""
+
+
+def recipe(name: str) -> Recipe:
+    """Look up a recipe by its name.
+
+    Raises:
+        ConfigError: an unknown name.
+
+    Example:
+        >>> recipe = siamloc.training.recipe("modern")  # doctest: +SKIP
+        >>> network = recipe.build()  # doctest: +SKIP
+        >>> recipe.fit(network, images, monday, run="runs/robot", validation=wednesday)  # doctest: +SKIP
+    """
+    if name not in RECIPES:
+        raise ConfigError(f"unknown recipe {name!r}: {hint(name, RECIPES)}")
+    return RECIPES[name]

@@ -1,0 +1,107 @@
+"""Batches of places: what is near what, which lightings meet, and that the draw follows from its numbers alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.places import PlaceSampler, PlaceSettings
+from siamloc.errors import ConfigError, DataError
+
+
+def building(drives=("cloudy", "night", "sunny"), length=40, apart=0.5, **columns):
+    """Drives along one corridor, a frame every half metre."""
+    rows = [
+        {
+            "path": f"{drive}/{number}",
+            "x": apart * number,
+            "y": 0.1 * at,
+            "lighting": drive,
+            "sequence": drive,
+            **columns,
+        }
+        for at, drive in enumerate(drives)
+        for number in range(length)
+    ]
+    return FrameTable.from_rows(rows)
+
+
+def grouped(frames, rows, images):
+    return frames.xy[rows].reshape(-1, images, 2), frames.lighting[rows].reshape(-1, images)
+
+
+def test_images_of_a_place_lie_near_its_first_and_under_every_lighting():
+    frames = building()
+    sampler = PlaceSampler(frames, PlaceSettings(places=8, images=3, radius=0.3))
+    for number in range(5):
+        rows = sampler.batch(0, number)
+        assert len(rows) == 24
+        xy, lighting = grouped(frames, rows, 3)
+        assert np.linalg.norm(xy - xy[:, :1], axis=2).max() <= 0.3
+        assert all(len(set(place)) == 3 for place in lighting.tolist())
+
+
+def test_more_images_than_a_place_has_are_the_same_ones_again():
+    frames = building(drives=("cloudy",))
+    rows = PlaceSampler(frames, PlaceSettings(places=4, images=3, radius=0.1)).batch(0, 0).reshape(4, 3)
+    assert (rows == rows[:, :1]).all()
+
+
+def test_near_places_lie_within_reach_of_another_place():
+    frames = building(drives=("cloudy",), length=2000)
+    sampler = PlaceSampler(frames, PlaceSettings(places=20, images=1, near=0.5, reach=1.0))
+    xy = frames.xy[sampler.batch(3, 1)]
+    apart = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    assert (apart.min(axis=1) <= 1.0).sum() >= 10
+    far = frames.xy[PlaceSampler(frames, PlaceSettings(places=20, images=1, near=0.0)).batch(3, 1)]
+    assert len(np.unique(far, axis=0)) == 20
+
+
+def test_frames_of_two_buildings_at_one_position_are_two_places():
+    frames = FrameTable.from_rows(
+        [
+            {"path": f"{name}{number}", "x": 5.0 * number, "y": 0.0, "building": name}
+            for name in ("a", "b")
+            for number in range(10)
+        ]
+    )
+    rows = PlaceSampler(frames, PlaceSettings(places=6, images=4, radius=1.0)).batch(0, 0).reshape(6, 4)
+    assert (frames.building[rows] == frames.building[rows[:, :1]]).all()
+
+
+def test_a_batch_follows_from_seed_epoch_and_number():
+    frames, settings = building(), PlaceSettings(places=5, images=2)
+    first = PlaceSampler(frames, settings, seed=4)
+    rows = first.batch(2, 3)
+    first.batch(0, 0)
+    assert np.array_equal(PlaceSampler(frames, settings, seed=4).batch(2, 3), rows)
+    others = [first.batch(2, 4), first.batch(1, 3), PlaceSampler(frames, settings, seed=5).batch(2, 3)]
+    assert not any(np.array_equal(other, rows) for other in others)
+
+
+def test_two_processes_share_one_batch_of_twice_the_places():
+    frames = building()
+    two = PlaceSampler(frames, PlaceSettings(places=4, images=2, near=0.5), seed=1)
+    one = PlaceSampler(frames, PlaceSettings(places=8, images=2, near=0.5), seed=1)
+    shares = [two.batch(1, 2, rank, 2) for rank in (0, 1)]
+    assert np.array_equal(np.concatenate(shares), one.batch(1, 2))
+
+
+def test_an_epoch_shows_every_frame_once_on_average():
+    assert len(PlaceSampler(building(), PlaceSettings(places=4, images=3))) == 10
+    assert len(PlaceSampler(building(), PlaceSettings(epoch_batches=7))) == 7
+
+
+def test_what_cannot_be_drawn_is_refused():
+    frames = building()
+    with pytest.raises(ConfigError, match="a batch of one place has nothing to tell apart"):
+        PlaceSampler(frames, PlaceSettings(places=1))
+    with pytest.raises(ConfigError, match=r"a batch of 200 places cannot be drawn from 120 frames: set pairs\.places"):
+        PlaceSampler(frames, PlaceSettings(places=100)).batch(0, 0, 0, 2)
+    with pytest.raises(ConfigError, match="need epoch >= 0 and 0 <= rank < world_size, got 0, 2 and 2"):
+        PlaceSampler(frames).batch(0, 0, 2, 2)
+    nowhere = FrameTable(path=["a", "b"], x=[0.0, np.nan], y=[0.0, np.nan])
+    with pytest.raises(DataError, match="1 of 2 frames have no position, by which places are drawn"):
+        PlaceSampler(nowhere)

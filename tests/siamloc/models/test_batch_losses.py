@@ -1,0 +1,106 @@
+"""Losses over a batch against loops, their gradients, and their refusals."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.models.batch_losses import Origins, SoftContrastiveLoss, make_loss
+from tests.oracles.soft_contrastive import soft_contrastive_loss
+
+
+def origins(xy, building=None, room=None):
+    count = len(xy)
+    building = torch.zeros(count, dtype=torch.int64) if building is None else torch.as_tensor(building)
+    room = torch.zeros(count, dtype=torch.int64) if room is None else torch.as_tensor(room)
+    return Origins(torch.as_tensor(xy), building, room, torch.arange(count))
+
+
+def draw(images, dimensions, seed):
+    generator = torch.Generator().manual_seed(seed)
+    descriptors = F.normalize(torch.randn(images, dimensions, generator=generator))
+    xy = 2 * torch.rand(images, 2, generator=generator)
+    return descriptors, xy, torch.randint(0, 2, (images,), generator=generator)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    images=st.integers(2, 9),
+    dimensions=st.integers(1, 8),
+    temperature=st.floats(0.05, 2),
+    sigma=st.floats(0.1, 3),
+    kernel=st.sampled_from(["gaussian", "exponential"]),
+    seed=st.integers(0, 1000),
+)
+def test_agrees_with_a_loop_over_pairs(images, dimensions, temperature, sigma, kernel, seed):
+    descriptors, xy, building = draw(images, dimensions, seed)
+    loss = SoftContrastiveLoss(temperature=temperature, sigma=sigma, kernel=kernel)(descriptors, origins(xy, building))
+    expected = soft_contrastive_loss(descriptors.tolist(), xy.tolist(), building.tolist(), temperature, sigma, kernel)
+    # float32 against float64: similarities up to 1 / 0.05 are rounded at 1e-6 of their size.
+    assert loss.item() == pytest.approx(expected, rel=1e-4, abs=1e-5)
+
+
+def test_an_image_without_a_neighbour_does_not_count():
+    descriptors, xy, _ = draw(4, 3, 0)
+    lonely = torch.cat([xy, torch.tensor([[500.0, 500.0]])])
+    five = torch.cat([descriptors, F.normalize(torch.ones(1, 3))])
+    expected = soft_contrastive_loss(five.tolist(), lonely.tolist(), [0] * 5, 0.07, 0.4)
+    assert SoftContrastiveLoss()(five, origins(lonely)).item() == pytest.approx(expected, rel=1e-4)
+    far = torch.tensor([[0.0, 0.0], [90.0, 0.0]])
+    assert SoftContrastiveLoss()(descriptors[:2], origins(far)).item() == 0
+
+
+def test_gradients_are_finite_also_where_descriptors_are_equal():
+    descriptors = F.normalize(torch.ones(6, 4)).requires_grad_()
+    loss = SoftContrastiveLoss()(descriptors, origins(torch.rand(6, 2)))
+    loss.backward()
+    assert torch.isfinite(loss)
+    assert torch.isfinite(descriptors.grad).all()
+
+
+def test_descending_brings_neighbours_together():
+    xy = torch.tensor([[0.0, 0], [0.1, 0], [5, 0], [5.1, 0]])
+    weights = torch.randn(4, 8, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    optimizer = torch.optim.Adam([weights], lr=0.1)
+    for _ in range(50):
+        optimizer.zero_grad()
+        SoftContrastiveLoss()(F.normalize(weights), origins(xy)).backward()
+        optimizer.step()
+    alike = F.normalize(weights.detach()) @ F.normalize(weights.detach()).T
+    assert alike[0, 1] > 0.8
+    assert alike[2, 3] > 0.8
+    assert alike[:2, 2:].max() < 0.5
+
+
+def test_distances_and_rooms_of_a_batch():
+    known = origins([[0.0, 0.0], [3.0, 4.0], [math.nan, 0.0]], building=[0, 0, 1], room=[1, 1, -1])
+    apart = known.distances()
+    assert apart[0, 1] == 5
+    assert math.isinf(apart[0, 2])
+    assert known.same_room().tolist() == [[True, True, False], [True, True, False], [False, False, False]]
+
+
+@pytest.mark.parametrize(("name", "value"), [("temperature", 0), ("sigma", -1), ("sigma", math.nan), ("sigma", "wide")])
+def test_parameters_out_of_range_are_refused(name, value):
+    with pytest.raises(ConfigError, match=rf"loss\.{name} must be a number above 0"):
+        SoftContrastiveLoss(**{name: value})
+
+
+def test_other_shapes_are_refused():
+    with pytest.raises(DataError, match=r"got \(3, 2\) and \(2, 2\)"):
+        SoftContrastiveLoss()(torch.rand(3, 2), origins(torch.rand(2, 2)))
+
+
+def test_a_loss_is_made_by_its_name():
+    loss = make_loss("soft_contrastive", sigma=0.2)
+    assert loss.settings == {"name": "soft_contrastive", "temperature": 0.07, "kernel": "gaussian", "sigma": 0.2}
+    with pytest.raises(ConfigError, match="did you mean 'soft_contrastive'"):
+        make_loss("soft_contrast")
+    with pytest.raises(ConfigError, match=r"unknown key loss\.sigm: did you mean 'sigma'"):
+        make_loss("soft_contrastive", sigm=0.2)

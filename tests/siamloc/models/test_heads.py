@@ -1,0 +1,87 @@
+"""Heads of unit length: what they keep and what they forget."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from siamloc.errors import ConfigError
+from siamloc.models import BRANCHES, build
+from siamloc.models.heads import make_head
+
+SIZE = (64, 256)
+
+
+def images(count=2, seed=0):
+    return torch.rand(count, 3, *SIZE, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("head", ["flat", "gem", "fourier"])
+def test_descriptors_have_unit_length_and_as_many_numbers_as_asked_for(head):
+    network = build("simple1", head, SIZE, outputs=7).eval()
+    with torch.inference_mode():
+        found = network(images())
+    assert found.shape == (2, 7)
+    assert network.outputs == 7
+    assert torch.allclose(found.norm(dim=1), torch.ones(2))
+    assert build("simple1", head, SIZE).outputs == 256
+
+
+def test_fourier_is_the_magnitude_of_the_transform_along_the_azimuth():
+    network = build("simple1", "fourier", SIZE, outputs=9, seed=3).eval()
+    head = network.head
+    features = torch.rand(2, 16, 4, 16, generator=torch.Generator().manual_seed(1))
+    magnitudes = np.sqrt(np.abs(np.fft.rfft(features.numpy(), axis=3)) ** 2 / 16 + 1e-6).reshape(2, -1)
+    expected = magnitudes @ head.layer.weight.detach().numpy().T + head.layer.bias.detach().numpy()
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    with torch.inference_mode():
+        assert np.allclose(head(features).numpy(), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("branch", BRANCHES)
+@pytest.mark.parametrize("head", ["gem", "fourier"])
+def test_turning_the_robot_by_a_column_of_the_features_leaves_the_descriptor(branch, head):
+    network = build(branch, head, SIZE, circular=True, seed=1).eval()
+    panorama, other = images(1, seed=2), images(1, seed=5)
+    column = SIZE[1] // network.grid[1]
+    with torch.inference_mode():
+        found = network(panorama)
+        for columns in (1, 3):
+            turned = network(panorama.roll(columns * column, dims=3))
+            # Rounding alone, while another image is far: both are lengths of differences of unit vectors.
+            assert (turned - found).norm() < 1e-5
+        assert (network(other) - found).norm() > 1e-3
+
+
+def test_without_wrapping_around_the_sides_of_the_image_show():
+    network = build("alexnet", "fourier", SIZE, seed=1).eval()
+    panorama = images(1)
+    with torch.inference_mode():
+        assert (network(panorama.roll(32, dims=3)) - network(panorama)).norm() > 1e-3
+
+
+def test_generalized_mean_is_the_average_and_the_maximum_at_its_ends():
+    head = make_head("gem", (3, 4, 8), outputs=3)
+    features = torch.rand(2, 3, 4, 8)
+    with torch.no_grad():
+        head.layer.weight.copy_(torch.eye(3))
+        head.layer.bias.zero_()
+        for power, pooled in ((1.0, features.mean(dim=(2, 3))), (200.0, features.amax(dim=(2, 3)))):
+            head.power.fill_(power)
+            expected = torch.nn.functional.normalize(pooled)
+            assert torch.allclose(head(features), expected, atol=2e-2)
+
+
+def test_gradients_reach_every_weight():
+    for head in ("flat", "gem", "fourier"):
+        network = build("panoresnet", head, SIZE, circular=True, outputs=5)
+        network(images(4)).square().sum().backward()
+        assert all(weight.grad is not None for weight in network.parameters())
+
+
+def test_outputs_belong_to_heads_that_let_them_be_chosen():
+    with pytest.raises(ConfigError, match="the head fc500_500_5 gives 5 numbers, as its name says"):
+        build("simple1", "fc500_500_5", SIZE, outputs=7)
+    with pytest.raises(ConfigError, match="outputs must be a whole number from 1, got 0"):
+        build("simple1", "flat", SIZE, outputs=0)

@@ -1,0 +1,160 @@
+"""What batches of places hold, and a training on them from the draw to the checkpoint."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import augment
+import siamloc
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.places import PlaceSampler, PlaceSettings
+from siamloc.errors import ConfigError, DataError
+from siamloc.models import build
+from siamloc.models.batch_losses import Origins
+from siamloc.training.batches import PairAugmentation
+from siamloc.training.place_batches import PlaceBatches, origins_of
+
+SIZE = (16, 64)
+SETTINGS = {"pairs": {"places": 4, "images": 2, "epoch_batches": 6}, "optimizer": {"name": "adamw"}}
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """Two drives along one line; the stripes of a picture say where it was taken."""
+    folder, rows = tmp_path_factory.mktemp("images"), []
+    columns = np.arange(SIZE[1])
+    for drive, light in (("monday", 1.0), ("tuesday", 0.6)):
+        for number in range(16):
+            path = folder / f"{drive}{number}.png"
+            stripes = 128 + 100 * np.sin(2 * np.pi * columns * (1 + number) / SIZE[1])
+            cv2.imwrite(str(path), np.tile(light * stripes[None, :, None], (SIZE[0], 1, 3)).astype(np.uint8))
+            rows.append(
+                {
+                    "path": str(path),
+                    "x": 0.5 * number,
+                    "y": 0.0,
+                    "sequence": drive,
+                    "lighting": drive,
+                    "room": "ab"[number // 8],
+                }
+            )
+    return FrameTable.from_rows(rows)
+
+
+@pytest.fixture(scope="module")
+def images(frames, tmp_path_factory):
+    return PanoramaLibrary(frames, tmp_path_factory.mktemp("cache"), image_size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def drives(frames):
+    return frames.select(sequence="monday"), frames.select(sequence="tuesday")
+
+
+def network(seed=0):
+    return build("simple1", "fourier", SIZE, outputs=16, circular=True, normalize="image", seed=seed)
+
+
+def test_batches_hold_the_images_of_their_frames_and_where_those_come_from(images):
+    frames = images.frames.take(slice(None, None, -1))
+    sampler = PlaceSampler(frames, PlaceSettings(places=3, images=2), seed=2)
+    item = PlaceBatches(images, sampler)[1, 0]
+    rows = sampler.batch(1, 0)
+    assert np.array_equal(item["images"].numpy(), images.batch(images.rows(frames)[rows]))
+    assert np.allclose(item["xy"].numpy(), frames.xy[rows])
+    assert item["frame"].tolist() == rows.tolist()
+    same = item["room"][:, None] == item["room"][None]
+    assert np.array_equal(same.numpy(), frames.room[rows][:, None] == frames.room[rows][None])
+
+
+def test_unknown_rooms_are_negative_and_tables_share_their_numbers():
+    one = FrameTable(path=["a", "b"], room=["x", ""])
+    other = FrameTable(path=["c"], room=["x"])
+    room = origins_of(one, other)["room"].tolist()
+    assert room[1] == -1
+    assert room[0] == room[2] >= 0
+
+
+def test_augmentation_follows_from_the_numbers_of_the_batch_and_is_shared_by_processes(images):
+    sampler = PlaceSampler(images.frames, PlaceSettings(places=4, images=2))
+    change = PairAugmentation(augment.effect("noise", variance=0.01), seed=3)
+    whole = PlaceBatches(images, PlaceSampler(images.frames, PlaceSettings(places=8, images=2)), change)[2, 1]["images"]
+    shares = [PlaceBatches(images, sampler, change, rank, 2)[2, 1]["images"] for rank in (0, 1)]
+    assert torch.equal(torch.cat(shares), whole)
+    assert not torch.equal(PlaceBatches(images, sampler, change, 0, 2)[1, 1]["images"], shares[0])
+
+
+def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, capfd):
+    monday, tuesday = drives
+    net = network()
+    run = siamloc.training.fit(
+        net, images, monday, validation=tuesday, run=tmp_path / "run", epochs=3, clip=1.0, average=0.9, **SETTINGS
+    )
+    curves = run.curves()
+    assert {"train/loss", "train/spread", "val/error", "val/median", "val/room"} <= set(curves)
+    assert np.isfinite(curves["val/error"]).all()
+    assert "6 batches of 4 places x 2 images per epoch" in capfd.readouterr().err
+    best = siamloc.models.load(run)
+    known = siamloc.maps.build(best, images, monday, progress=False)
+    result = siamloc.evaluation.localization(known, images, tuesday, names=("absolute",))
+    # What chose the checkpoint is what the evaluation measures.
+    assert result.measures["error"]["mean"] == pytest.approx(curves["val/error"].min(), abs=1e-5)
+    again = siamloc.models.load(run).state_dict()
+    assert all(torch.equal(value, again[name]) for name, value in net.state_dict().items())
+
+
+def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_path):
+    monday, tuesday = drives
+    options = {"validation": tuesday, "average": 0.9, "clip": 1.0, "augmentation": "lighting", **SETTINGS}
+    whole = siamloc.training.fit(network(), images, monday, run=tmp_path / "whole", epochs=4, **options)
+
+    class Stop(Exception):
+        pass
+
+    from lightning.pytorch import Callback
+
+    class StopAfterTwo(Callback):
+        def on_train_epoch_start(self, trainer, pl_module):
+            if trainer.current_epoch == 2:
+                raise Stop
+
+    with pytest.raises(Stop):
+        siamloc.training.fit(
+            network(),
+            images,
+            monday,
+            run=tmp_path / "cut",
+            epochs=4,
+            trainer={"callbacks": [StopAfterTwo()]},
+            **options,
+        )
+    cut = siamloc.training.fit(network(), images, monday, run=tmp_path / "cut", epochs=4, resume=True, **options)
+    assert whole.metrics.read_text() == cut.metrics.read_text()
+    one, other = (siamloc.models.load(run, which="last").state_dict() for run in (whole, cut))
+    assert all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_a_loss_of_ones_own_gets_descriptors_and_origins(images, drives, tmp_path):
+    seen = []
+
+    def loss(descriptors, origins):
+        seen.append(type(origins))
+        return (torch.cdist(descriptors, descriptors) - origins.distances().clamp(max=2) / 2).square().mean()
+
+    siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
+    assert set(seen) == {Origins}
+
+
+def test_frames_without_positions_are_left_out_and_too_few_are_refused(images, drives, tmp_path):
+    with pytest.raises(ConfigError, match="a batch of 40 places cannot be drawn from 16 frames"):
+        siamloc.training.fit(
+            network(), images, drives[0], run=tmp_path / "many", epochs=1, pairs={"places": 40, "images": 1}
+        )
+    assert not (tmp_path / "many").exists()
+    nowhere = FrameTable(path=drives[0].path, sequence=drives[0].sequence)
+    with pytest.raises(DataError, match="have no position, which places need"):
+        siamloc.training.fit(network(), images, nowhere, run=tmp_path / "nowhere", epochs=1, **SETTINGS)

@@ -1,0 +1,48 @@
+"""Recipes: the command line has the same ones, and changes take the place of their settings."""
+
+from __future__ import annotations
+
+import pytest
+
+import siamloc
+from siamloc.cli.compose import composed, plain
+from siamloc.cli.objects import loss_of, network_of, training_of
+from siamloc.errors import ConfigError
+from siamloc.training import RECIPES, Training, recipe
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_the_experiment_of_the_command_line_is_the_recipe(name):
+    config = composed("train", [f"experiment={name}", "data=manifest", "data.manifest=frames.csv"])
+    found, wanted = plain(config), recipe(name)
+    assert training_of(config) == Training.of(wanted.training)
+    made = wanted.build(seed=0).settings
+    options = network_of(config)
+    again = siamloc.models.build(**options, image_size=found["data"]["image_size"], seed=0).settings
+    assert again == made
+    assert {key: value for key, value in found["augment"].items() if key in wanted.augmentation} == wanted.augmentation
+    assert found["trainer"]["precision"] == wanted.trainer["precision"]
+    loss = loss_of(config)
+    assert {key: loss.settings[key] for key in wanted.loss} == wanted.loss
+
+
+def test_a_recipe_of_another_name_is_refused():
+    with pytest.raises(ConfigError, match="unknown recipe 'modren': did you mean 'modern'"):
+        recipe("modren")
+
+
+def test_what_is_given_takes_the_place_of_the_recipes_settings(tmp_path):
+    images = siamloc.data.example()
+    monday = images.frames.select(sequence="monday")
+    used = recipe("modern")
+    network = used.build(images.image_size, seed=1, outputs=8)
+    changes = {"epochs": 1, "pairs": {"places": 3, "epoch_batches": 2}, "augmentation": None}
+    run = used.fit(network, images, monday, run=tmp_path / "run", **changes)
+    training = run.settings["training"]
+    assert training["epochs"] == 1
+    assert training["pairs"]["places"] == 3
+    assert training["pairs"]["near"] == used.training["pairs"]["near"]
+    assert training["optimizer"]["learning_rate"] == used.training["optimizer"]["learning_rate"]
+    assert run.settings["loss"]["sigma"] == used.loss["sigma"]
+    assert run.settings["augment"] == {"name": "none"}
+    assert network.settings["outputs"] == 8
