@@ -19,13 +19,8 @@ from benchmarks.report import Report, hardware, parser
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.evaluation import Result
 
-SIZE = (64, 256)
-TRAINING = {
-    "epochs": 12,
-    "batch_size": 16,
-    "pairs": {"label": "distance", "same_room_share": 0.4, "epoch_pairs": 640},
-    "optimizer": {"learning_rate": 0.003},
-}
+RECIPE = siamloc.training.recipe("modern")
+SHORT = {"epochs": 10, "pairs": {"epoch_batches": 25}}  # as conf/experiment/demo.yaml has it
 TRAIN = ("*cloudy1", "*night1", "*sunny1")
 VALIDATION, MAP = ("*cloudy3",), ("*cloudy1",)
 QUERIES = ("*cloudy2", "*night2", "*sunny2")
@@ -39,7 +34,7 @@ def main() -> None:
     options = arguments.parse_args()
     report = Report("demo", options.out)
     frames = siamloc.data.read("cold", root=options.data, name="demo")
-    images = PanoramaLibrary(frames, image_size=SIZE)
+    images = PanoramaLibrary(frames, image_size=RECIPE.image_size)
     rows: dict[str, list[dict[str, float]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(options.seeds):
@@ -61,11 +56,11 @@ def main() -> None:
 
 def trained(frames: FrameTable, images: PanoramaLibrary, seed: int, folder: Path) -> Result:
     """Train on three drives, map one of them and locate the others."""
-    network, untrained = (siamloc.models.build("alexnet", "fc500_500_5", SIZE, seed=seed) for _ in range(2))
+    network, untrained = (RECIPE.build(seed=seed) for _ in range(2))
     train, validation, mapped, queries = (
         frames.select(sequence=list(names)) for names in (TRAIN, VALIDATION, MAP, QUERIES)
     )
-    siamloc.training.fit(network, images, train, validation=validation, run=folder, seed=seed, **TRAINING)
+    RECIPE.fit(network, images, train, validation=validation, run=folder, seed=seed, **SHORT)
     known = siamloc.maps.build(network, images, mapped)
     others = {
         "untrained": siamloc.models.as_descriptor(untrained),

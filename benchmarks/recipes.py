@@ -1,0 +1,130 @@
+"""The published way of training and ours on the simulated building: localization under three lightings, several seeds.
+
+`published`: AlexNet with the head 500-500-5, pairs with metric labels and the contrastive loss, trained on three
+drives (`experiment=freiburg_sim`); `ours`: `siamloc.training.recipe("modern")`. Headings are not given. Beside them the
+analytic descriptors that need no training. The map is one drive, every fifth frame of it and all of them.
+
+Targets for ours, of the mean over the seeds: with every fifth frame an excess over the floor of at most 0.02 m, and
+95 % of the errors at most 0.48 m; with all frames a mean error of at most 0.13 m; at most 6 minutes of training on two
+cores.
+
+    siamloc simulate camera=panorama out=data
+    python -m benchmarks.recipes --data data/freiburg_like
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import siamloc
+from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, VALIDATION, Building, mean_and_range
+from benchmarks.report import Report, hardware, parser
+from siamloc.maps import VisualMap
+
+RECIPE = siamloc.training.recipe("modern")
+PUBLISHED: dict[str, Any] = {
+    "epochs": 25,
+    "batch_size": 16,
+    "pairs": {"label": "distance", "same_room_share": 0.4, "epoch_pairs": 640},
+}
+"""The settings of conf/experiment/freiburg_sim.yaml."""
+ANALYTIC = ("fs", "hog", "gist", "wisurf", "briefgist", "radon_fourier", "hsv")
+EVERY = (5, 1)
+FIGURES = ("mean", "excess", "p95")
+MOST_EXCESS, MOST_P95, MOST_MEAN, MOST_MINUTES = 0.02, 0.48, 0.13, 6.0
+
+
+def main() -> None:
+    """Train, evaluate, print tables and write the file."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
+    arguments.add_argument("--seeds", type=int, default=3)
+    arguments.add_argument("--recipes", nargs="+", default=["published", "ours"], choices=["published", "ours"])
+    options = arguments.parse_args()
+    report = Report("recipes", options.out)
+    small, large = Building(options.data, RECIPE.image_size), Building(options.data)
+    rows: dict[str, list[dict[str, Any]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in options.recipes:
+            rows[name] = [trained(small, name, seed, Path(folder) / f"{name}{seed}") for seed in range(options.seeds)]
+    for name in ANALYTIC:
+        rows[name] = [located(large, siamloc.maps.build(name, large.images, large.drives(MAP)))]
+    judge(report, rows.get("ours", []))
+    print(f"{options.seeds} seeds: mean (lowest to highest); {hardware()['cpu']}")
+    for every in EVERY:
+        print(f"\n{table(rows, every)}")
+    report.write({"seeds": options.seeds, "rows": rows})
+
+
+def trained(building: Building, name: str, seed: int, run: Path) -> dict[str, Any]:
+    """Train a network, and return where it finds the queries, and the minutes that its training took."""
+    train, validation = building.drives(TRAIN), building.drives(VALIDATION)
+    begin = time.monotonic()
+    if name == "ours":
+        network = RECIPE.build(seed=seed)
+        RECIPE.fit(network, building.images, train, run=run, validation=validation, seed=seed)
+    else:
+        network = siamloc.models.build("alexnet", "fc500_500_5", RECIPE.image_size, seed=seed)
+        siamloc.training.fit(network, building.images, train, run=run, validation=validation, seed=seed, **PUBLISHED)
+    minutes = (time.monotonic() - begin) / 60
+    found = located(building, siamloc.maps.build(network, building.images, building.drives(MAP)))
+    print(f"{name}, seed {seed}: {found}, {minutes:.1f} minutes", flush=True)
+    return {**found, "minutes": minutes}
+
+
+def located(building: Building, known: VisualMap) -> dict[str, Any]:
+    """Return mean error, excess and 95 % error in m under each lighting, in a part of the map and in all of it."""
+    found: dict[str, Any] = {}
+    for every in EVERY:
+        result = siamloc.evaluation.localization(
+            known.take(range(0, len(known), every)), building.images, building.drives(QUERIES), names=("absolute",)
+        )
+        groups = result.parts["absolute"]["lighting"]
+        found[str(every)] = {
+            light: {
+                "mean": groups[light]["error"]["mean"],
+                "excess": groups[light]["excess"]["mean"],
+                "p95": groups[light]["error"]["p95"],
+                "floor": groups[light]["floor"]["mean"],
+            }
+            for light in LIGHTINGS
+        }
+    return found
+
+
+def judge(report: Report, rows: list[dict[str, Any]]) -> None:
+    """Compare the means over the seeds with the targets."""
+    limits = (("5", "excess", MOST_EXCESS), ("5", "p95", MOST_P95), ("1", "mean", MOST_MEAN))
+    for every, figure, most in limits if rows else ():
+        for light in LIGHTINGS:
+            mean = statistics.mean(row[every][light][figure] for row in rows)
+            report.target(f"{light}, 1 in {every}: {figure} at most {most} m ({mean:.3f})", mean <= most)
+    if rows:
+        longest = max(row["minutes"] for row in rows)
+        report.target(f"each training at most {MOST_MINUTES:g} minutes ({longest:.1f})", longest <= MOST_MINUTES)
+
+
+def table(rows: dict[str, list[dict[str, Any]]], every: int) -> str:
+    """Return a table of mean errors with the excess in brackets, the floor in the first row."""
+    floors = next(iter(rows.values()))[0][str(every)]
+    lines = [
+        f"| 1 frame in {every} | cloudy | night | sunny |",
+        "|---|---|---|---|",
+        "| floor | " + " | ".join(f"{floors[light]['floor']:.2f}" for light in LIGHTINGS) + " |",
+    ]
+    for name, found in rows.items():
+        cells = []
+        for light in LIGHTINGS:
+            means = mean_and_range([row[str(every)][light]["mean"] for row in found], 3)
+            excess = statistics.mean(row[str(every)][light]["excess"] for row in found)
+            cells.append(f"{means}, excess {excess:.3f}")
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
