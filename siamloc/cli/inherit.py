@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
+from siamloc.models.registry import Optimizer
 from siamloc.runs import Run, newest_run
 
 # What a group of the command line chooses besides itself: files in `conf/data` and `conf/experiment` choose others.
@@ -101,7 +102,10 @@ def _kept(
             "model.branch.weights": model.get("weights"),
             "loss": _of_loss(record.get("loss", {})),
             "augment": {**(record.get("augment") or {"name": "none"}), "where": training["augment_where"]},
-            **{key: training[key] for key in ("pairs", "optimizer", "epochs", "batch_size", "clip", "average")},
+            "trainer.precision": record.get("trainer", {}).get("precision", "32-true"),
+            **{key: training[key] for key in ("pairs", "epochs", "batch_size")},
+            "optimizer": Optimizer.of(training["optimizer"]).plain(),
+            **{key: training.get(key) for key in ("clip", "average")},
         }
     return kept
 

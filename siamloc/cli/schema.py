@@ -38,7 +38,6 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     from siamloc.maps.grouping import WAYS
     from siamloc.models.registry import Optimizer, SoftContrastive
     from siamloc.settings import defaults_of
-    from siamloc.training.recipes import RECIPES
     from siamloc.training.settings import Training
 
     training = defaults_of(Training)
@@ -67,7 +66,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
             **nodes_of_data()["settings"],
         },
         "settings/task": tasks,
-        "settings/recipe": {name: _keys_of(recipe) for name, recipe in RECIPES.items()},
+        **_nodes_of_recipes(),
         "settings/loss": {
             "contrastive": {"margin": training["margin"]},
             "soft_contrastive": defaults_of(SoftContrastive),
@@ -77,17 +76,22 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     }
 
 
-def _keys_of(recipe: Any) -> dict[str, Any]:
-    """Return a recipe in the keys of the configuration; the groups of branch, head and so on are chosen by its file."""
-    chosen = ("branch", "head")
-    return {
-        "data": {"image_size": list(recipe.image_size)},
-        "model": {key: value for key, value in recipe.model.items() if key not in chosen},
-        "loss": dict(recipe.loss or {}),
-        "augment": dict(recipe.augmentation),
-        "trainer": dict(recipe.trainer),
-        **recipe.training,
-    }
+_BY_GROUP = ("pairs", "loss", "optimizer", "augment")
+
+
+def _nodes_of_recipes() -> dict[str, dict[str, Any]]:
+    """Return what recipes set, by the group in which it is chosen; the rest is under "settings/recipe"."""
+    from siamloc.training.recipes import RECIPES
+
+    nodes: dict[str, dict[str, Any]] = {}
+    for name, recipe in RECIPES.items():
+        chosen = {**recipe.training, "loss": dict(recipe.loss or {}), "augment": dict(recipe.augmentation)}
+        for group in _BY_GROUP:
+            nodes.setdefault(f"settings/recipe/{group}", {})[name] = chosen.pop(group)
+        model = {key: value for key, value in recipe.model.items() if key not in ("branch", "head")}
+        rest = {"data": {"image_size": list(recipe.image_size)}, "model": model, "trainer": dict(recipe.trainer)}
+        nodes.setdefault("settings/recipe", {})[name] = {**rest, **chosen}
+    return nodes
 
 
 def nodes_of_data() -> dict[str, dict[str, Any]]:

@@ -19,7 +19,7 @@ class Origins:
     """Where the images of a batch come from, one entry for each of N images, on the device of the descriptors.
 
     Attributes:
-        xy: (N, 2) floating point, in the unit of the positions; NaN where unknown.
+        xy: (N, 2) floating point, in the unit of the positions, from the middle of the building; NaN where unknown.
         building: (N,) whole numbers.
         room: (N,) whole numbers, those of two buildings different; negative where unknown.
         frame: (N,) whole numbers: a frame that is drawn twice has the same one.

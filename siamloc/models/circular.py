@@ -1,6 +1,6 @@
 """Convolutions and pooling around the azimuth: the columns of a panorama are a full turn, so nothing ends at its sides.
 
-A layer of stride s gives exactly W / s columns where s divides W, and turning the panorama by s columns turns what the
+A layer of stride s gives W / s columns, rounded up. Where s divides W, turning the panorama by s columns turns what the
 layer gives by one column.
 """
 
@@ -73,7 +73,8 @@ def _same_weights(source: nn.Conv2d, target: nn.Conv2d) -> nn.Conv2d:
 
 def _wrapped(features: Tensor, kernel: int, stride: int, left: int, dilation: int = 1) -> Tensor:
     """Return features with columns of the other side on the left, as many as were padded there, and on the right."""
-    right = max(dilation * (kernel - 1) + 1 - stride - left, 0)
+    surplus = -features.shape[-1] % stride  # the last window begins before the end of the turn
+    right = max(dilation * (kernel - 1) + 1 - stride - left + surplus, 0)
     parts = [features]
     if left:
         parts.insert(0, features[..., -left:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -61,9 +62,11 @@ class NetworkModule(LightningModule):
             made = kind(self.parameters(), betas=(settings.momentum, 0.999), **common)
         if settings.schedule == "constant":
             return made
-        steps = int(self.trainer.estimated_stepping_batches)
+        steps = max(int(self.trainer.estimated_stepping_batches), 2)
+        if math.isclose(steps * settings.warm_up, 1):
+            steps += 1  # torch divides by the steps after the first of the warm-up
         schedule = torch.optim.lr_scheduler.OneCycleLR(
-            made, settings.learning_rate, total_steps=max(steps, 2), pct_start=settings.warm_up, cycle_momentum=False
+            made, settings.learning_rate, total_steps=steps, pct_start=settings.warm_up, cycle_momentum=False
         )
         return {"optimizer": made, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
@@ -89,12 +92,15 @@ class NetworkModule(LightningModule):
         """
         loss = values.get("loss")
         if loss is not None and not bool(torch.isfinite(torch.as_tensor(loss))):
-            raise ConfigError(
-                f"the training diverged: {stage}/loss of epoch {self.current_epoch + 1} is {float(loss)}; train again "
-                f"with a smaller optimizer.learning_rate than {self.optimizer.learning_rate:g}"
-            )
+            raise self.diverged(f"{stage}/loss of epoch {self.current_epoch + 1} is {float(loss)}")
         # The sums are already those of all processes; averaging equal numbers over them changes nothing.
         self.log_dict({f"{stage}/{name}": value for name, value in values.items()}, sync_dist=True)
+
+    def diverged(self, sign: str) -> ConfigError:
+        """Return the error of a training that came to nothing, with what showed it."""
+        rate = self.optimizer.learning_rate
+        advice = f"train again with a smaller optimizer.learning_rate than {rate:g}"
+        return ConfigError(f"the training diverged: {sign}; {advice}")
 
 
 def name_of(thing: object) -> str:

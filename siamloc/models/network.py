@@ -140,7 +140,7 @@ class Network(nn.Module):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What decides the descriptors: names, image size and a hash of all weights.
+        """What decides the descriptors: names, image size, a hash of all weights, and what else is out of the ordinary.
 
         Reads every weight, which takes about a second for the largest networks: keep the result.
         """
@@ -150,6 +150,8 @@ class Network(nn.Module):
             "head": self.head.name,
             "image_size": list(self.image_size),
             "weights": state_hash(self.state_dict()),
+            **({"circular": True} if self.branch.circular else {}),
+            **({"normalize": self.branch.normalize} if self.branch.normalize != "channels" else {}),
         }
 
     def forward(self, panorama: Tensor) -> Tensor:
@@ -200,6 +202,7 @@ class Branch(nn.Module):
     def __init__(self, name: str, circular: bool = False, normalize: str = "channels") -> None:
         super().__init__()
         self.name = name
+        self.circular = circular
         self.normalize = normalize
         self.features = _features(name, circular)
         self.register_buffer("mean", torch.empty(1, 3, 1, 1))

@@ -20,6 +20,8 @@ BatchLoss = Callable[[Tensor, Origins], Tensor]
 
 _KEYS = ("images", "xy", "building", "room", "frame")
 _ROOMS_NEED = 2
+ELSEWHERE = 100.0
+"""What counts as the error of a query that is found in another building, in the unit of the positions."""
 
 
 class PlaceModule(NetworkModule):
@@ -44,7 +46,8 @@ class PlaceModule(NetworkModule):
 
     def __init__(self, network: nn.Module, loss: BatchLoss | None = None, optimizer: Optimizer | None = None) -> None:
         super().__init__(network, SoftContrastiveLoss() if loss is None else loss, optimizer)
-        self._sums = torch.zeros(3, dtype=torch.float64)
+        self._losses: list[Tensor] = []
+        self._spreads: list[Tensor] = []
         self._described: list[dict[str, Tensor]] = []
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
@@ -56,17 +59,18 @@ class PlaceModule(NetworkModule):
         loss = checked_loss(self.loss(descriptors, origins), self.loss)
         seen = descriptors.detach()
         apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)
-        self._sums += torch.stack([loss.detach(), apart.mean(), torch.ones_like(loss)]).double().cpu()
+        self._losses.append(loss.detach())  # read at the end of the epoch: no step waits for the device
+        self._spreads.append(apart.mean())
         if self._trainer is not None:
             self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=True, batch_size=1)
         return loss
 
     def on_train_epoch_end(self) -> None:
         """Log the figures of the training epoch."""
-        loss, spread, count = self._sums.tolist()
-        self._sums.zero_()
-        if count:
-            self.log_epoch("train", {"loss": loss / count, "spread": spread / count})
+        losses, self._losses = self._losses, []
+        spreads, self._spreads = self._spreads, []
+        if losses:
+            self.log_epoch("train", {"loss": torch.stack(losses).mean(), "spread": torch.stack(spreads).mean()})
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
         """Describe a batch of map frames and queries."""
@@ -81,15 +85,20 @@ class PlaceModule(NetworkModule):
         if not parts:
             return
         whole = {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
+        if not bool(torch.isfinite(whole["descriptors"]).all()):
+            raise self.diverged(f"descriptors of the validation after epoch {self.current_epoch + 1} are not finite")
         known, query = whole["known"], ~whole["known"]
         match = torch.cdist(whole["descriptors"][query], whole["descriptors"][known]).argmin(dim=1)
+        # A frame of another building is wrong, however far off that is.
+        there = whole["building"][query] == whole["building"][known][match]
         error = torch.linalg.vector_norm(whole["xy"][query] - whole["xy"][known][match], dim=1)
-        error = error[torch.isfinite(error)]
-        figures = {"error": error.mean(), "median": error.median()} if len(error) else {}
-        rooms = whole["room"][known]
-        if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED:
-            asked = whole["room"][query]
-            figures["room"] = (rooms[match] == asked)[asked >= 0].double().mean().float()
+        error = torch.where(there, error, ELSEWHERE)
+        figures: dict[str, Tensor] = {}
+        if bool((usable := torch.isfinite(error)).any()):
+            figures = {"error": error[usable].mean(), "median": error[usable].median()}
+        rooms, asked = whole["room"][known], whole["room"][query]
+        if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED and bool((asked >= 0).any()):
+            figures["room"] = (rooms[match] == asked)[asked >= 0].float().mean()
         self.log_epoch("val", figures)
 
     def _of_all(self, descriptors: Tensor, origins: Origins) -> tuple[Tensor, Origins]:

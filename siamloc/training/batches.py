@@ -158,7 +158,30 @@ class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
         return ((epoch, number) for number in range(len(self)))
 
 
-class PairDataModule(LightningDataModule):
+class EpochDataModule(LightningDataModule):
+    """Base of data modules whose batches follow from the number of the epoch; the number travels in the checkpoint.
+
+    A trainer that resumes may ask for the first batches long before it knows which epoch it is in, and keeps them.
+    """
+
+    _first_epoch = 0
+
+    def next_epoch(self) -> int:
+        """Return the epoch whose batches are asked for."""
+        if self.trainer is None:
+            return 0
+        return max(self._first_epoch, self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Give the checkpoint the epoch that comes next."""
+        return {"epoch": self.next_epoch()}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take over the epoch of a checkpoint."""
+        self._first_epoch = int(state_dict["epoch"])
+
+
+class PairDataModule(EpochDataModule):
     """Serve pairs of panoramas to a `SiameseModule`.
 
     The training pairs of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the
@@ -213,11 +236,7 @@ class PairDataModule(LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        # A trainer that resumes asks for the first batches before it calls `set_epoch`, with this number.
-        epoch = 0
-        if self.trainer is not None:
-            epoch = self.trainer.fit_loop.epoch_progress.current.processed  # type: ignore[attr-defined]
-        return self._loader(self.sampler, self._augmentation, epoch)
+        return self._loader(self.sampler, self._augmentation, self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation batches; an empty list where there are no validation frames."""

@@ -19,7 +19,7 @@ from siamloc.runs import Run
 ensure_torchvision()
 from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
-from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint  # noqa: E402
+from lightning.pytorch.callbacks import Checkpoint, EMAWeightAveraging, ModelCheckpoint  # noqa: E402
 
 _SAID = ("train/loss", "train/accuracy", "val/loss", "val/accuracy", "val/error", "val/room")
 _SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter failed")
@@ -68,6 +68,15 @@ def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
         enable_version_counter=False,
     )
     return [best, last]
+
+
+class MovingAverage(EMAWeightAveraging):
+    """Keep a moving average of the weights, on the device where they are trained."""
+
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Choose the device before the weights have moved there."""
+        self._device = trainer.strategy.root_device
+        super().setup(trainer, pl_module, stage)
 
 
 class Curves(Checkpoint):

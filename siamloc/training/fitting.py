@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import os
 import signal
@@ -24,22 +25,23 @@ from siamloc.data.places import PlaceSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.files import content_key, plain
+from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.checkpoint import load, read_checkpoint
 from siamloc.models.describing import describe
 from siamloc.models.losses import ContrastiveLoss
-from siamloc.models.module import NetworkModule
+from siamloc.models.module import NetworkModule, name_of
 from siamloc.models.places import BatchLoss, PlaceModule
+from siamloc.models.registry import branch_spec
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import takes
 from siamloc.training.batches import PairAugmentation, PairDataModule
-from siamloc.training.callbacks import AtomicCheckpoints, Curves, checkpoint_callbacks
+from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
 from siamloc.training.place_batches import PlaceDataModule
 from siamloc.training.settings import Training
 
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
-from lightning.pytorch.callbacks import EMAWeightAveraging  # noqa: E402
 from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 from lightning.pytorch.utilities.exceptions import MisconfigurationException  # noqa: E402
 
@@ -52,6 +54,7 @@ _FREE = (
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
     *("training.epochs", "training.workers", "training.augment_where"),
 )
+_UNIT_ROUNDING = 1e-2  # of the length of a descriptor in half precision
 _LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
 
 
@@ -129,7 +132,7 @@ def fit(
     effect, augmented = _effect(augmentation, images)
     change = None if effect is None else PairAugmentation(effect, settings.augment_where, settings.seed)
     data, module = _parts(network, images, train, validated, loss, change, settings)
-    _check_network(network, images)
+    _check_network(network, images, unit=isinstance(module.loss, SoftContrastiveLoss))
     content = module.content()
     used = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
@@ -138,6 +141,7 @@ def fit(
         "loss": content["loss"],
         "training": settings.plain(),
         "augment": augmented,
+        "trainer": {"precision": str((trainer or {}).get("precision", "32-true"))},
         "frames": {"train": _frames_key(train), "validation": None if validated is None else _frames_key(validated)},
     }
     last = run.checkpoints / "last.ckpt"
@@ -244,11 +248,29 @@ def _parts(
     """Make what serves the batches, and what happens with them: pairs, or places with all their pairs."""
     common: dict[str, Any] = {"workers": settings.workers, "augmentation": augmentation, "seed": settings.seed}
     if isinstance(settings.pairs, PlaceSettings):
+        _check_loss(loss, 2)
         places = PlaceDataModule(images, train, validated, places=settings.pairs, **common)
         return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer)
+    _check_loss(loss, 3)
     pairs = PairDataModule(images, train, validated, pairs=settings.pairs, batch_size=settings.batch_size, **common)
     chosen = ContrastiveLoss(settings.margin) if loss is None else cast(Loss, loss)
     return pairs, SiameseModule(network, chosen, settings.optimizer)
+
+
+def _check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
+    """Make sure that a loss takes as many arguments as there will be."""
+    if loss is None or not callable(loss):
+        return
+    try:
+        called = loss.forward if isinstance(loss, nn.Module) else loss
+        inspect.signature(called).bind(*[None] * arguments)
+    except TypeError as error:
+        raise ConfigError(
+            "a loss of batches of places takes (descriptors, origins), one of pairs takes (d0, d1, y): this one, "
+            f"{name_of(loss)}, does not go with these pairs"
+        ) from error
+    except ValueError:  # functions without a signature
+        return
 
 
 def _effect(
@@ -273,7 +295,7 @@ def _effect(
     return effect, described
 
 
-def _check_network(network: nn.Module, images: PanoramaLibrary) -> None:
+def _check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) -> None:
     """Describe one image, so that a network of another image size is found before anything is written."""
     try:
         descriptor = describe(network, images.batch([0]))
@@ -285,6 +307,12 @@ def _check_network(network: nn.Module, images: PanoramaLibrary) -> None:
         raise DataError(f"the network cannot take panoramas of {shape}: {first_line}") from error
     if descriptor.ndim != 2 or len(descriptor) != 1:
         raise DataError(f"the network must give descriptors of shape (B, D), got {descriptor.shape} for one image")
+    length = float((descriptor.astype("float64") ** 2).sum() ** 0.5)
+    if unit and abs(length - 1) > _UNIT_ROUNDING:
+        raise ConfigError(
+            f"the soft contrastive loss needs descriptors of length 1, this network's have {length:.3g}: choose the "
+            "head flat, gem or fourier, or end your own network with torch.nn.functional.normalize"
+        )
 
 
 def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, *, validated: bool) -> Trainer:
@@ -295,10 +323,10 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, *,
     """
     options = {**TRAINER, **(further or {})}
     if options.get("precision") == "auto":
-        options["precision"] = _fast_precision()
+        options["precision"] = _fast_precision(str(options["accelerator"]))
     callbacks = [*_listed(options.pop("callbacks", None)), _Seeds(settings.seed), Curves(run)]
     if settings.average is not None:
-        callbacks.append(EMAWeightAveraging(decay=settings.average))
+        callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:
         options.setdefault("gradient_clip_val", settings.clip)
     monitor = "val/error" if isinstance(settings.pairs, PlaceSettings) else "val/loss"
@@ -323,10 +351,10 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, *,
         raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
 
 
-def _fast_precision() -> str:
+def _fast_precision(accelerator: str) -> str:
     """Return bfloat16 for most of the network where the device has instructions for it, else full precision."""
-    if torch.cuda.is_available():
-        fast = torch.cuda.is_bf16_supported()
+    if accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available():
+        fast = torch.cuda.is_bf16_supported(including_emulation=False)
     else:
         fast = torch.cpu._is_amx_tile_supported()
     return "bf16-mixed" if fast else "32-true"
@@ -393,6 +421,13 @@ class _Seeds(Callback):
 def _check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
+    before = {**before, "training": Training.of(before["training"]).plain(), "model": _whole(before["model"])}
+    planned = before["training"]["epochs"]
+    if before["training"]["optimizer"]["schedule"] != "constant" and planned != epochs:
+        raise ConfigError(
+            f"the learning rate of {run.folder} was laid out for {planned} epochs: resume with epochs={planned}, or "
+            "train another run"
+        )
     # The same frames may be named in several ways; how is only worth a word where they are others.
     same_frames = before.get("frames") == now.get("frames")
     free = (*_FREE, "protocol.train", "protocol.validation") if same_frames else _FREE
@@ -409,6 +444,13 @@ def _check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
         raise ConfigError(f"{run.folder} has {done} epochs already, more than epochs={epochs}: ask for more epochs")
     if done == 0:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
+
+
+def _whole(model: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record of a network with what older ones left out."""
+    if "branch" not in model:
+        return dict(model)
+    return {"outputs": None, "circular": False, "normalize": branch_spec(model["branch"]).normalize, **model}
 
 
 def _finished_epochs(run: Run) -> int:

@@ -9,14 +9,10 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings
-from siamloc.training.batches import EpochSampler, PairAugmentation
-
-ensure_torchvision()
-from lightning.pytorch import LightningDataModule  # noqa: E402
+from siamloc.training.batches import EpochDataModule, EpochSampler, PairAugmentation
 
 _DESCRIBED_AT_ONCE = 64
 _VALIDATED_WITH = 500  # map frames, and queries, at most
@@ -90,7 +86,7 @@ class _ValidationBatches(Dataset[dict[str, Any]]):
         return {"images": images, **{name: value[rows] for name, value in self._columns.items()}}
 
 
-class PlaceDataModule(LightningDataModule):
+class PlaceDataModule(EpochDataModule):
     """Serve batches of places to a `PlaceModule`.
 
     The batches of an epoch follow from the seed and the number of the epoch, so that a resumed run sees those it would
@@ -127,13 +123,9 @@ class PlaceDataModule(LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        epoch, rank, world_size = 0, 0, 1
-        if self.trainer is not None:
-            # A trainer that resumes asks for the first batches before it calls `set_epoch`, with this number.
-            epoch = self.trainer.fit_loop.epoch_progress.current.processed  # type: ignore[attr-defined]
-            rank, world_size = self.trainer.global_rank, self.trainer.world_size
+        rank, world_size = (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
         batches = PlaceBatches(self._library, self.sampler, self._augmentation, rank, world_size)
-        return self._loader(batches, epoch)
+        return self._loader(batches, self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation; an empty list where there are no validation frames."""
@@ -166,8 +158,13 @@ def origins_of(*tables: FrameTable) -> dict[str, Tensor]:
     unknown = np.concatenate([frames.room == "" for frames in tables])
     room = np.where(unknown, -1, np.unique(place, return_inverse=True)[1])
     building = np.unique(np.concatenate([frames.building for frames in tables]), return_inverse=True)[1]
+    xy = np.concatenate([frames.xy for frames in tables])
+    known = np.isfinite(xy).all(axis=1)
+    for number in range(building.max() + 1):  # single precision tells decimetres apart near the origin only
+        if (known & (building == number)).any():
+            xy[building == number] -= xy[known & (building == number)].mean(axis=0)
     return {
-        "xy": torch.from_numpy(np.concatenate([frames.xy for frames in tables])).float(),
+        "xy": torch.from_numpy(xy).float(),
         "building": torch.from_numpy(building),
         "room": torch.from_numpy(room),
         "frame": torch.arange(len(place)),

@@ -7,6 +7,7 @@ from typing import Literal
 
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
+from siamloc.errors import ConfigError
 from siamloc.models.registry import Optimizer
 from siamloc.settings import Count, Natural, Positive, Probability, Settings
 
@@ -45,3 +46,10 @@ class Training(Settings):
     clip: Positive | None = None
     average: Probability | None = None
     augment_where: Literal["cpu", "gpu"] = "cpu"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.pairs, PlaceSettings):
+            for name, instead in (("batch_size", "pairs.places and pairs.images"), ("margin", "a loss of its own")):
+                if getattr(self, name) != getattr(Training, name):
+                    raise ConfigError(f"{name} is of pairs, and batches of places have {instead}: leave it out")

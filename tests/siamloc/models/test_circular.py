@@ -41,6 +41,13 @@ def test_a_convolution_is_that_of_the_repeated_panorama(kernel, stride, padding)
     assert torch.allclose(wrapped, three[..., columns : 2 * columns], atol=1e-6)
 
 
+@pytest.mark.parametrize("columns", [250, 360, 131])
+def test_any_width_will_do(columns):
+    network = build("panoresnet", "fourier", (64, columns), circular=True).eval()
+    with torch.inference_mode():
+        assert network(torch.rand(1, 3, 64, columns)).shape == (1, 256)
+
+
 def test_a_pool_is_that_of_the_repeated_panorama():
     for pool in (nn.MaxPool2d(3, 2), nn.MaxPool2d(3, 2, padding=1), nn.MaxPool2d(2, 2)):
         image = torch.rand(1, 2, 16, 32)

@@ -65,7 +65,7 @@ def test_batches_hold_the_images_of_their_frames_and_where_those_come_from(image
     item = PlaceBatches(images, sampler)[1, 0]
     rows = sampler.batch(1, 0)
     assert np.array_equal(item["images"].numpy(), images.batch(images.rows(frames)[rows]))
-    assert np.allclose(item["xy"].numpy(), frames.xy[rows])
+    assert np.allclose(item["xy"].numpy(), frames.xy[rows] - frames.xy.mean(axis=0))
     assert item["frame"].tolist() == rows.tolist()
     same = item["room"][:, None] == item["room"][None]
     assert np.array_equal(same.numpy(), frames.room[rows][:, None] == frames.room[rows][None])
@@ -107,9 +107,11 @@ def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, c
     assert all(torch.equal(value, again[name]) for name, value in net.state_dict().items())
 
 
-def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_path):
+@pytest.mark.parametrize("schedule", ["constant", "one_cycle"])
+def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_path, schedule):
     monday, tuesday = drives
     options = {"validation": tuesday, "average": 0.9, "clip": 1.0, "augmentation": "lighting", **SETTINGS}
+    options["optimizer"] = {"name": "adamw", "schedule": schedule}
     whole = siamloc.training.fit(network(), images, monday, run=tmp_path / "whole", epochs=4, **options)
 
     class Stop(Exception):
@@ -136,6 +138,9 @@ def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_pa
     assert whole.metrics.read_text() == cut.metrics.read_text()
     one, other = (siamloc.models.load(run, which="last").state_dict() for run in (whole, cut))
     assert all(torch.equal(one[name], other[name]) for name in one)
+    if schedule == "one_cycle":
+        with pytest.raises(ConfigError, match="was laid out for 4 epochs: resume with epochs=4"):
+            siamloc.training.fit(network(), images, monday, run=whole, epochs=6, resume=True, **options)
 
 
 def test_a_loss_of_ones_own_gets_descriptors_and_origins(images, drives, tmp_path):
@@ -158,3 +163,56 @@ def test_frames_without_positions_are_left_out_and_too_few_are_refused(images, d
     nowhere = FrameTable(path=drives[0].path, sequence=drives[0].sequence)
     with pytest.raises(DataError, match="have no position, which places need"):
         siamloc.training.fit(network(), images, nowhere, run=tmp_path / "nowhere", epochs=1, **SETTINGS)
+
+
+def test_a_loss_that_does_not_go_with_the_batches_is_refused_before_anything_is_written(images, drives, tmp_path):
+    for loss, settings in ((lambda d0, d1, y: d0.sum(), SETTINGS), (siamloc.models.SoftContrastiveLoss(), {})):
+        with pytest.raises(ConfigError, match="a loss of batches of places takes"):
+            siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **settings)
+    plain = build("simple1", "fc500_500_5", SIZE)
+    with pytest.raises(ConfigError, match=r"needs descriptors of length 1.*flat, gem or fourier"):
+        siamloc.training.fit(plain, images, drives[0], run=tmp_path / "run", epochs=1, **SETTINGS)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("given", [{"batch_size": 8}, {"margin": 1.0}])
+def test_settings_of_pairs_are_refused_with_places(images, drives, tmp_path, given):
+    with pytest.raises(ConfigError, match=f"{next(iter(given))} is of pairs, and batches of places have"):
+        siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", epochs=1, **SETTINGS, **given)
+
+
+def test_a_diverging_training_leaves_no_best_checkpoint(images, drives, tmp_path):
+    def loss(descriptors, origins):
+        return descriptors.sum() * float("nan")
+
+    with pytest.raises(ConfigError, match=r"the training diverged: .* smaller optimizer\.learning_rate"):
+        siamloc.training.fit(
+            network(), images, drives[0], validation=drives[1], run=tmp_path / "run", loss=loss, epochs=2, **SETTINGS
+        )
+    assert not list(tmp_path.rglob("best.ckpt"))
+
+
+def test_positions_far_from_the_origin_keep_their_distances():
+    x = 5_372_000.0 + np.array([0.0, 0.2, 0.4])
+    xy = origins_of(FrameTable(path=["a", "b", "c"], x=x, y=x))["xy"]
+    assert torch.allclose(torch.cdist(xy, xy)[0, 1:], 2**0.5 * torch.tensor([0.2, 0.4]), atol=1e-3)
+
+
+def test_queries_found_in_another_building_are_far_off():
+    module = siamloc.models.PlaceModule(torch.nn.Flatten())
+    logged = {}
+    module.log_epoch = lambda stage, values: logged.update(values)
+    pictures = torch.eye(4).view(4, 1, 2, 2)
+    known = torch.tensor([True, True, False, False])
+    batch = {
+        "images": torch.cat([pictures[:2], pictures[:2]]),
+        "xy": torch.tensor([[0.0, 0], [1, 0], [0, 0], [1, 0]]),
+        "building": torch.tensor([0, 1, 0, 0]),
+        "room": torch.full((4,), -1),
+        "frame": torch.arange(4),
+        "known": known,
+    }
+    module.validation_step(batch, 0)
+    module.on_validation_epoch_end()
+    assert logged["error"] == 50  # one is right, the other in another building
+    assert "room" not in logged

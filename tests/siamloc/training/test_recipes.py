@@ -26,6 +26,18 @@ def test_the_experiment_of_the_command_line_is_the_recipe(name):
     assert {key: loss.settings[key] for key in wanted.loss} == wanted.loss
 
 
+def test_a_group_on_the_command_line_takes_the_place_of_the_recipes():
+    words = ["experiment=modern", "data=manifest", "data.manifest=frames.csv"]
+    config = composed("train", [*words, "augment=none", "optimizer=sgd"])
+    assert plain(config)["augment"] == {"name": "none", "where": "cpu"}
+    assert training_of(config).optimizer == siamloc.training.Optimizer()
+    config = composed("train", [*words, "pairs=room", "loss=contrastive"])
+    assert loss_of(config) is None
+    assert training_of(config).pairs.label == "room"
+    with pytest.raises(ConfigError, match="does not go with these pairs"):
+        loss_of(composed("train", [*words, "pairs=room"]))
+
+
 def test_a_recipe_of_another_name_is_refused():
     with pytest.raises(ConfigError, match="unknown recipe 'modren': did you mean 'modern'"):
         recipe("modren")
