@@ -76,7 +76,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     }
 
 
-_BY_GROUP = ("pairs", "loss", "optimizer", "augment")
+_BY_GROUP = ("pairs", "loss", "optimizer")
 
 
 def _nodes_of_recipes() -> dict[str, dict[str, Any]]:
@@ -85,7 +85,7 @@ def _nodes_of_recipes() -> dict[str, dict[str, Any]]:
 
     nodes: dict[str, dict[str, Any]] = {}
     for name, recipe in RECIPES.items():
-        chosen = {**recipe.training, "loss": dict(recipe.loss or {}), "augment": dict(recipe.augmentation)}
+        chosen = {**recipe.training, "loss": dict(recipe.loss or {})}
         for group in _BY_GROUP:
             nodes.setdefault(f"settings/recipe/{group}", {})[name] = chosen.pop(group)
         model = {key: value for key, value in recipe.model.items() if key not in ("branch", "head")}

@@ -78,7 +78,7 @@ RECIPES: dict[str, Recipe] = {
         image_size=(64, 256),
         model={"branch": "panoresnet", "head": "fourier", "circular": True},
         loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.2},
-        augmentation={"name": "lighting", "rotate": 1.0},
+        augmentation={"name": "modern", "policy": "lighting", "rotate": 1.0},
         training={
             "epochs": 12,
             "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 50},
