@@ -55,7 +55,26 @@ class FullyConnected(Head):
         return self.layers(features)
 
 
-class Flat(Head):
+class UnitHead(Head):
+    """Base of the heads that end in one layer, whose descriptors have unit length.
+
+    Args:
+        name: what the head is called.
+        inputs: numbers that the layer takes.
+        outputs: length D of a descriptor.
+    """
+
+    def __init__(self, name: str, inputs: int, outputs: int) -> None:
+        super().__init__(name)
+        self.outputs = outputs
+        self.layer = nn.Linear(inputs, outputs)
+
+    def unit(self, values: Tensor) -> Tensor:
+        """Return the descriptors (B, D) of the values (B, inputs)."""
+        return F.normalize(self.layer(values))
+
+
+class Flat(UnitHead):
     """One fully connected layer over all features, scaled to unit length: what is seen where, relative to the robot.
 
     Args:
@@ -65,16 +84,14 @@ class Flat(Head):
     """
 
     def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
-        super().__init__(name)
-        self.outputs = outputs
-        self.layer = nn.Linear(shape[0] * shape[1] * shape[2], outputs)
+        super().__init__(name, shape[0] * shape[1] * shape[2], outputs)
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
-        return F.normalize(self.layer(features.flatten(1)))
+        return self.unit(features.flatten(1))
 
 
-class GeneralizedMean(Head):
+class GeneralizedMean(UnitHead):
     """The generalized mean of each channel over the panorama, then one layer, scaled to unit length [Radenovic 2018].
 
     The mean of the p-th powers, to the power 1 / p; p is learned and begins with 3. p = 1 is the average, a large p the
@@ -87,10 +104,8 @@ class GeneralizedMean(Head):
     """
 
     def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
-        super().__init__(name)
-        self.outputs = outputs
+        super().__init__(name, shape[0], outputs)
         self.power = nn.Parameter(torch.empty(1))
-        self.layer = nn.Linear(shape[0], outputs)
 
     def reset(self) -> None:
         """Let the power begin with 3."""
@@ -99,10 +114,10 @@ class GeneralizedMean(Head):
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
         powers = features.clamp(min=_SMALLEST) ** self.power
-        return F.normalize(self.layer(powers.mean(dim=(2, 3)) ** (1 / self.power)))
+        return self.unit(powers.mean(dim=(2, 3)) ** (1 / self.power))
 
 
-class Fourier(Head):
+class Fourier(UnitHead):
     """The Fourier magnitudes of each row of each channel along the azimuth, then one layer, scaled to unit length.
 
     Turning a signal changes the phases of its Fourier series alone. So where the branch wraps around
@@ -119,13 +134,11 @@ class Fourier(Head):
     sine: Tensor
 
     def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
-        super().__init__(name)
-        self.outputs = outputs
         channels, rows, columns = shape
         frequencies = columns // 2 + 1
+        super().__init__(name, channels * rows * frequencies, outputs)
         for part in ("cosine", "sine"):
             self.register_buffer(part, torch.empty(columns, frequencies), persistent=False)
-        self.layer = nn.Linear(channels * rows * frequencies, outputs)
 
     def reset(self) -> None:
         """Fill in the Fourier basis, scaled so that the transform keeps the length of a signal."""
@@ -140,7 +153,7 @@ class Fourier(Head):
         """Return the descriptors of features (B, C, h, w)."""
         # As a product with the basis: w is small, and every device and runtime has it.
         squared = (features @ self.cosine) ** 2 + (features @ self.sine) ** 2
-        return F.normalize(self.layer((squared + _SMALLEST).sqrt().flatten(1)))
+        return self.unit((squared + _SMALLEST).sqrt().flatten(1))
 
 
 _KINDS: dict[str, type[Flat] | type[GeneralizedMean] | type[Fourier]] = {

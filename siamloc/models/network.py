@@ -6,24 +6,24 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from os import PathLike, fspath
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, hint
 from siamloc.models.circular import circular as around
 from siamloc.models.heads import Fourier, GeneralizedMean, make_head
+from siamloc.models.normalization import by_image, by_surroundings
 from siamloc.models.panoresnet import ResidualBlock, residual_features
-from siamloc.models.registry import branch_spec, head_widths
+from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
 from siamloc.models.weights import fill, find_weights
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 SIMPLE_GRID = (4, 16)
 RESIDUAL = 0.1  # share of the two convolutions in what a residual block gives at first
-DARK = 1e-3  # keeps an image without contrast from being divided by 0
 
 
 def build(
@@ -35,7 +35,7 @@ def build(
     *,
     outputs: int | None = None,
     circular: bool = False,
-    normalize: Literal["channels", "image"] | None = None,
+    normalize: Normalization | None = None,
 ) -> Network:
     """Make a network that describes panoramas: (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
 
@@ -57,7 +57,8 @@ def build(
         circular: let convolutions and pools wrap around the azimuth: for panoramas, whose columns are a full turn.
         normalize: "channels": subtract a mean and divide by a standard deviation for each channel, ImageNet's unless
             the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.
-            What the branch is meant for if None.
+            "local": give the surroundings of each pixel zero mean and unit contrast, whatever light falls there; see
+            `siamloc.models.normalization.by_surroundings`. What the branch is meant for if None.
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
@@ -73,8 +74,8 @@ def build(
         raise ConfigError(f"the seed must be an integer from 0 to 2**63 - 1, got {seed!r}")
     norm = branch_spec(branch).normalize if normalize is None else normalize
     head_widths(head, outputs)
-    if norm not in ("channels", "image"):
-        raise ConfigError(f"normalize must be channels or image, got {normalize!r}")
+    if norm not in NORMALIZATIONS:
+        raise ConfigError(f"unknown normalization {normalize!r}: {hint(str(normalize), NORMALIZATIONS)}")
     with torch.device("meta"):
         network = Network(branch, head, size, outputs=outputs, circular=circular, normalize=norm)
     network.to_empty(device="cpu")
@@ -106,7 +107,7 @@ class Network(nn.Module):
         image_size: (H, W) in pixels.
         outputs: length of a descriptor, for heads that let it be chosen.
         circular: whether the branch wraps around the azimuth.
-        normalize: "channels" or "image".
+        normalize: a name in `NORMALIZATIONS`.
 
     Attributes:
         branch: the `Branch`, which also normalizes.
@@ -180,7 +181,7 @@ class Branch(nn.Module):
     The images are normalized first. "channels" uses the mean and standard deviation of ImageNet unless the loaded
     weights say otherwise; branches without ImageNet weights use the same numbers, which bring indoor images close to
     zero mean and unit variance, what He initialization counts on. "image" does so for each image by its own numbers,
-    so that neither exposure nor contrast matters.
+    so that neither exposure nor contrast matters, and "local" for the surroundings of each pixel.
 
     The torchvision networks keep their own stride: nothing is pooled or scaled to a fixed grid after them. At
     128 x 512 VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU as it does in its paper. The
@@ -190,7 +191,7 @@ class Branch(nn.Module):
     Args:
         name: a name in `BRANCHES`.
         circular: whether convolutions and pools wrap around the azimuth.
-        normalize: "channels" or "image".
+        normalize: a name in `NORMALIZATIONS`.
 
     Raises:
         ConfigError: an unknown name.
@@ -219,9 +220,9 @@ class Branch(nn.Module):
         """Return the features of panoramas (B, 3, H, W) in [0, 1]."""
         if self.normalize == "channels":
             return self.features((panorama - self.mean) / self.std)
-        centred = panorama - panorama.mean(dim=(1, 2, 3), keepdim=True)
-        deviation = centred.square().mean(dim=(1, 2, 3), keepdim=True).sqrt()
-        return self.features(centred / (deviation + DARK))
+        if self.normalize == "image":
+            return self.features(by_image(panorama))
+        return self.features(by_surroundings(panorama, self.circular))
 
 
 @lru_cache(maxsize=256)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from siamloc.errors import ConfigError, hint
 from siamloc.settings import NotNegative, Positive, Probability, Rule, Settings
+
+Normalization = Literal["channels", "image", "local"]
+NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
+"""What can happen to images before the branch sees them, see `siamloc.models.build`."""
 
 
 @dataclass(frozen=True)
@@ -17,13 +21,13 @@ class BranchSpec:
         name: what configurations call it; for a torchvision network its name there.
         kind: "torchvision", "simple" or "residual".
         widths: outputs of the convolutions of a simple branch, and of the stages of a residual one.
-        normalize: what happens to images first: "channels" or "image", see `siamloc.models.build`.
+        normalize: what happens to images first, see `siamloc.models.build`.
     """
 
     name: str
     kind: Literal["torchvision", "simple", "residual"] = "torchvision"
     widths: tuple[int, ...] = ()
-    normalize: Literal["channels", "image"] = "channels"
+    normalize: Normalization = "channels"
 
 
 BRANCHES: dict[str, BranchSpec] = {

@@ -16,14 +16,14 @@ from siamloc.training.recipes import RECIPES, Recipe, recipe
 from siamloc.training.settings import Training
 
 if TYPE_CHECKING:
-    from siamloc.training.batches import PairAugmentation, PairDataModule
+    from siamloc.training.batches import BatchAugmentation, PairDataModule
     from siamloc.training.fitting import fit
     from siamloc.training.place_batches import PlaceDataModule
 
 __all__ = [
     "RECIPES",
+    "BatchAugmentation",
     "Optimizer",
-    "PairAugmentation",
     "PairDataModule",
     "PairSampler",
     "PairSettings",
@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "PairAugmentation": "batches",
+    "BatchAugmentation": "batches",
     "PairDataModule": "batches",
     "PlaceDataModule": "place_batches",
     "fit": "fitting",

@@ -1,8 +1,8 @@
-"""`PairDataModule`: batches of pairs for training and validation, new ones in every epoch."""
+"""`PairDataModule`: batches of pairs for training and validation, new ones in every epoch; and what it is built on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sized
+from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,13 +21,15 @@ from siamloc.errors import ConfigError
 ensure_torchvision()
 from lightning.pytorch import LightningDataModule  # noqa: E402
 
+_STREAM = 0xA06  # sets the draws of the augmentation apart from those of the pairs
+
 
 @dataclass(frozen=True)
-class PairAugmentation:
-    """Augment the training pairs as they are gathered.
+class BatchAugmentation:
+    """Augment training images as their batches are gathered.
 
-    What happens to an image follows from the seed, the epoch and the number of its pair alone: not from the batch it
-    is in, nor from workers or ranks.
+    What happens to an image follows from the seed and its number among those that are drawn together: not from the
+    workers that gather, nor from the ranks that train together.
 
     Attributes:
         effect: an effect or a policy of `augment`.
@@ -46,24 +48,10 @@ class PairAugmentation:
         if self.where not in ("cpu", "gpu"):
             raise ConfigError(f"augment.where must be cpu or gpu, got {self.where!r}")
 
-    def draw(self, epoch: int, pairs: int, image_shape: tuple[int, ...], mine: slice) -> list[dict[str, Tensor]]:
-        """Draw the parameters of some of an epoch's pairs: those of the first images, and those of the second."""
-        whole = torch.empty((pairs, *image_shape), dtype=torch.uint8, device="meta")  # for its shape only
-        sides: list[dict[str, Tensor]] = []
-        for side in (0, 1):
-            # The last word sets the stream apart from the one that draws the pairs.
-            words = np.random.SeedSequence([self.seed, epoch, side, 0xA06]).generate_state(1, np.uint64)
-            generator = torch.Generator().manual_seed(int(words[0] >> np.uint64(1)))
-            drawn = self.effect.draw(generator, whole)
-            sides.append({name: value[mine] for name, value in drawn.items()})
-        return sides
-
-    def draw_batch(
-        self, epoch: int, batch: int, images: int, image_shape: tuple[int, ...], mine: slice
-    ) -> dict[str, Tensor]:
-        """Draw the parameters of some of the images of one batch, whose number decides them together with the epoch."""
+    def draw(self, stream: Sequence[int], images: int, image_shape: tuple[int, ...], mine: slice) -> dict[str, Tensor]:
+        """Draw the parameters of some of the images that are drawn together; the stream sets them apart from others."""
         whole = torch.empty((images, *image_shape), dtype=torch.uint8, device="meta")  # for its shape only
-        words = np.random.SeedSequence([self.seed, epoch, batch, 0xA07]).generate_state(1, np.uint64)
+        words = np.random.SeedSequence([self.seed, *stream]).generate_state(1, np.uint64)
         drawn = self.effect.draw(torch.Generator().manual_seed(int(words[0] >> np.uint64(1))), whole)
         return {name: value[mine] for name, value in drawn.items()}
 
@@ -90,7 +78,7 @@ class PairBatches(Dataset[dict[str, Any]]):
         library: PanoramaLibrary,
         sampler: PairSampler,
         batch_size: int,
-        augmentation: PairAugmentation | None = None,
+        augmentation: BatchAugmentation | None = None,
         rank: int = 0,
         world_size: int = 1,
     ) -> None:
@@ -132,7 +120,8 @@ class PairBatches(Dataset[dict[str, Any]]):
         self._pairs: Pairs = self._sampler.epoch(epoch, self._rank, self._world_size).take(slice(self._pairs_of_each))
         if self._augmentation is not None:
             mine = slice(self._rank, self._pairs_of_each * self._world_size, self._world_size)
-            self._drawn = self._augmentation.draw(epoch, len(self._sampler), self._library.image_shape, mine)
+            pairs, shape = len(self._sampler), self._library.image_shape
+            self._drawn = [self._augmentation.draw((epoch, side, _STREAM), pairs, shape, mine) for side in (0, 1)]
         self._epoch = epoch
 
 
@@ -162,9 +151,20 @@ class EpochDataModule(LightningDataModule):
     """Base of data modules whose batches follow from the number of the epoch; the number travels in the checkpoint.
 
     A trainer that resumes may ask for the first batches long before it knows which epoch it is in, and keeps them.
+
+    Args:
+        library: decoded panoramas of all frames.
+        workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
+        augmentation: what happens to training images; nothing if None.
     """
 
     _first_epoch = 0
+
+    def __init__(self, library: PanoramaLibrary, workers: int, augmentation: BatchAugmentation | None) -> None:
+        super().__init__()
+        self.library = library
+        self.workers = int(workers)
+        self.augmentation = augmentation
 
     def next_epoch(self) -> int:
         """Return the epoch whose batches are asked for."""
@@ -179,6 +179,26 @@ class EpochDataModule(LightningDataModule):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over the epoch of a checkpoint."""
         self._first_epoch = int(state_dict["epoch"])
+
+    def share(self) -> tuple[int, int]:
+        """Return the number of this process among those that train together, and how many those are."""
+        return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
+
+    def augmented(self, images: Tensor, params: dict[str, Tensor]) -> Tensor:
+        """Apply the augmentation that was put off until the batch is on the device."""
+        assert self.augmentation is not None
+        return self.augmentation.effect.apply(images, params)
+
+    def loader(self, batches: Dataset[Any], epoch: int | None) -> DataLoader[Any]:
+        """Make the loader of whole batches, of which item (epoch, i) is one; see `EpochSampler`."""
+        return DataLoader(
+            batches,
+            batch_size=None,
+            sampler=EpochSampler(batches, epoch),  # type: ignore[arg-type]
+            num_workers=self.workers,
+            persistent_workers=self.workers > 0,
+            generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator
+        )
 
 
 class PairDataModule(EpochDataModule):
@@ -214,16 +234,13 @@ class PairDataModule(EpochDataModule):
         batch_size: int = 16,
         validation_pairs: int | None = None,
         workers: int = 0,
-        augmentation: PairAugmentation | None = None,
+        augmentation: BatchAugmentation | None = None,
         seed: int = 0,
     ) -> None:
-        super().__init__()
+        super().__init__(library, workers, augmentation)
         if int(batch_size) < 1:
             raise ConfigError(f"batch_size must be a whole number from 1, got {batch_size}")
-        self._library = library
         self._batch_size = int(batch_size)
-        self._workers = int(workers)
-        self._augmentation = augmentation
         self.sampler = PairSampler(train, pairs, seed=seed)
         self.validation_sampler: PairSampler | None = None
         if validation is not None:
@@ -236,30 +253,21 @@ class PairDataModule(EpochDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        return self._loader(self.sampler, self._augmentation, self.next_epoch())
+        return self._batches(self.sampler, self.augmentation, self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation batches; an empty list where there are no validation frames."""
-        return [] if self.validation_sampler is None else self._loader(self.validation_sampler, None, None)
+        return [] if self.validation_sampler is None else self._batches(self.validation_sampler, None, None)
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
         """Apply the augmentation that was put off until the batch is on the device."""
-        params = batch.pop("change", None)
-        if params is not None and self._augmentation is not None:
+        if "change" in batch:
             images = torch.cat([batch["first"], batch["second"]])
-            batch["first"], batch["second"] = self._augmentation.effect.apply(images, params).chunk(2)
+            batch["first"], batch["second"] = self.augmented(images, batch.pop("change")).chunk(2)
         return batch
 
-    def _loader(
-        self, sampler: PairSampler, augmentation: PairAugmentation | None, epoch: int | None
+    def _batches(
+        self, sampler: PairSampler, augmentation: BatchAugmentation | None, epoch: int | None
     ) -> DataLoader[Any]:
-        rank, world_size = (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
-        batches = PairBatches(self._library, sampler, self._batch_size, augmentation, rank, world_size)
-        return DataLoader(
-            batches,
-            batch_size=None,
-            sampler=EpochSampler(batches, epoch),
-            num_workers=self._workers,
-            persistent_workers=self._workers > 0,
-            generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator
-        )
+        batches = PairBatches(self.library, sampler, self._batch_size, augmentation, *self.share())
+        return self.loader(batches, epoch)

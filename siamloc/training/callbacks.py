@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import StorageError
@@ -77,6 +79,52 @@ class MovingAverage(EMAWeightAveraging):
         """Choose the device before the weights have moved there."""
         self._device = trainer.strategy.root_device
         super().setup(trainer, pl_module, stage)
+
+
+class Pace(Callback):
+    """Measure how fast a training goes, without the first steps of each epoch, which start things up.
+
+    Attributes:
+        images_per_second: learned from, while steps follow each other; validation is not in it.
+        waiting: share of that time in which the next batch was gathered and changed, and nothing was learned.
+    """
+
+    _FIRST = 2
+
+    def __init__(self) -> None:
+        self._images, self._seconds, self._waited = 0, 0.0, 0.0
+        self._ended: float | None = None
+        self._waited_now = 0.0
+
+    @property
+    def images_per_second(self) -> float:
+        """NaN before the third step."""
+        return self._images / self._seconds if self._seconds else math.nan
+
+    @property
+    def waiting(self) -> float:
+        """NaN before the third step."""
+        return self._waited / self._seconds if self._seconds else math.nan
+
+    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Leave out what lies between epochs."""
+        self._ended = None
+
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
+        """Note how long the batch took to come."""
+        if self._ended is not None:
+            self._waited_now = time.monotonic() - self._ended
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Count the step."""
+        now = time.monotonic()
+        if self._ended is not None and batch_idx >= self._FIRST:
+            self._images += sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
+            self._seconds += now - self._ended
+            self._waited += self._waited_now
+        self._ended = now
 
 
 class Curves(Checkpoint):

@@ -35,7 +35,7 @@ from siamloc.models.registry import branch_spec
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import takes
-from siamloc.training.batches import PairAugmentation, PairDataModule
+from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
 from siamloc.training.place_batches import PlaceDataModule
 from siamloc.training.settings import Training
@@ -130,7 +130,7 @@ def fit(
         _check_folder(run, resume, overwrite)
     train, validated = _usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
-    change = None if effect is None else PairAugmentation(effect, settings.augment_where, settings.seed)
+    change = None if effect is None else BatchAugmentation(effect, settings.augment_where, settings.seed)
     data, module = _parts(network, images, train, validated, loss, change, settings)
     _check_network(network, images, unit=isinstance(module.loss, SoftContrastiveLoss))
     content = module.content()
@@ -242,7 +242,7 @@ def _parts(
     train: FrameTable,
     validated: FrameTable | None,
     loss: Loss | BatchLoss | None,
-    augmentation: PairAugmentation | None,
+    augmentation: BatchAugmentation | None,
     settings: Training,
 ) -> tuple[PairDataModule | PlaceDataModule, NetworkModule]:
     """Make what serves the batches, and what happens with them: pairs, or places with all their pairs."""

@@ -12,8 +12,9 @@ from torch.utils.data import DataLoader, Dataset
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings
-from siamloc.training.batches import EpochDataModule, EpochSampler, PairAugmentation
+from siamloc.training.batches import BatchAugmentation, EpochDataModule
 
+_STREAM = 0xA07  # sets the draws of the augmentation apart from others
 _DESCRIBED_AT_ONCE = 64
 _VALIDATED_WITH = 500  # map frames, and queries, at most
 
@@ -35,7 +36,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         self,
         library: PanoramaLibrary,
         sampler: PlaceSampler,
-        augmentation: PairAugmentation | None = None,
+        augmentation: BatchAugmentation | None = None,
         rank: int = 0,
         world_size: int = 1,
     ) -> None:
@@ -58,9 +59,8 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         item: dict[str, Any] = {"images": images, **{name: value[rows] for name, value in self._origins.items()}}
         if self._augmentation is not None:
             mine = slice(self._rank * len(rows), (self._rank + 1) * len(rows))
-            params = self._augmentation.draw_batch(
-                epoch, batch, len(rows) * self._world_size, self._library.image_shape, mine
-            )
+            images_of_all = len(rows) * self._world_size
+            params = self._augmentation.draw((epoch, batch, _STREAM), images_of_all, self._library.image_shape, mine)
             if self._augmentation.where == "gpu":
                 item["change"] = params
             else:
@@ -111,45 +111,30 @@ class PlaceDataModule(EpochDataModule):
         *,
         places: PlaceSettings | None = None,
         workers: int = 0,
-        augmentation: PairAugmentation | None = None,
+        augmentation: BatchAugmentation | None = None,
         seed: int = 0,
     ) -> None:
-        super().__init__()
-        self._library = library
-        self._workers = int(workers)
-        self._augmentation = augmentation
+        super().__init__(library, workers, augmentation)
         self.sampler = PlaceSampler(train, places, seed=seed)
         self._validation = validation
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        rank, world_size = (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
-        batches = PlaceBatches(self._library, self.sampler, self._augmentation, rank, world_size)
-        return self._loader(batches, self.next_epoch())
+        batches = PlaceBatches(self.library, self.sampler, self.augmentation, *self.share())
+        return self.loader(batches, self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation; an empty list where there are no validation frames."""
         if self._validation is None:
             return []
         known, queries = (_evenly(frames) for frames in (self.sampler.frames, self._validation))
-        return self._loader(_ValidationBatches(self._library, known, queries), None)
+        return self.loader(_ValidationBatches(self.library, known, queries), None)
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
         """Apply the augmentation that was put off until the batch is on the device."""
-        params = batch.pop("change", None)
-        if params is not None and self._augmentation is not None:
-            batch["images"] = self._augmentation.effect.apply(batch["images"], params)
+        if "change" in batch:
+            batch["images"] = self.augmented(batch["images"], batch.pop("change"))
         return batch
-
-    def _loader(self, batches: PlaceBatches | _ValidationBatches, epoch: int | None) -> DataLoader[Any]:
-        return DataLoader(
-            batches,
-            batch_size=None,
-            sampler=EpochSampler(batches, epoch),
-            num_workers=self._workers,
-            persistent_workers=self._workers > 0,
-            generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator
-        )
 
 
 def origins_of(*tables: FrameTable) -> dict[str, Tensor]:

@@ -74,5 +74,5 @@ def test_normalizing_each_image_makes_exposure_and_contrast_of_no_account():
 
 
 def test_another_normalization_is_refused():
-    with pytest.raises(ConfigError, match="normalize must be channels or image, got 'batch'"):
+    with pytest.raises(ConfigError, match="unknown normalization 'batch'"):
         build("simple1", "flat", SIZE, normalize="batch")

@@ -11,7 +11,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.errors import ConfigError
-from siamloc.training.batches import PairAugmentation, PairBatches, PairDataModule
+from siamloc.training.batches import BatchAugmentation, PairBatches, PairDataModule
 
 ensure_torchvision()
 from lightning.pytorch import LightningModule, Trainer  # noqa: E402
@@ -126,7 +126,7 @@ def test_batch_size_must_be_positive(library):
 
 def trained_on(library, where="cpu", rank=0, world_size=1, epoch=0, batch_size=4):
     """Return the first images of an epoch's augmented batches, in the order of the pairs."""
-    augmentation = PairAugmentation(augment.policy("thesis"), where, seed=0)
+    augmentation = BatchAugmentation(augment.policy("thesis"), where, seed=0)
     data = PairDataModule(library, library.frames, pairs=ROOM, batch_size=batch_size, augmentation=augmentation)
     fit_loop = SimpleNamespace(epoch_progress=SimpleNamespace(current=SimpleNamespace(processed=epoch)))
     data.trainer = SimpleNamespace(fit_loop=fit_loop, global_rank=rank, world_size=world_size)
@@ -147,7 +147,7 @@ def test_augmentation_follows_from_seed_epoch_and_pair_alone(library):
 
 
 def test_augmentation_changes_training_images_only(library):
-    augmentation = PairAugmentation(augment.policy("thesis"))
+    augmentation = BatchAugmentation(augment.policy("thesis"))
     options = {"pairs": ROOM, "batch_size": 4}
     data = PairDataModule(library, library.frames, library.frames, augmentation=augmentation, **options)
     plain = PairDataModule(library, library.frames, library.frames, **options)
@@ -161,4 +161,4 @@ def test_augmentation_after_the_transfer_is_the_same(library):
     assert torch.equal(first, expected[0])
     assert torch.equal(second, expected[1])
     with pytest.raises(ConfigError, match="cpu or gpu"):
-        PairAugmentation(augment.policy("thesis"), "tpu")
+        BatchAugmentation(augment.policy("thesis"), "tpu")

@@ -15,7 +15,7 @@ from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import build
 from siamloc.models.batch_losses import Origins
-from siamloc.training.batches import PairAugmentation
+from siamloc.training.batches import BatchAugmentation
 from siamloc.training.place_batches import PlaceBatches, origins_of
 
 SIZE = (16, 64)
@@ -81,7 +81,7 @@ def test_unknown_rooms_are_negative_and_tables_share_their_numbers():
 
 def test_augmentation_follows_from_the_numbers_of_the_batch_and_is_shared_by_processes(images):
     sampler = PlaceSampler(images.frames, PlaceSettings(places=4, images=2))
-    change = PairAugmentation(augment.effect("noise", variance=0.01), seed=3)
+    change = BatchAugmentation(augment.effect("noise", variance=0.01), seed=3)
     whole = PlaceBatches(images, PlaceSampler(images.frames, PlaceSettings(places=8, images=2)), change)[2, 1]["images"]
     shares = [PlaceBatches(images, sampler, change, rank, 2)[2, 1]["images"] for rank in (0, 1)]
     assert torch.equal(torch.cat(shares), whole)

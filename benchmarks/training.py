@@ -1,0 +1,177 @@
+"""How fast networks learn: our training, and a loop in the style of published code, side by side in one run.
+
+On the CPU AlexNet learns from batches of 32 pairs of panoramas of 128 x 512 pixels. The published style decodes both
+images of a pair with PIL whenever it is asked for, without workers, passes the two through the network one after the
+other, and computes in single precision. Ours is `siamloc.training.fit` with trainer={"precision": "auto"}. The two take
+turns, and the median counts. Target: 3 times as many images a second.
+
+Where a GPU is at hand, VGG16 learns from batches of 128 pairs in bfloat16 as well. Targets: 35 % of the rate at which
+the card multiplies matrices in bfloat16, measured in the same run, and less than 5 % of the time waiting for data.
+
+The files are drawn here, in a temporary folder.
+
+    python -m benchmarks.training
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from PIL import Image
+from torch.utils.data import DataLoader, Dataset
+
+import siamloc
+from benchmarks.report import Report, hardware, parser
+from siamloc.data import FrameTable, PairSampler, PairSettings, PanoramaLibrary
+from siamloc.models import ContrastiveLoss
+from siamloc.training.callbacks import Pace
+
+SIZE = (128, 512)
+PAIRS = PairSettings(label="room", same_room_share=0.5)
+CPU_PAIRS, GPU_PAIRS = 32, 128
+MOST_RATIO, MOST_SHARE, MOST_WAITING = 3.0, 0.35, 0.05
+SKIPPED = 2  # steps at the beginning, in which memory is laid out
+
+
+def main() -> None:
+    """Measure, print and write the file."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--images", type=int, default=512, help="how many JPEG files to draw (default 512)")
+    arguments.add_argument("--steps", type=int, default=8, help="steps of a measurement (default 8)")
+    arguments.add_argument("--repeats", type=int, default=3, help="measurements of each; the median counts (default 3)")
+    options = arguments.parse_args()
+    report = Report("training", options.out, ("pillow", "torchvision"))
+    figures: dict[str, Any] = {"image_size": list(SIZE), "pairs": CPU_PAIRS, "network": "alexnet + fc500_500_5"}
+    with tempfile.TemporaryDirectory(prefix="siamloc-training-") as temporary:
+        frames = draw_files(Path(temporary), options.images)
+        images = PanoramaLibrary(frames, Path(temporary) / "cache", image_size=SIZE)
+        images.prepare()
+        found: dict[str, list[dict[str, float]]] = {"published style": [], "ours": []}
+        for number in range(options.repeats):
+            found["published style"].append(published_style(frames, options.steps))
+            found["ours"].append(ours(images, Path(temporary) / f"cpu{number}", "alexnet", CPU_PAIRS, options.steps))
+        rates = {name: statistics.median(one["images_per_second"] for one in each) for name, each in found.items()}
+        for name, rate in rates.items():
+            print(f"{name:<16}{rate:8.1f} images/s")
+        ratio = rates["ours"] / rates["published style"]
+        report.target(f"CPU: {MOST_RATIO:g} times the published style ({ratio:.2f})", ratio >= MOST_RATIO)
+        figures |= {"cpu": found, "cpu_ratio": ratio}
+        if torch.cuda.is_available():
+            figures["gpu"] = on_gpu(report, images, Path(temporary), options.steps)
+        else:
+            print("no GPU here: the rate of VGG16 in bfloat16 was not measured")
+    print(hardware()["cpu"])
+    report.write(figures)
+
+
+def draw_files(folder: Path, count: int) -> FrameTable:
+    """Write JPEG files of smooth patterns, which decode about as fast as photographs do."""
+    generator = np.random.default_rng(0)
+    paths = [folder / f"{number:04}.jpg" for number in range(count)]
+    for path in paths:
+        coarse = generator.integers(0, 256, (SIZE[0] // 8, SIZE[1] // 8, 3), dtype=np.uint8)
+        picture = cv2.resize(coarse, SIZE[::-1], interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, 90])
+    return FrameTable(
+        path=[str(path) for path in paths], room=["office", "kitchen", "corridor", "stairs"] * (count // 4)
+    )
+
+
+class _Decoded(Dataset[tuple[torch.Tensor, torch.Tensor, float]]):
+    """Pairs of which each image is opened whenever it is asked for."""
+
+    def __init__(self, frames: FrameTable, pairs: int) -> None:
+        self.paths = frames.path
+        self.pairs = PairSampler(frames, PairSettings(**{**PAIRS.plain(), "epoch_pairs": pairs})).epoch(0)
+
+    def __len__(self) -> int:
+        return len(self.pairs.first)
+
+    def __getitem__(self, number: int) -> tuple[torch.Tensor, torch.Tensor, float]:
+        first, second = (_opened(self.paths[rows[number]]) for rows in (self.pairs.first, self.pairs.second))
+        return first, second, float(self.pairs.label[number])
+
+
+def _opened(path: str) -> torch.Tensor:
+    picture = np.asarray(Image.open(path).convert("RGB"), dtype=np.float32) / 255
+    return torch.from_numpy(picture).permute(2, 0, 1)
+
+
+def published_style(frames: FrameTable, steps: int) -> dict[str, float]:
+    """Train as published code does, and return its images a second."""
+    network = siamloc.models.build("alexnet", "fc500_500_5", SIZE).train()
+    optimizer = torch.optim.SGD(network.parameters(), lr=0.001, momentum=0.9)
+    loss = ContrastiveLoss(2.0)
+    begin = 0.0
+    for number, (first, second, label) in enumerate(
+        DataLoader(_Decoded(frames, (steps + SKIPPED) * CPU_PAIRS), batch_size=CPU_PAIRS)
+    ):
+        optimizer.zero_grad()
+        loss(network(first), network(second), label.float()).backward()
+        optimizer.step()
+        if number == SKIPPED - 1:
+            begin = time.monotonic()
+    return {"images_per_second": 2 * steps * CPU_PAIRS / (time.monotonic() - begin)}
+
+
+def ours(
+    images: PanoramaLibrary, run: Path, branch: str, pairs: int, steps: int, trainer: dict[str, Any] | None = None
+) -> dict[str, float]:
+    """Train with `siamloc.training.fit`, and return its images a second and the share of waiting."""
+    network = siamloc.models.build(branch, "fc500_500_5", SIZE)
+    pace = Pace()
+    siamloc.training.fit(
+        network,
+        images,
+        images.frames,
+        run=run,
+        epochs=1,
+        batch_size=pairs,
+        pairs=PairSettings(**{**PAIRS.plain(), "epoch_pairs": (steps + SKIPPED) * pairs}),
+        trainer={"precision": "auto", "callbacks": [pace], **(trainer or {})},
+    )
+    return {"images_per_second": pace.images_per_second, "waiting": pace.waiting}
+
+
+def on_gpu(report: Report, images: PanoramaLibrary, folder: Path, steps: int) -> dict[str, Any]:
+    """Measure VGG16, and the card's rate of multiplying matrices."""
+    from torch.utils.flop_counter import FlopCounterMode
+
+    network = siamloc.models.build("vgg16", "fc500_500_5", SIZE).cuda()
+    with FlopCounterMode(display=False) as counter:
+        network(torch.rand(2, 3, *SIZE, device="cuda")).sum().backward()
+    per_image = counter.get_total_flops() / 2
+    del network
+    found = ours(images, folder / "gpu", "vgg16", GPU_PAIRS, 20 * steps, {"accelerator": "gpu"})
+    card = matrix_rate()
+    share = found["images_per_second"] * per_image / card
+    print(f"vgg16: {found['images_per_second']:.0f} images/s, {share:.1%} of {card / 1e12:.0f} TFLOP/s")
+    report.target(f"GPU: {MOST_SHARE:.0%} of the matrix rate ({share:.1%})", share >= MOST_SHARE)
+    waiting = found["waiting"]
+    report.target(f"GPU: less than {MOST_WAITING:.0%} waiting ({waiting:.1%})", waiting < MOST_WAITING)
+    return {**found, "flops_per_image": per_image, "matrix_flops_per_second": card, "share": share}
+
+
+def matrix_rate() -> float:
+    """Return how many floating point operations a second the card does in a product of two large bfloat16 matrices."""
+    side, repeats = 8192, 20
+    left, right = (torch.randn(side, side, device="cuda", dtype=torch.bfloat16) for _ in range(2))
+    times = []
+    for _ in range(repeats):
+        torch.cuda.synchronize()
+        begin = time.monotonic()
+        left @ right
+        torch.cuda.synchronize()
+        times.append(time.monotonic() - begin)
+    return 2 * side**3 / statistics.median(times)
+
+
+if __name__ == "__main__":
+    main()
