@@ -109,6 +109,19 @@ def _shots(name: str) -> list[_Shot]:
             _Shot(f"gain {g:g}", {"gain": g, "distance": d, "turn": t, "length": 1.7, "breadth": 1.3}, {})
             for g, d, t in ((1.6, 2.2, -35), (2.3, 2.2, 20), (3.0, 2.4, 50))
         ],
+        "relight": [
+            _Shot(f"{n:g} stops", {"stops": n, "warmth": w, "slope": s, "phase1": p, "phase2": 2 * p, "phase3": -p}, {})
+            for n, w, s, p in ((0.6, 0.2, 0.5, 0), (1.2, -0.3, -0.5, 2), (1.8, 0.3, 0.2, -2))
+        ],
+        "doorway": [_Shot(f"{n:+g} stops", {"stops": n, "share": 0.25}, {}) for n in (-2, 1.2, 2.5)],
+        "windows": [
+            _Shot(f"level {n}, {100 * share:g} %", {"level": n, "share": share}, {})
+            for n, share in ((10, 0.05), (10, 0.15), (255, 0.15))
+        ],
+        "view": [
+            _Shot(f"zoom {z:g}, roll {r:g}", {"zoom": z, "roll": r, "down": 0, "across": 0, "stretch": 1}, {})
+            for z, r in ((1.25, 0), (1, 7), (0.8, -7))
+        ],
         "jpeg": [_Shot(f"quality {q}", {"quality": q}, {}) for q in (50, 25, 10)],
     }
     return tables[name]

@@ -32,10 +32,14 @@ _HOMES = {
     "shadow": "layers.Shadow",
     "sun_patch": "layers.SunPatch",
     "jpeg": "sensor.Jpeg",
+    "relight": "relight.Relight",
+    "doorway": "relight.Doorway",
+    "windows": "relight.Windows",
+    "view": "view.View",
 }
 
 EFFECTS = tuple(_HOMES)
-POLICIES = ("none", "thesis", "lighting", "strong")
+POLICIES = ("none", "thesis", "lighting", "strong", "any_light")
 
 
 def effect(name: str, **params: Any) -> Effect:

@@ -35,11 +35,13 @@ def policy(name: str | Path, *, circular: bool | None = None, rotate: float | No
     Args:
         name: "none" (every picture stays as it is), "thesis" (the combinations of [T] 5.3.2), "lighting" (all that
             light and exposure do indoors, with no change of geometry), "strong" (lighting, optics, motion, noise and
-            occlusion together), or a file that ends in .yaml or .yml.
+            occlusion together), "any_light" (lighting, and another time of day: lamps, windows, rooms behind doors),
+            or a file that ends in .yaml or .yml.
         circular: False for cameras whose columns do not wrap around; nothing is rotated then. If None, as the file
             says, otherwise True.
         rotate: probability of the rotation among the outermost steps; a rotation is added at the end if there is
-            none. If None, as the policy says: one half in "thesis", none in "lighting", 1 in "strong".
+            none. If None, as the policy says: one half in "thesis", none in "lighting" and "any_light", 1 in
+            "strong".
 
     Raises:
         AugmentError: an unknown name, a file that is missing or invalid, or a probability outside [0, 1].
@@ -51,7 +53,7 @@ def policy(name: str | Path, *, circular: bool | None = None, rotate: float | No
         >>> augment.policy("thesys")
         Traceback (most recent call last):
         augment.errors.AugmentError: unknown policy 'thesys': did you mean 'thesis'? valid: none, thesis, lighting, \
-strong, or a .yaml file
+strong, any_light, or a .yaml file
     """
     changes = {key: value for key, value in (("circular", circular), ("rotate", rotate)) if value is not None}
     if name in POLICIES:

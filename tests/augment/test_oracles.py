@@ -52,6 +52,12 @@ CASES = [
     ("noise", {}, lambda i, p: oracle.noise(i, p, TABLE)),
     ("vignette", {}, oracle.vignette),
     ("shadow", {}, oracle.shadow),
+    ("relight", {}, oracle.relight),
+    ("doorway", {}, oracle.doorway),
+    ("windows", {}, oracle.windows),
+    ("windows", {"level": 255, "strength": (0.2, 0.9), "share": (0.05, 0.9)}, oracle.windows),
+    ("view", {}, oracle.view),
+    ("view", {"circular": False}, lambda i, p: oracle.view(i, p, circular=False)),
     ("sun_patch", {}, oracle.sun_patch),
     ("sun_patch", {"length": 5, "breadth": 4, "distance": 1.8}, oracle.sun_patch),
 ]

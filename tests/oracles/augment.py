@@ -190,6 +190,69 @@ def sun_patch(picture, p):
     return every_pixel(picture, lit)
 
 
+def relight(picture, p):
+    """Stops of light at each viewing direction; a pixel is light to the power of 1 / 2.2."""
+    _, height, width = picture.shape
+
+    def lit(c, y, x, value):
+        azimuth = 2 * math.pi * short_way(x, p["column"], width) / width
+        above = 1 - 2 * y / (height - 1)
+        stops = p["stops"] * p["slope"] * above
+        for n in (1, 2, 3, 4):
+            stops += p["stops"] * math.cos(n * azimuth + p[f"phase{n}"]) * (1 + p[f"tilt{n}"] * above) / n
+        stops += p["warmth"] * (1, 0, -1)[c] * math.cos(azimuth)
+        return 255 * ((value / 255) ** 2.2 * 2**stops) ** (1 / 2.2)
+
+    return every_pixel(picture, lit)
+
+
+def doorway(picture, p):
+    """Columns up to half the share from the middle, with an edge of 2 % of the width."""
+    width = picture.shape[2]
+
+    def lit(c, y, x, value):
+        aside = abs(short_way(x, p["column"], width)) / width
+        inside = min(max((p["share"] / 2 - aside + 0.01) / 0.02, 0), 1)
+        return value + inside * (value * 2 ** (p["stops"] / 2.2) - value)
+
+    return every_pixel(picture, lit)
+
+
+def windows(picture, p):
+    """The brightest pixels, as many as fit the share; those that are equally bright stay together."""
+    bright = picture.sum(axis=0).round()
+    threshold = 0
+    while (bright >= threshold).sum() > np.float32(p["share"]) * bright.size:
+        threshold += 1
+    return np.where(bright >= threshold, picture + p["strength"] * (p["level"] - picture), picture)
+
+
+def view(picture, p, circular=True):
+    """Where each pixel comes from, undoing the move, then the roll, then the growth; linear between pixels."""
+    _, height, width = picture.shape
+    middle_row, middle = (height - 1) / 2, (width - 1) / 2
+    roll, wide, tall = math.radians(p["roll"]), p["zoom"] * p["stretch"], p["zoom"] / p["stretch"]
+
+    def at(c, y, x):
+        return picture[c, y, x % width if circular else x] if 0 <= y < height and (circular or 0 <= x < width) else 0
+
+    def seen(c, y, x, value):
+        below = y - middle_row - p["down"] * height
+        if circular:
+            azimuth = 2 * math.pi * short_way(x, p["column"], width) / width
+            row, column = (below - roll * math.cos(azimuth) * width / (2 * math.pi)) / tall + middle_row, float(x)
+        else:
+            aside = x - middle - p["across"] * width
+            column = (math.cos(roll) * aside + math.sin(roll) * below) / wide + middle
+            row = (math.cos(roll) * below - math.sin(roll) * aside) / tall + middle_row
+        i, j = math.floor(row), math.floor(column)
+        v, u = row - i, column - j
+        upper = (1 - u) * at(c, i, j) + u * at(c, i, j + 1)
+        return (1 - v) * upper + v * ((1 - u) * at(c, i + 1, j) + u * at(c, i + 1, j + 1))
+
+    return every_pixel(picture, seen)
+
+
 def occlude(picture, p):
     """Bar i of n stands in sector i of n, counted from a column."""
     width, n = picture.shape[2], p["bars"]

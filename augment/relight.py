@@ -1,0 +1,146 @@
+"""The same room under other light: lamps on or off, another sky, other light behind doors and windows.
+
+Gains are in stops of light. Pixels hold light to the power of 1 / 2.2, about as sRGB does, so that s stops multiply a
+pixel by 2^(s / 2.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from math import ceil, floor, pi
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from augment.base import Effect, Params, Range, column_of
+from augment.brushes import Brush, Frame
+from augment.layers import Layer
+
+_GAMMA = 2.2
+_WAVES = 4
+_PHASES = tuple(f"phase{number}" for number in range(1, _WAVES + 1))
+_TILTS = tuple(f"tilt{number}" for number in range(1, _WAVES + 1))
+_SOFT = 0.01  # half width of a sector's soft edge, in widths of the frame
+_WHITE = 3 * 255
+
+
+class Relight(Layer):
+    """Light from elsewhere: a gain that changes slowly over all directions, and its colour with it.
+
+    I'_k = I_k 2^(s_k / 2.2), with the stops
+
+        s_k = stops (slope e + sum_n cos(n a + phase_n) (1 + tilt_n e) / n) + warmth (1, 0, -1)_k cos(a),  n = 1 ... 4
+
+    where a is the azimuth from `column` and e runs from 1 in the first row to -1 in the last. What a room looks like
+    from one point under other lamps or another sky differs by something like this, away from the edges of shadows.
+
+    Args:
+        stops: amplitude of the change of light.
+        warmth: stops between red and blue in one direction, and the reverse in the opposite one.
+        slope: how much more light there is above than below, in amplitudes.
+    """
+
+    name = "relight"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        "stops": Range(0.2, 1.8, minimum=-4, maximum=4, neutral=0),
+        "warmth": Range(-0.4, 0.4, minimum=-2, maximum=2, neutral=0),
+        "slope": Range(-0.8, 0.8, minimum=-2, maximum=2),
+    }
+
+    def places(self, height: int, width: int) -> dict[str, Range]:
+        """A column, and phase and tilt of each wave."""
+        phases = {name: Range(-pi, pi, minimum=-2 * pi, maximum=2 * pi) for name in _PHASES}
+        tilts = {name: Range(-0.8, 0.8, minimum=-1, maximum=1) for name in _TILTS}
+        return {"column": Range(0, width - 1, whole=True), **phases, **tilts}
+
+    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
+        """Return the gain of each colour."""
+        azimuth = self.offset(columns, params["column"], width) * (2 * pi / width)
+        above = 1 - rows * (2 / max(height - 1, 1))
+        field = params["slope"] * above
+        for number, (phase, tilt) in enumerate(zip(_PHASES, _TILTS, strict=True), start=1):
+            field = field + (number * azimuth + params[phase]).cos() * ((1 + params[tilt] * above) / number)
+        red_to_blue = torch.tensor([1.0, 0.0, -1.0], device=rows.device).view(3, 1, 1)
+        stops = params["stops"] * field + params["warmth"] * red_to_blue * azimuth.cos()
+        return torch.exp2(stops / _GAMMA)
+
+
+class Doorway(Layer):
+    """A sector of the view is lit otherwise, as a room that is seen through a door: I' = I 2^(stops / 2.2) in it.
+
+    Args:
+        stops: how much more light there is.
+        share: of the columns that the sector has.
+    """
+
+    name = "doorway"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        "stops": Range(-2.5, 2.5, minimum=-8, maximum=8, neutral=0),
+        "share": Range(0.05, 0.5, minimum=0.001, maximum=1),
+    }
+
+    def places(self, height: int, width: int) -> dict[str, Range]:
+        """The column in the middle."""
+        return {"column": Range(0, width - 1, whole=True)}
+
+    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
+        """Return the gain."""
+        aside = self.offset(columns, params["column"], width).abs() / width
+        inside = ((params["share"] / 2 - aside) / (2 * _SOFT) + 0.5).clamp(0, 1)
+        gain = torch.exp2(torch.as_tensor(params["stops"] / _GAMMA))
+        return 1 + (gain - 1) * inside + 0 * rows
+
+    def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:
+        """Return the columns of the sector."""
+        half = (params["share"] / 2 + _SOFT) * width
+        if 2 * half + 1 >= width:
+            return 0, height, 0, width
+        return 0, height, floor(params["column"] - half), ceil(params["column"] + half) + 1
+
+
+class Windows(Effect):
+    """What is brightest in the picture takes another level: windows and lamps at night, or in the sun.
+
+    I' = I + strength (level - I) where R + G + B is among the largest of the picture: the smallest threshold is taken
+    that at most `share` of the pixels reach. Pixels that are white in all colours are all or none among them.
+
+    Args:
+        share: of the pixels that change, at most.
+        level: 0 ... 255; dark as windows at night, or white as under the sun.
+        strength: 1 replaces what was there.
+    """
+
+    name = "windows"
+    RANGES: ClassVar[Mapping[str, Range]] = {
+        "share": Range(0.01, 0.2, minimum=0, maximum=1),
+        "level": Range(0, 25, minimum=0, maximum=255),
+        "strength": Range(1, 1, minimum=0, maximum=1, neutral=0),
+    }
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame what changes its brightest pixels."""
+        values = zip(*(params[key].tolist() for key in ("share", "level", "strength")), strict=True)
+        return [[partial(_black_out, *value)] if value[2] else [] for value in values]
+
+    def render(self, batch: Tensor, params: Params) -> Tensor:
+        """Return the batch with its brightest pixels changed."""
+        bright = (batch * 255).round().sum(dim=1, keepdim=True).long()
+        count = torch.zeros(len(batch), _WHITE + 2, device=batch.device)
+        count.scatter_add_(1, bright.flatten(1), torch.ones_like(bright.flatten(1), dtype=count.dtype))
+        reached = count.flip(1).cumsum(1).flip(1)  # by how many pixels, for each threshold
+        most = params["share"].to(batch.device).view(-1, 1) * bright[0].numel()
+        threshold = (reached > most).sum(dim=1).view(-1, 1, 1, 1)
+        changed = batch + column_of(params["strength"], batch) * (column_of(params["level"], batch) / 255 - batch)
+        return torch.where(bright >= threshold, changed, batch)
+
+
+def _black_out(share: float, level: float, strength: float, frame: Frame) -> None:
+    bright = frame.sum(axis=0, dtype=np.uint16)
+    reached = np.bincount(bright.ravel(), minlength=_WHITE + 2)[::-1].cumsum()[::-1]
+    threshold = int((reached > np.float32(share) * bright.size).sum())
+    rows, columns = np.nonzero(bright >= threshold)
+    old = frame[:, rows, columns].astype(np.float32)
+    frame[:, rows, columns] = np.rint(old + np.float32(strength) * (np.float32(level) - old)).clip(0, 255)
