@@ -60,12 +60,14 @@ class Relight(Layer):
         """Return the gain of each colour."""
         azimuth = self.offset(columns, params["column"], width) * (2 * pi / width)
         above = 1 - rows * (2 / max(height - 1, 1))
-        field = params["slope"] * above
+        # Most is the same in a whole column, or in all colours.
+        level, slope = 0 * azimuth, params["slope"] + 0 * azimuth
         for number, (phase, tilt) in enumerate(zip(_PHASES, _TILTS, strict=True), start=1):
-            field = field + (number * azimuth + params[phase]).cos() * ((1 + params[tilt] * above) / number)
+            wave = (number * azimuth + params[phase]).cos() / number
+            level, slope = level + wave, slope + params[tilt] * wave
+        gain = torch.exp2((params["stops"] / _GAMMA) * (level + slope * above))
         red_to_blue = torch.tensor([1.0, 0.0, -1.0], device=rows.device).view(3, 1, 1)
-        stops = params["stops"] * field + params["warmth"] * red_to_blue * azimuth.cos()
-        return torch.exp2(stops / _GAMMA)
+        return gain * torch.exp2((params["warmth"] / _GAMMA) * red_to_blue * azimuth.cos())
 
 
 class Doorway(Layer):

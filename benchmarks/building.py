@@ -12,6 +12,7 @@ from typing import Any
 
 import siamloc
 from siamloc.data import FrameTable, PanoramaLibrary
+from siamloc.evaluation.absolute import evaluate_absolute
 
 LIGHTINGS = ("cloudy", "night", "sunny")
 TRAIN = ("*seq2_cloudy3", "*seq2_night1", "*seq2_sunny3")
@@ -46,3 +47,33 @@ def mean_and_range(values: Sequence[float], digits: int = 2) -> str:
 def by_lighting(absolute: dict[str, Any], measure: str = "error", figure: str = "mean") -> dict[str, float]:
     """Return one figure of absolute localization under each lighting."""
     return {name: absolute["lighting"][name][measure][figure] for name in LIGHTINGS}
+
+
+def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) -> dict[str, Any]:
+    """Describe map and queries once, and return mean error, excess, floor and 95 % error in m under each lighting.
+
+    Args:
+        building: the building, at the size that the descriptor takes.
+        descriptor: a network, or what `siamloc.maps.build` takes otherwise.
+        every: parts of the map: every k-th frame of its drive.
+
+    Returns:
+        {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ...}, ...}, "1": ...}.
+    """
+    known = siamloc.maps.build(descriptor, building.images, building.drives(MAP), progress=False)
+    queries = siamloc.maps.build(descriptor, building.images, building.drives(QUERIES), progress=False)
+    found: dict[str, Any] = {}
+    for step in every:
+        part = known.take(range(0, len(known), step))
+        nearest = siamloc.maps.match(part, queries.description)
+        result = evaluate_absolute(part, None, queries.frames, ks=(1,), retrieval=nearest)
+        found[str(step)] = {
+            light: {
+                "mean": group["error"]["mean"],
+                "excess": group["excess"]["mean"],
+                "floor": group["floor"]["mean"],
+                "p95": group["error"]["p95"],
+            }
+            for light, group in result.parts["absolute"]["lighting"].items()
+        }
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +18,21 @@ class PlaceSettings(Settings):
     """Which images a batch has.
 
     Attributes:
+        by: "position", or "sequence" where there are no positions: how near two images are is then counted in frames
+            between them, in the order of the table, and images of two sequences are never near each other.
         places: in a batch.
         images: of each place, under different lightings where the place was seen under several.
-        radius: images of a place lie this near each other, in the unit of the positions.
+        radius: images of a place lie this near each other, in the unit of the positions, or in frames.
         near: share of the places that lie within `reach` of another place of the batch, so that it learns to tell
             neighbours apart, too.
-        reach: how near that is, in the unit of the positions.
+        reach: how near that is, in the unit of the positions, or in frames.
         epoch_batches: batches in an epoch; if None as many as show every frame once on average.
     """
 
     WHERE = "pairs"
     needs_positions: ClassVar[str] = "places"
 
+    by: Literal["position", "sequence"] = "position"
     places: Count = 16
     images: Count = 4
     radius: NotNegative = 0.3
@@ -45,7 +48,7 @@ class PlaceSampler:
     one batch together, as large as all of theirs, and each takes its own places of it.
 
     Args:
-        frames: the frames to draw from (N), all with positions.
+        frames: the frames to draw from (N), all with positions unless places are drawn by sequence.
         settings: which images; the defaults of `PlaceSettings` if None.
         seed: any whole number, not negative.
 
@@ -71,17 +74,20 @@ class PlaceSampler:
         if int(seed) < 0:
             raise ConfigError(f"the seed must be a whole number from 0, got {seed}")
         missing = int((~frames.has_position).sum())
-        if missing:
+        if missing and settings.by == "position":
             raise DataError(
                 f"{missing} of {len(frames)} frames have no position, by which places are drawn: give their x and y, "
-                "or leave them out"
+                "leave them out, or set pairs.by to sequence"
             )
         self.frames = frames
         self.seed = int(seed)
         self._check_count(settings.places)
         per_batch = settings.places * settings.images
         self.epoch_batches = settings.epoch_batches or max(1, round(len(frames) / per_batch))
-        self._points = separate(frames, max(settings.radius, settings.reach))
+        place, self.apart = places_of(frames, settings.by)
+        # Where images are never near each other, a third coordinate keeps them farther apart than the reach.
+        far = 2 * max(settings.radius, settings.reach) + 1.0
+        self._points = np.column_stack([place, self.apart * far])
         self._tree = cKDTree(self._points)
         self._kind = _kinds(frames)
 
@@ -132,10 +138,15 @@ class PlaceSampler:
         return np.resize(chosen, self.settings.images)
 
 
-def separate(frames: FrameTable, reach: float) -> NDArray[np.float64]:
-    """Return positions (N, 3), the third of which keeps frames of different buildings farther apart than the reach."""
-    _, building = np.unique(frames.building, return_inverse=True)
-    return np.column_stack([frames.xy, building * (2 * reach + 1.0)])
+def places_of(frames: FrameTable, by: str = "position") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return where frames were taken (N, 2), and the number (N,) of what sets them apart wherever that is.
+
+    By position these are positions and buildings; by sequence the number of the frame in its sequence, and sequences.
+    """
+    if by == "position":
+        return frames.xy.copy(), np.unique(frames.building, return_inverse=True)[1]
+    drive = np.unique(frames.sequence, return_inverse=True)[1]
+    return np.column_stack([_turns(drive), np.zeros(len(drive))]).astype(np.float64), drive
 
 
 def _kinds(frames: FrameTable) -> NDArray[np.int64]:

@@ -48,8 +48,9 @@ class SoftContrastiveLoss(nn.Module):
 
         p_ij = exp(-|x_i - x_j|^2 / 2 sigma^2) / sum_k,    q_ij = exp(d_i . d_j / temperature) / sum_k.
 
-    It is InfoNCE with a target that fades with the distance instead of ending at a radius. Images without a neighbour
-    in the batch do not count.
+    It is InfoNCE with a target that fades with the distance instead of ending at a radius. With rooms, p_ij is the
+    weighted mean of this one and of one that is equal for all images of the room of i, and 0 for others. Images without
+    a neighbour or another image of their room in the batch do not count.
 
     Args:
         settings: see `siamloc.models.registry.SoftContrastive`.
@@ -69,7 +70,7 @@ class SoftContrastiveLoss(nn.Module):
     def __init__(self, *, settings: SoftContrastive) -> None:
         super().__init__()
         self.temperature, self.sigma = float(settings.temperature), float(settings.sigma)
-        self.kernel = settings.kernel
+        self.kernel, self.room = settings.kernel, float(settings.room)
         self.settings = {"name": "soft_contrastive", **settings.plain()}
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
@@ -77,7 +78,7 @@ class SoftContrastiveLoss(nn.Module):
 
         Args:
             descriptors: (N, D), of unit length.
-            origins: of the N images, all with positions.
+            origins: of the N images; those without position are nobody's neighbours.
 
         Raises:
             DataError: other shapes.
@@ -87,19 +88,37 @@ class SoftContrastiveLoss(nn.Module):
             found = descriptors.float()
             itself = torch.eye(len(found), dtype=torch.bool, device=found.device)
             similarity = (found @ found.T / self.temperature).masked_fill(itself, -math.inf)
-            apart = origins.distances() / self.sigma
-            near = torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2).masked_fill(itself, 0)
-            weight = near.sum(dim=1, keepdim=True)
-            counts = weight[:, 0] > _LEAST_WEIGHT
-            wanted = near / weight.clamp(min=_LEAST_WEIGHT)
+            wanted = self._wanted(origins)
+            weight = wanted.sum(dim=1, keepdim=True)
+            counts = weight[:, 0] > 0
+            wanted = wanted / weight.clamp(min=_LEAST_WEIGHT)
             # The softmax of an image with itself is 0, and its logarithm must not meet the 0 that is wanted.
             told = similarity.log_softmax(dim=1).masked_fill(itself, 0)
             cost = -(wanted * told).sum(dim=1)
             return (cost * counts).sum() / counts.sum().clamp(min=1)
 
+    def _wanted(self, origins: Origins) -> Tensor:
+        """Return how alike the images should look (N, N), each row up to a factor."""
+        wanted = torch.zeros(len(origins.xy), len(origins.xy), device=origins.xy.device)
+        itself = torch.eye(len(wanted), dtype=torch.bool, device=wanted.device)
+        if self.room < 1:
+            apart = origins.distances().float() / self.sigma
+            near = torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2)
+            wanted = (1 - self.room) * _shares(near.nan_to_num(0).masked_fill(itself, 0))
+        if self.room > 0:
+            wanted = wanted + self.room * _shares(origins.same_room().float().masked_fill(itself, 0))
+        return wanted
+
     def extra_repr(self) -> str:
         """Name the parameters when the loss is printed."""
-        return f"temperature={self.temperature:g}, kernel={self.kernel}, sigma={self.sigma:g}"
+        room = f", room={self.room:g}" if self.room else ""
+        return f"temperature={self.temperature:g}, kernel={self.kernel}, sigma={self.sigma:g}{room}"
+
+
+def _shares(weights: Tensor) -> Tensor:
+    """Divide rows by their sums; a row of next to nothing becomes 0."""
+    total = weights.sum(dim=1, keepdim=True)
+    return torch.where(total > _LEAST_WEIGHT, weights / total.clamp(min=_LEAST_WEIGHT), 0)
 
 
 LOSSES: dict[str, type[SoftContrastiveLoss]] = {"soft_contrastive": SoftContrastiveLoss}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 DARK = 1e-3  # keeps an image without contrast from being divided by 0
@@ -31,19 +30,21 @@ def by_surroundings(panorama: Tensor, circular: bool) -> Tensor:
         panorama: (B, 3, H, W), floating point in [0, 1].
         circular: whether the columns wrap around; where they do not, and at the top and bottom, the edge is repeated.
     """
-    reach = max(round(SURROUNDINGS * panorama.shape[-2]), 1)
-    centred = panorama - _mean_around(panorama, reach, circular)
-    square = centred.square().mean(dim=1, keepdim=True)
-    return centred / (_mean_around(square, reach, circular).sqrt() + LEAST_CONTRAST)
+    height, width = panorama.shape[-2:]
+    reach = max(round(SURROUNDINGS * height), 1)
+    rows = _means(height, reach, False, panorama)
+    columns = _means(width, reach, circular, panorama).T
+    # The means of a square are products with a matrix from each side, much faster than pooling on a CPU. They stay in
+    # full precision: what they are subtracted from is nearly the same.
+    with torch.autocast(device_type=panorama.device.type, enabled=False):
+        centred = panorama - rows @ (panorama @ columns)
+        square = centred.square().mean(dim=1, keepdim=True)
+        return centred / ((rows @ (square @ columns)).clamp(min=0).sqrt() + LEAST_CONTRAST)
 
 
-def _mean_around(values: Tensor, reach: int, circular: bool) -> Tensor:
-    """Return the means over squares of 2 reach + 1 rows and columns: of rows first, then of columns."""
-    columns = (reach, reach, 0, 0)
-    if circular and reach <= values.shape[-1]:
-        values = torch.cat([values[..., -reach:], values, values[..., :reach]], dim=-1)
-    else:
-        values = F.pad(values, columns, mode="replicate")
-    values = F.pad(values, (0, 0, reach, reach), mode="replicate")
-    window = 2 * reach + 1
-    return F.avg_pool2d(F.avg_pool2d(values, (1, window), stride=1), (window, 1), stride=1)
+def _means(size: int, reach: int, wraps: bool, like: Tensor) -> Tensor:
+    """Return the matrix (size, size) that takes the mean of each place and those up to `reach` beside it."""
+    beside = torch.arange(size, device=like.device)[:, None] + torch.arange(-reach, reach + 1, device=like.device)
+    source = beside % size if wraps else beside.clamp(0, size - 1)
+    weight = torch.full(source.shape, 1 / source.shape[1], dtype=like.dtype, device=like.device)
+    return torch.zeros(size, size, dtype=like.dtype, device=like.device).scatter_add(1, source, weight)

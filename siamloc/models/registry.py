@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import NotNegative, Positive, Probability, Rule, Settings
+from siamloc.settings import NotNegative, Positive, Probability, Rule, Settings, Share
 
 Normalization = Literal["channels", "image", "local"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
@@ -94,6 +94,8 @@ class SoftContrastive(Settings):
             exp(-x^2 / 2 sigma^2), or "exponential", exp(-x / sigma), which tells the nearest from the second nearest
             and still says something of those beyond.
         sigma: width of the kernel, in the unit of the positions.
+        room: share of what is wanted that goes to all images of the same room alike, the rest goes by the kernel.
+            With 1 it is the supervised contrastive loss of the rooms ([Khosla 2020]), which needs no positions.
     """
 
     WHERE = "loss"
@@ -101,6 +103,7 @@ class SoftContrastive(Settings):
     temperature: Positive = 0.07
     kernel: Literal["gaussian", "exponential"] = "gaussian"
     sigma: Positive = 0.4
+    room: Share = 0.0
 
 
 def branch_spec(name: str) -> BranchSpec:

@@ -49,7 +49,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
 
 
 def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
-    """Make the callbacks that keep `last.ckpt` after every epoch, and `best.ckpt` by the lowest of a logged figure."""
+    """Make the callbacks that keep `last.ckpt` after every epoch, and `best.ckpt` by the best of a logged figure."""
     last = ModelCheckpoint(
         dirpath=folder,
         filename="last",
@@ -64,7 +64,7 @@ def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
         dirpath=folder,
         filename="best",
         monitor=monitor,
-        mode="min",
+        mode="max" if monitor == "val/room" else "min",
         save_top_k=1,
         save_on_train_epoch_end=False,
         enable_version_counter=False,

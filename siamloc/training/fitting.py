@@ -22,22 +22,21 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
-from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.files import content_key, plain
 from siamloc.models.batch_losses import SoftContrastiveLoss
-from siamloc.models.checkpoint import load, read_checkpoint
+from siamloc.models.checkpoint import load
 from siamloc.models.describing import describe
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.module import NetworkModule, name_of
 from siamloc.models.places import BatchLoss, PlaceModule
-from siamloc.models.registry import branch_spec
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
 from siamloc.training.place_batches import PlaceDataModule
+from siamloc.training.run_folder import check_folder, check_same_training, finished_epochs, open_run
 from siamloc.training.settings import Training
 
 ensure_torchvision()
@@ -48,14 +47,8 @@ from lightning.pytorch.utilities.exceptions import MisconfigurationException  # 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
 """Arguments of `lightning.Trainer` that `fit` begins with."""
 
-# What may differ when a run is resumed: where files lie, how fast it goes, how long it trains.
-_FREE = (
-    *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
-    *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
-    *("training.epochs", "training.workers", "training.augment_where"),
-)
+_ROOMS = 2  # that have to be told apart at least
 _UNIT_ROUNDING = 1e-2  # of the length of a descriptor in half precision
-_LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
 
 
 @takes(Training)
@@ -92,7 +85,8 @@ def fit(
         augmentation: what happens to the training images: an effect or a policy of `augment`, a policy's name, or
             plain values as a policy file has them; nothing if None.
         trainer: further arguments of `lightning.Trainer`, such as {"accelerator": "gpu"}. Callbacks and plugins are
-            added to those of the training. {"precision": "auto"} is bfloat16 where the device computes it fast.
+            added to those of the training. {"precision": "auto"} is the fastest that the device has: bfloat16 for
+            most of the network where it has instructions for it.
         resume: go on from the last checkpoint of the run; only `epochs`, `workers` and the place of files may differ.
         overwrite: replace a run: what siamloc wrote into the folder is removed, all other files stay.
         protocol: who does what in the data, as plain values for the record; the sequences of the frames if None.
@@ -127,7 +121,7 @@ def fit(
     run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
     first = process_rank() == 0
     if first:
-        _check_folder(run, resume, overwrite)
+        check_folder(run, resume, overwrite)
     train, validated = _usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
     change = None if effect is None else BatchAugmentation(effect, settings.augment_where, settings.seed)
@@ -146,13 +140,13 @@ def fit(
     }
     last = run.checkpoints / "last.ckpt"
     if resume and first:
-        _check_same_training(run, plain(used), settings.epochs)
+        check_same_training(run, plain(used), settings.epochs)
     if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
         network.train()
     with _quiet():
-        lightning = _trainer(run, settings, trainer, validated=validated is not None)
+        lightning = _trainer(run, settings, trainer, _monitor(settings, validated))
         if first:
-            _open(run, used, resume=resume, validated=validated is not None)
+            open_run(run, used, resume=resume, validated=validated is not None)
             name = content["model"].get("class") or f"{content['model']['branch']} + {content['model']['head']}"
             print(
                 f"training {name} on {len(train)} frames, {data.sampler.summary()} per epoch, "
@@ -160,7 +154,12 @@ def fit(
                 file=sys.stderr,
             )
         start = last if resume and last.is_file() else None
-        _train(lightning, module, data, run, start)
+        if used["trainer"]["precision"] == "auto":  # convolutions are faster when the channels of a pixel lie together
+            network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        try:
+            _train(lightning, module, data, run, start)
+        finally:
+            network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
     load(run, network=network)
     return run
 
@@ -173,41 +172,13 @@ def process_rank() -> int:
     return 0
 
 
-def _check_folder(run: Run, resume: bool, overwrite: bool) -> None:
-    """Refuse to write over a run unless told to, and over anything else in any case."""
-    if resume and overwrite:
-        raise ConfigError("resume=true goes on with a run, overwrite=true throws it away: choose one")
-    if run.record.is_file():
-        run.load_record()
-        if not resume and not overwrite:
-            raise ConfigError(
-                f"{run.folder} holds a run already: go on with it by resume=true, replace it by overwrite=true, "
-                "or choose another run="
-            )
-    elif resume:
-        raise ConfigError(f"there is no run to resume in {run.folder}: leave out resume=true to start one")
-    elif run.folder.is_dir() and any(run.folder.iterdir()):
-        other = min(path.name for path in run.folder.iterdir())
-        raise ConfigError(
-            f"{run.folder} is not a run and holds other files, such as {other}: choose a new or empty folder as run="
-        )
-    elif run.folder.exists() and not run.folder.is_dir():
-        raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
-    foreign = run.foreign(_names(validated=True))
-    if foreign:
-        raise ConfigError(
-            f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "
-            "or choose another run="
-        )
-
-
 def _usable(
     images: PanoramaLibrary, frames: FrameTable, validation: FrameTable | None, settings: Training
 ) -> tuple[FrameTable, FrameTable | None]:
     """Select the frames whose image can be read; for distance labels those that have a position."""
     found: list[FrameTable | None] = []
     pairs = settings.pairs
-    distance = isinstance(pairs, PlaceSettings) or pairs.label == "distance"
+    distance = pairs.by == "position" if isinstance(pairs, PlaceSettings) else pairs.label == "distance"
     for name, table in (("training", frames), ("validation", validation)):
         if table is None:
             found.append(None)
@@ -249,6 +220,7 @@ def _parts(
     common: dict[str, Any] = {"workers": settings.workers, "augmentation": augmentation, "seed": settings.seed}
     if isinstance(settings.pairs, PlaceSettings):
         _check_loss(loss, 2)
+        _check_rooms(loss, train, validated)
         places = PlaceDataModule(images, train, validated, places=settings.pairs, **common)
         return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer)
     _check_loss(loss, 3)
@@ -271,6 +243,21 @@ def _check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
         ) from error
     except ValueError:  # functions without a signature
         return
+
+
+def _check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: FrameTable | None) -> None:
+    """Make sure that frames have the rooms that are learned from, and what the checkpoint is chosen by."""
+    rooms = set(train.place[train.room != ""].tolist())
+    if isinstance(loss, SoftContrastiveLoss) and loss.room > 0 and len(rooms) < _ROOMS:
+        raise DataError(
+            f"the loss learns from rooms, loss.room={loss.room:g}, but the training frames have {len(rooms)}: give "
+            "their room labels, or set loss.room to 0"
+        )
+    if validated is not None and not validated.has_position.any() and not (validated.room != "").any():
+        raise DataError(
+            "the validation frames have neither positions nor rooms, by which the checkpoint is chosen: give either, "
+            "or leave the validation out"
+        )
 
 
 def _effect(
@@ -315,7 +302,16 @@ def _check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) -
         )
 
 
-def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, *, validated: bool) -> Trainer:
+def _monitor(settings: Training, validated: FrameTable | None) -> str | None:
+    """Name the figure by which the checkpoint is chosen; None where nothing is validated."""
+    if validated is None:
+        return None
+    if not isinstance(settings.pairs, PlaceSettings):
+        return "val/loss"
+    return "val/error" if validated.has_position.any() else "val/room"
+
+
+def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, monitor: str | None) -> Trainer:
     """Make the trainer of a run: checkpoints, curves and TensorBoard lie in the run's folder.
 
     Raises:
@@ -329,15 +325,14 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, *,
         callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:
         options.setdefault("gradient_clip_val", settings.clip)
-    monitor = "val/error" if isinstance(settings.pairs, PlaceSettings) else "val/loss"
     own: dict[str, Any] = {
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
         "logger": TensorBoardLogger(run.folder, name="tensorboard", version=""),
-        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor if validated else None)],
+        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor)],
         "plugins": [*_listed(options.pop("plugins", None)), AtomicCheckpoints()],
         "num_sanity_val_steps": 0,
-        "limit_val_batches": 1.0 if validated else 0,
+        "limit_val_batches": 1.0 if monitor else 0,
         "enable_model_summary": False,
     }
     taken = sorted(set(options) & set(own))
@@ -360,25 +355,6 @@ def _fast_precision(accelerator: str) -> str:
     return "bf16-mixed" if fast else "32-true"
 
 
-def _open(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
-    """Make the folder ready: remove what an earlier training left, and write down the settings."""
-    if resume:
-        run.record_written(_names(validated=validated))
-        record = run.load_record()
-        run.start(used, record["written"])
-    else:
-        if run.record.is_file():
-            run.clear()
-        run.start(used, _names(validated=validated))
-    run.clear_temporaries()
-
-
-def _names(*, validated: bool) -> list[str]:
-    """Name the files that a training writes, but for TensorBoard's, whose names are not known before."""
-    best = ["checkpoints/best.ckpt"] if validated else []
-    return ["metrics.csv", "checkpoints/last.ckpt", *best, "tensorboard/hparams.yaml"]
-
-
 def _train(
     trainer: Trainer, module: NetworkModule, data: PairDataModule | PlaceDataModule, run: Run, start: Path | None
 ) -> None:
@@ -396,7 +372,7 @@ def _train(
         if not trainer.interrupted:
             raise
         signal.signal(signal.SIGINT, handler)
-        done = _finished_epochs(run)
+        done = finished_epochs(run)
         text = f"stopped after {done} of {trainer.max_epochs} epochs: go on with resume=true, run={run.folder}"
         print(text, file=sys.stderr, flush=True)
         raise KeyboardInterrupt(text) from error
@@ -416,53 +392,6 @@ class _Seeds(Callback):
         """Seed it."""
         key = content_key([self._seed, trainer.current_epoch, trainer.global_rank], 15)
         torch.manual_seed(int(key, 16))
-
-
-def _check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
-    """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
-    before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
-    before = {**before, "training": Training.of(before["training"]).plain(), "model": _whole(before["model"])}
-    planned = before["training"]["epochs"]
-    if before["training"]["optimizer"]["schedule"] != "constant" and planned != epochs:
-        raise ConfigError(
-            f"the learning rate of {run.folder} was laid out for {planned} epochs: resume with epochs={planned}, or "
-            "train another run"
-        )
-    # The same frames may be named in several ways; how is only worth a word where they are others.
-    same_frames = before.get("frames") == now.get("frames")
-    free = (*_FREE, "protocol.train", "protocol.validation") if same_frames else _FREE
-    for section in _LEARNED:
-        old, new = _flat(section, before.get(section)), _flat(section, now.get(section))
-        for key in sorted({*old, *new}):
-            if old.get(key) != new.get(key) and not key.startswith(free):
-                raise ConfigError(
-                    f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
-                    f"{key}={new.get(key)}: leave it out, or train another run"
-                )
-    done = _finished_epochs(run)
-    if done > epochs:
-        raise ConfigError(f"{run.folder} has {done} epochs already, more than epochs={epochs}: ask for more epochs")
-    if done == 0:
-        print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
-
-
-def _whole(model: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a record of a network with what older ones left out."""
-    if "branch" not in model:
-        return dict(model)
-    return {"outputs": None, "circular": False, "normalize": branch_spec(model["branch"]).normalize, **model}
-
-
-def _finished_epochs(run: Run) -> int:
-    """Count the epochs that the last checkpoint holds."""
-    last = run.checkpoints / "last.ckpt"
-    return int(read_checkpoint(last, mmap=True)["epoch"]) + 1 if last.is_file() else 0
-
-
-def _flat(prefix: str, value: Any) -> dict[str, Any]:
-    if isinstance(value, Mapping):
-        return {key: item for name, part in value.items() for key, item in _flat(f"{prefix}.{name}", part).items()}
-    return {prefix: value}
 
 
 def _protocol(train: FrameTable, validation: FrameTable | None) -> dict[str, Any]:

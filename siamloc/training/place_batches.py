@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.places import PlaceSampler, PlaceSettings
+from siamloc.data.places import PlaceSampler, PlaceSettings, places_of
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 
 _STREAM = 0xA07  # sets the draws of the augmentation apart from others
@@ -43,7 +43,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         self._library = library
         self._sampler = sampler
         self._rows = library.rows(sampler.frames)
-        self._origins = origins_of(sampler.frames)
+        self._origins = origins_of(sampler.frames, by=sampler.settings.by)
         self._augmentation = augmentation
         self._rank, self._world_size = rank, world_size
 
@@ -137,13 +137,14 @@ class PlaceDataModule(EpochDataModule):
         return batch
 
 
-def origins_of(*tables: FrameTable) -> dict[str, Tensor]:
-    """Return where the frames of tables come from, one after the other, as `siamloc.models.Origins` holds it."""
-    place = np.concatenate([frames.place for frames in tables])
-    unknown = np.concatenate([frames.room == "" for frames in tables])
-    room = np.where(unknown, -1, np.unique(place, return_inverse=True)[1])
-    building = np.unique(np.concatenate([frames.building for frames in tables]), return_inverse=True)[1]
-    xy = np.concatenate([frames.xy for frames in tables])
+def origins_of(*tables: FrameTable, by: str = "position") -> dict[str, Tensor]:
+    """Return where the frames of tables come from, one after the other, as `siamloc.models.Origins` holds it.
+
+    Where places are drawn by sequence, positions and buildings are those of `siamloc.data.places.places_of`.
+    """
+    frames = concatenate(tables)
+    room = np.where(frames.room == "", -1, np.unique(frames.place, return_inverse=True)[1])
+    xy, building = places_of(frames, by)
     known = np.isfinite(xy).all(axis=1)
     for number in range(building.max() + 1):  # single precision tells decimetres apart near the origin only
         if (known & (building == number)).any():
@@ -152,7 +153,7 @@ def origins_of(*tables: FrameTable) -> dict[str, Tensor]:
         "xy": torch.from_numpy(xy).float(),
         "building": torch.from_numpy(building),
         "room": torch.from_numpy(room),
-        "frame": torch.arange(len(place)),
+        "frame": torch.arange(len(room)),
     }
 
 

@@ -76,9 +76,9 @@ class Recipe:
 RECIPES: dict[str, Recipe] = {
     "modern": Recipe(
         image_size=(64, 256),
-        model={"branch": "panoresnet", "head": "fourier", "circular": True},
+        model={"branch": "panoresnet", "head": "fourier", "circular": True, "normalize": "local"},
         loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.2},
-        augmentation={"name": "modern", "policy": "lighting", "rotate": 1.0},
+        augmentation={"name": "modern", "policy": "any_light", "rotate": 1.0},
         training={
             "epochs": 12,
             "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 50},
@@ -88,11 +88,29 @@ RECIPES: dict[str, Recipe] = {
         },
         trainer={"precision": "auto"},
     ),
+    "photographs": Recipe(
+        image_size=(96, 128),
+        model={"branch": "panoresnet", "head": "flat", "normalize": "local"},
+        loss={"name": "soft_contrastive", "sigma": 1.0},
+        augmentation={"name": "photographs", "all_of": [{"policy": "lighting"}, {"effect": "view"}]},
+        training={
+            "epochs": 6,
+            "pairs": {"by": "sequence", "radius": 1.0, "near": 0.5, "reach": 10.0, "epoch_batches": 50},
+            "optimizer": {"name": "adamw", "learning_rate": 0.001, "weight_decay": 0.01, "schedule": "one_cycle"},
+            "clip": 1.0,
+            "average": 0.98,
+        },
+        trainer={"precision": "auto"},
+    ),
 }
 """Our recipes, by the names of the files in conf/experiment.
 
-`modern`: any data with positions in metres. A small residual network that wraps around the azimuth, trained from random
+`modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from random
 weights on batches of places, some five minutes on two processor cores.
+
+`photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
+nor rooms are needed. The same network without the wrapping, half as long. With room labels, `loss.room` above 0 learns
+from them, too.
 """
 
 

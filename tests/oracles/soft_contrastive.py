@@ -3,8 +3,10 @@
 import math
 
 
-def soft_contrastive_loss(descriptors, places, buildings, temperature, sigma, kernel="gaussian"):
-    """Mean over the images with a neighbour of -sum_j p_ij log q_ij, as its docstring writes it."""
+def soft_contrastive_loss(
+    descriptors, places, buildings, temperature, sigma, kernel="gaussian", rooms=None, room_share=0.0
+):
+    """Mean over the images with a neighbour or a room mate of -sum_j p_ij log q_ij, as its docstring writes it."""
     count, costs = len(descriptors), []
     for i in range(count):
         others = [j for j in range(count) if j != i]
@@ -12,13 +14,21 @@ def soft_contrastive_loss(descriptors, places, buildings, temperature, sigma, ke
         for j in others:
             apart = math.dist(places[i], places[j]) if buildings[i] == buildings[j] else math.inf
             near[j] = math.exp(-apart / sigma) if kernel == "exponential" else math.exp(-(apart**2) / (2 * sigma**2))
-        weight = sum(near.values())
-        if weight <= 1e-6:
+            if math.isnan(near[j]):
+                near[j] = 0.0
+        mates = {j: float(rooms is not None and rooms[i] >= 0 and rooms[i] == rooms[j]) for j in others}
+        wanted = dict.fromkeys(others, 0.0)
+        for share, weights in ((1 - room_share, near), (room_share, mates)):
+            total = sum(weights.values())
+            if share > 0 and total > 1e-6:
+                wanted = {j: wanted[j] + share * weights[j] / total for j in others}
+        weight = sum(wanted.values())
+        if weight == 0:
             continue
         alike = {
             j: math.exp(sum(a * b for a, b in zip(descriptors[i], descriptors[j], strict=True)) / temperature)
             for j in others
         }
         whole = sum(alike.values())
-        costs.append(-sum(near[j] / weight * math.log(alike[j] / whole) for j in others))
+        costs.append(-sum(wanted[j] / weight * math.log(alike[j] / whole) for j in others))
     return sum(costs) / max(len(costs), 1)

@@ -94,6 +94,17 @@ def test_an_epoch_shows_every_frame_once_on_average():
     assert len(PlaceSampler(building(), PlaceSettings(epoch_batches=7))) == 7
 
 
+def test_without_positions_places_are_stretches_of_a_sequence():
+    paths = [f"{drive}{number}" for number in range(30) for drive in ("monday", "tuesday")]  # interleaved
+    frames = FrameTable(path=paths, sequence=[path.rstrip("0123456789") for path in paths])
+    sampler = PlaceSampler(frames, PlaceSettings(by="sequence", places=6, images=3, radius=2, near=0.5, reach=4))
+    for number in range(5):
+        rows = sampler.batch(0, number).reshape(6, 3)
+        assert (frames.sequence[rows] == frames.sequence[rows[:, :1]]).all()
+        step = rows // 2  # each drive has every second row
+        assert np.abs(step - step[:, :1]).max() <= 2
+
+
 def test_what_cannot_be_drawn_is_refused():
     frames = building()
     with pytest.raises(ConfigError, match="a batch of one place has nothing to tell apart"):

@@ -46,6 +46,28 @@ def test_agrees_with_a_loop_over_pairs(images, dimensions, temperature, sigma, k
     assert loss.item() == pytest.approx(expected, rel=1e-4, abs=1e-5)
 
 
+@settings(deadline=None, max_examples=40)
+@given(images=st.integers(2, 9), share=st.sampled_from([0.3, 1.0]), seed=st.integers(0, 1000))
+def test_rooms_agree_with_a_loop_over_pairs(images, share, seed):
+    descriptors, xy, building = draw(images, 5, seed)
+    room = torch.randint(-1, 3, (images,), generator=torch.Generator().manual_seed(seed))
+    xy[0] = math.nan  # taken nobody knows where
+    loss = SoftContrastiveLoss(room=share)(descriptors, origins(xy, building, room))
+    expected = soft_contrastive_loss(
+        descriptors.tolist(), xy.tolist(), building.tolist(), 0.07, 0.4, rooms=room.tolist(), room_share=share
+    )
+    assert loss.item() == pytest.approx(expected, rel=1e-4, abs=1e-5)
+
+
+def test_rooms_alone_need_no_positions():
+    descriptors, xy, _ = draw(6, 4, 1)
+    nowhere = torch.full_like(xy, math.nan)
+    room = [0, 0, 1, 1, 2, -1]
+    found = SoftContrastiveLoss(room=1)(descriptors, origins(nowhere, room=room))
+    assert found.item() > 0
+    assert torch.equal(found, SoftContrastiveLoss(room=1)(descriptors, origins(xy, room=room)))
+
+
 def test_an_image_without_a_neighbour_does_not_count():
     descriptors, xy, _ = draw(4, 3, 0)
     lonely = torch.cat([xy, torch.tensor([[500.0, 500.0]])])
@@ -99,7 +121,8 @@ def test_other_shapes_are_refused():
 
 def test_a_loss_is_made_by_its_name():
     loss = make_loss("soft_contrastive", sigma=0.2)
-    assert loss.settings == {"name": "soft_contrastive", "temperature": 0.07, "kernel": "gaussian", "sigma": 0.2}
+    expected = {"name": "soft_contrastive", "temperature": 0.07, "kernel": "gaussian", "sigma": 0.2, "room": 0.0}
+    assert loss.settings == expected
     with pytest.raises(ConfigError, match="did you mean 'soft_contrastive'"):
         make_loss("soft_contrast")
     with pytest.raises(ConfigError, match=r"unknown key loss\.sigm: did you mean 'sigma'"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import cv2
 import numpy as np
 import pytest
@@ -163,6 +165,60 @@ def test_frames_without_positions_are_left_out_and_too_few_are_refused(images, d
     nowhere = FrameTable(path=drives[0].path, sequence=drives[0].sequence)
     with pytest.raises(DataError, match="have no position, which places need"):
         siamloc.training.fit(network(), images, nowhere, run=tmp_path / "nowhere", epochs=1, **SETTINGS)
+
+
+def test_rooms_and_the_order_of_the_frames_are_enough(images, drives, tmp_path):
+    """The same drives as photographs whose positions nobody knows."""
+    unplaced = [FrameTable(path=d.path, sequence=d.sequence, lighting=d.lighting, room=d.room) for d in drives]
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1, "reach": 3}}
+    loss = siamloc.models.SoftContrastiveLoss(sigma=1, room=0.5)
+    run = siamloc.training.fit(
+        network(), images, unplaced[0], validation=unplaced[1], run=tmp_path / "run", loss=loss, epochs=3, **settings
+    )
+    curves = run.curves()
+    assert "val/error" not in curves
+    found = siamloc.models.load(run)
+    known = siamloc.maps.build(found, images, unplaced[0], progress=False)
+    rooms = siamloc.evaluation.rooms(known, images, unplaced[1])
+    # The checkpoint is the one that finds the most rooms.
+    assert rooms.measures["accuracy"] == pytest.approx(curves["val/room"].max(), abs=1e-6)
+
+
+def test_rooms_that_the_data_lack_are_refused(images, drives, tmp_path):
+    monday = drives[0]
+    nameless = FrameTable(path=monday.path, sequence=monday.sequence, x=monday.x, y=monday.y)
+    loss = siamloc.models.SoftContrastiveLoss(room=0.5)
+    with pytest.raises(DataError, match=r"learns from rooms, loss\.room=0\.5, but the training frames have 0: give"):
+        siamloc.training.fit(network(), images, nameless, run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
+    nowhere = FrameTable(path=drives[1].path, sequence=drives[1].sequence)
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}}
+    with pytest.raises(DataError, match="validation frames have neither positions nor rooms"):
+        siamloc.training.fit(network(), images, monday, validation=nowhere, run=tmp_path / "run", **settings)
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_pace_counts_images_and_the_time_without_work(images, drives, tmp_path):
+    from siamloc.training.callbacks import Pace
+
+    class Slow(augment.Effect):
+        name = "slow"
+
+        def brushes(self, params, height, width):
+            time.sleep(0.05)
+            return [[] for _ in range(8)]
+
+        def render(self, batch, params):
+            return batch
+
+    pace = Pace()
+    assert np.isnan(pace.images_per_second)
+    siamloc.training.fit(
+        network(), images, drives[0], run=tmp_path / "run", epochs=2, trainer={"callbacks": [pace]},
+        augmentation=Slow(), **SETTINGS,
+    )  # fmt: skip
+    assert 0 < pace.images_per_second < 8 / 0.05
+    assert 0 < pace.waiting < 1
+    assert 8 / pace.images_per_second * pace.waiting >= 0.05  # of each step
 
 
 def test_a_loss_that_does_not_go_with_the_batches_is_refused_before_anything_is_written(images, drives, tmp_path):

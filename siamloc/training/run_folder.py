@@ -1,0 +1,118 @@
+"""The folder of a training: who may write into it, and whether a run can go on with other settings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from siamloc.data.protocol import Protocol
+from siamloc.errors import ConfigError
+from siamloc.models.checkpoint import read_checkpoint
+from siamloc.models.registry import branch_spec
+from siamloc.runs import Run
+from siamloc.training.settings import Training
+
+# What may differ when a run is resumed: where files lie, how fast it goes, how long it trains.
+_FREE = (
+    *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
+    *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
+    *("training.epochs", "training.workers", "training.augment_where"),
+)
+_LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
+
+
+def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
+    """Refuse to write over a run unless told to, and over anything else in any case."""
+    if resume and overwrite:
+        raise ConfigError("resume=true goes on with a run, overwrite=true throws it away: choose one")
+    if run.record.is_file():
+        run.load_record()
+        if not resume and not overwrite:
+            raise ConfigError(
+                f"{run.folder} holds a run already: go on with it by resume=true, replace it by overwrite=true, "
+                "or choose another run="
+            )
+    elif resume:
+        raise ConfigError(f"there is no run to resume in {run.folder}: leave out resume=true to start one")
+    elif run.folder.is_dir() and any(run.folder.iterdir()):
+        other = min(path.name for path in run.folder.iterdir())
+        raise ConfigError(
+            f"{run.folder} is not a run and holds other files, such as {other}: choose a new or empty folder as run="
+        )
+    elif run.folder.exists() and not run.folder.is_dir():
+        raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
+    foreign = run.foreign(names_written(validated=True))
+    if foreign:
+        raise ConfigError(
+            f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "
+            "or choose another run="
+        )
+
+
+def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
+    """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
+    before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
+    before = {**before, "training": Training.of(before["training"]).plain(), "model": _whole(before["model"])}
+    if before["loss"].get("name") == "soft_contrastive":
+        before["loss"] = {"room": 0.0, **before["loss"]}
+    planned = before["training"]["epochs"]
+    if before["training"]["optimizer"]["schedule"] != "constant" and planned != epochs:
+        raise ConfigError(
+            f"the learning rate of {run.folder} was laid out for {planned} epochs: resume with epochs={planned}, or "
+            "train another run"
+        )
+    # The same frames may be named in several ways; how is only worth a word where they are others.
+    same_frames = before.get("frames") == now.get("frames")
+    free = (*_FREE, "protocol.train", "protocol.validation") if same_frames else _FREE
+    for section in _LEARNED:
+        old, new = _flat(section, before.get(section)), _flat(section, now.get(section))
+        for key in sorted({*old, *new}):
+            if old.get(key) != new.get(key) and not key.startswith(free):
+                raise ConfigError(
+                    f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
+                    f"{key}={new.get(key)}: leave it out, or train another run"
+                )
+    done = finished_epochs(run)
+    if done > epochs:
+        raise ConfigError(f"{run.folder} has {done} epochs already, more than epochs={epochs}: ask for more epochs")
+    if done == 0:
+        print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
+
+
+def _whole(model: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record of a network with what older ones left out."""
+    if "branch" not in model:
+        return dict(model)
+    return {"outputs": None, "circular": False, "normalize": branch_spec(model["branch"]).normalize, **model}
+
+
+def finished_epochs(run: Run) -> int:
+    """Count the epochs that the last checkpoint holds."""
+    last = run.checkpoints / "last.ckpt"
+    return int(read_checkpoint(last, mmap=True)["epoch"]) + 1 if last.is_file() else 0
+
+
+def _flat(prefix: str, value: Any) -> dict[str, Any]:
+    if isinstance(value, Mapping):
+        return {key: item for name, part in value.items() for key, item in _flat(f"{prefix}.{name}", part).items()}
+    return {prefix: value}
+
+
+def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
+    """Make the folder ready: remove what an earlier training left, and write down the settings."""
+    if resume:
+        run.record_written(names_written(validated=validated))
+        record = run.load_record()
+        run.start(used, record["written"])
+    else:
+        if run.record.is_file():
+            run.clear()
+        run.start(used, names_written(validated=validated))
+    run.clear_temporaries()
+
+
+def names_written(*, validated: bool) -> list[str]:
+    """Name the files that a training writes, but for TensorBoard's, whose names are not known before."""
+    best = ["checkpoints/best.ckpt"] if validated else []
+    return ["metrics.csv", "checkpoints/last.ckpt", *best, "tensorboard/hparams.yaml"]
