@@ -1,8 +1,8 @@
 """The main job on real photographs: trained on one drive through a corridor, tested on another.
 
 `ours` is `siamloc.training.recipe("photographs")`, with the nearest frame and with the sequence filter. The published
-way is AlexNet on pairs with metric labels, in the two settings that were tried. Beside them the analytic
-descriptors with the project's settings, raw thumbnails and the untrained network, by the same evaluator. Several seeds show the
+way is AlexNet on pairs with metric labels, in the two settings that were tried. Beside them the analytic descriptors
+with the project's settings, raw thumbnails and the untrained network, by the same evaluator. Several seeds show the
 spread; positions count frames. For one seed of ours, these commands do the same:
 
     siamloc train experiment=corridor data.manifest=corridor/manifest.csv run=runs/corridor seed=0

@@ -105,8 +105,8 @@ RECIPES: dict[str, Recipe] = {
 }
 """Our recipes, by the names of the files in conf/experiment.
 
-`modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from random
-weights on batches of places, some five minutes on two processor cores.
+`modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from
+random weights on batches of places, some five minutes on two processor cores.
 
 `photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
 nor rooms are needed. The same network without the wrapping, half as long. With room labels, `loss.room` above 0 learns
