@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from math import ceil, floor, pi
+from math import pi
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from augment.base import Effect, Params, Range, column_of
 from augment.brushes import Brush, Frame
 from augment.layers import Layer
+
+Floats = NDArray[np.float32]
 
 _GAMMA = 2.2
 _WAVES = 4
@@ -58,16 +61,31 @@ class Relight(Layer):
 
     def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
         """Return the gain of each colour."""
-        azimuth = self.offset(columns, params["column"], width) * (2 * pi / width)
+        level, slope, colour = self._of_columns(columns, params, width)
         above = 1 - rows * (2 / max(height - 1, 1))
-        # Most is the same in a whole column, or in all colours.
+        return torch.exp2(level + slope * above) * colour
+
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the multiplication with its gains; those of columns come from the whole batch."""
+        each = {key: value.float().view(-1, 1, 1, 1) for key, value in params.items()}
+        columns = torch.arange(width, dtype=torch.float32).view(1, 1, 1, -1)
+        parts = (part.numpy() for part in self._of_columns(columns, each, width))
+        above = 1 - np.arange(height, dtype=np.float32)[:, None] * np.float32(2 / max(height - 1, 1))
+        return [
+            [partial(_relight, level[0], slope[0], colour, above)] for level, slope, colour in zip(*parts, strict=True)
+        ]
+
+    def _of_columns(self, columns: Tensor, params: Mapping[str, Any], width: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Return stops / 2.2 in the middle row and their growth upwards (..., 1, w), and gains of colours (3, 1, w)."""
+        azimuth = self.offset(columns, params["column"], width) * (2 * pi / width)
         level, slope = 0 * azimuth, params["slope"] + 0 * azimuth
         for number, (phase, tilt) in enumerate(zip(_PHASES, _TILTS, strict=True), start=1):
             wave = (number * azimuth + params[phase]).cos() / number
             level, slope = level + wave, slope + params[tilt] * wave
-        gain = torch.exp2((params["stops"] / _GAMMA) * (level + slope * above))
-        red_to_blue = torch.tensor([1.0, 0.0, -1.0], device=rows.device).view(3, 1, 1)
-        return gain * torch.exp2((params["warmth"] / _GAMMA) * red_to_blue * azimuth.cos())
+        stops = params["stops"] / _GAMMA
+        red_to_blue = torch.tensor([1.0, 0.0, -1.0], device=columns.device).view(3, 1, 1)
+        colour = torch.exp2((params["warmth"] / _GAMMA) * red_to_blue * azimuth.cos())
+        return stops * level, stops * slope, colour
 
 
 class Doorway(Layer):
@@ -95,12 +113,12 @@ class Doorway(Layer):
         gain = torch.exp2(torch.as_tensor(params["stops"] / _GAMMA))
         return 1 + (gain - 1) * inside + 0 * rows
 
-    def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:
-        """Return the columns of the sector."""
-        half = (params["share"] / 2 + _SOFT) * width
-        if 2 * half + 1 >= width:
-            return 0, height, 0, width
-        return 0, height, floor(params["column"] - half), ceil(params["column"] + half) + 1
+    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+        """Return for each frame the multiplication of its columns."""
+        each = {key: value.float().view(-1, 1, 1) for key, value in params.items()}
+        columns = torch.arange(width, dtype=torch.float32).view(1, 1, -1)
+        gains = self.layer(torch.zeros(1, 1, 1), columns, each, height, width)
+        return [[partial(_multiply, gain)] for gain in gains.numpy()]
 
 
 class Windows(Effect):
@@ -137,6 +155,19 @@ class Windows(Effect):
         threshold = (reached > most).sum(dim=1).view(-1, 1, 1, 1)
         changed = batch + column_of(params["strength"], batch) * (column_of(params["level"], batch) / 255 - batch)
         return torch.where(bright >= threshold, changed, batch)
+
+
+def _relight(level: Floats, slope: Floats, colour: Floats, above: Floats, frame: Frame) -> None:
+    gain = np.exp2(level + slope * above)
+    for channel, tint in zip(frame, colour, strict=True):
+        _multiply(gain * tint, channel)
+
+
+def _multiply(gain: Floats, pixels: Frame) -> None:
+    """Multiply 8-bit pixels in place by gains that broadcast to them."""
+    scaled = pixels * gain
+    np.rint(np.minimum(scaled, 255, out=scaled), out=scaled)
+    pixels[...] = scaled
 
 
 def _black_out(share: float, level: float, strength: float, frame: Frame) -> None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,8 @@ def main() -> None:
     arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--picture", type=Path, help="where to draw the ablation (PNG)")
+    arguments.add_argument("--changes", nargs="*", default=list(CHANGES), choices=list(CHANGES), help="rows to ablate")
+    arguments.add_argument("--analytic", nargs="+", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
     options = arguments.parse_args()
     report = Report("light_gap", options.out)
     small, large = Building(options.data, RECIPE.image_size), Building(options.data)
@@ -67,12 +70,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         rows["ours"] = [trained(small, seed, Path(folder) / f"ours{seed}") for seed in range(options.seeds)]
         half = {"epochs": RECIPE.training["epochs"] // 2}
-        for number, (name, change) in enumerate(CHANGES.items()):
-            rows[name] = [trained(small, 0, Path(folder) / f"change{number}", **half, **change)]
+        for number, name in enumerate(options.changes):
+            rows[name] = [trained(small, 0, Path(folder) / f"change{number}", **half, **CHANGES[name])]
             print(f"{name}: {rows[name][0]}", flush=True)
-    for name in ANALYTIC:
+    for name in options.analytic:
         rows[name] = [located(large, name, every=(5,))["5"]]
-    judge(report, rows)
+    judge(report, rows, options.analytic)
     print(f"{options.seeds} seeds: mean (lowest to highest); {hardware()['cpu']}\n\n{table(rows)}")
     report.write({"seeds": options.seeds, "rows": rows})
     if options.picture is not None:
@@ -91,11 +94,11 @@ def trained(building: Building, seed: int, run: Path, **changes: Any) -> dict[st
     return found
 
 
-def judge(report: Report, rows: dict[str, list[dict[str, Any]]]) -> None:
+def judge(report: Report, rows: dict[str, list[dict[str, Any]]], analytic: Sequence[str]) -> None:
     """Compare the means over the seeds with the targets and the analytic descriptors."""
     for light, most in MOST_EXCESS.items():
         excess = statistics.mean(row[light]["excess"] for row in rows["ours"])
-        best, name = min((rows[name][0][light]["excess"], name) for name in ANALYTIC)
+        best, name = min((rows[name][0][light]["excess"], name) for name in analytic)
         report.target(f"{light}: excess at most {most} m ({excess:.3f})", excess <= most)
         report.target(f"{light}: less than the best analytic descriptor, {name} ({best:.3f})", excess < best)
 
@@ -128,7 +131,7 @@ def draw(rows: dict[str, list[dict[str, Any]]], path: Path) -> None:
         axes.plot(means, range(len(names)), "o", color=colours[light], label=light, markersize=7)
     for at in range(len(names)):
         axes.axhline(at, color="#e2e8f0", linewidth=0.8, zorder=0)
-    axes.axhline(len(ANALYTIC) - 0.5, color="#334155", linewidth=0.8)
+    axes.axhline(sum(name in ANALYTIC for name in names) - 0.5, color="#334155", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_xticks([0.02, 0.05, 0.1, 0.2, 0.5, 1, 2], labels=["2 cm", "5", "10", "20", "50 cm", "1 m", "2 m"])
     axes.minorticks_off()
