@@ -26,6 +26,7 @@ import re
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from functools import wraps
 from pathlib import Path
 from textwrap import dedent, indent
@@ -223,11 +224,20 @@ def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
 
 
 def _by_keys(parts: tuple[Any, ...], value: Any) -> list[Any]:
-    """Return the kinds that a value may have; of several groups of settings the one that knows most of its keys."""
+    """Return the kinds that a value may have; of several groups of settings the one that knows most of its keys.
+
+    Where they know equally many, it is the one whose keys look most like those that nobody knows.
+    """
     groups = [part for part in parts if isinstance(part, type) and issubclass(part, Settings)]
     if len(groups) < 2 or not isinstance(value, Mapping):
         return list(parts)
-    best = max(groups, key=lambda group: len(set(value) & set(fields_of(group))))
+
+    def known(group: type[Settings]) -> tuple[int, float]:
+        names = fields_of(group)
+        alike = (max(SequenceMatcher(None, str(key), name).ratio() for name in names) for key in value)
+        return len(set(value) & set(names)), sum(alike)
+
+    best = max(groups, key=known)
     return [part for part in parts if part is best or part not in groups]
 
 

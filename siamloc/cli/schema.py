@@ -36,7 +36,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     from siamloc.evaluation.layers import MapMeasures
     from siamloc.evaluation.localize import Localization
     from siamloc.maps.grouping import WAYS
-    from siamloc.models.registry import Optimizer, SoftContrastive
+    from siamloc.models.registry import LOSS_SETTINGS, Optimizer
     from siamloc.settings import defaults_of
     from siamloc.training.settings import Training
 
@@ -69,7 +69,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
         **_nodes_of_recipes(),
         "settings/loss": {
             "contrastive": {"margin": training["margin"]},
-            "soft_contrastive": defaults_of(SoftContrastive),
+            **{name: defaults_of(loss) for name, loss in LOSS_SETTINGS.items()},
         },
         "settings/build": {name: defaults_of(way) for name, way in WAYS.items()},
         "parameters/descriptor": descriptors,

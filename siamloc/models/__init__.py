@@ -11,7 +11,14 @@ from siamloc.lazy import lazy
 from siamloc.models.registry import BRANCHES, HEADS, Optimizer
 
 if TYPE_CHECKING:
-    from siamloc.models.batch_losses import Origins, SoftContrastiveLoss
+    from siamloc.models.batch_losses import (
+        CircleLoss,
+        MetricCalibratedLoss,
+        MultiSimilarityLoss,
+        Origins,
+        SoftContrastiveLoss,
+        TripletLoss,
+    )
     from siamloc.models.checkpoint import load
     from siamloc.models.describing import NetworkDescriptor, as_descriptor
     from siamloc.models.losses import ContrastiveLoss
@@ -22,7 +29,10 @@ if TYPE_CHECKING:
 __all__ = [
     "BRANCHES",
     "HEADS",
+    "CircleLoss",
     "ContrastiveLoss",
+    "MetricCalibratedLoss",
+    "MultiSimilarityLoss",
     "Network",
     "NetworkDescriptor",
     "Optimizer",
@@ -30,19 +40,24 @@ __all__ = [
     "PlaceModule",
     "SiameseModule",
     "SoftContrastiveLoss",
+    "TripletLoss",
     "as_descriptor",
     "build",
     "load",
 ]
 
 _HOMES = {
+    "CircleLoss": "batch_losses",
     "ContrastiveLoss": "losses",
+    "MetricCalibratedLoss": "batch_losses",
+    "MultiSimilarityLoss": "batch_losses",
     "Network": "network",
     "NetworkDescriptor": "describing",
     "Origins": "batch_losses",
     "PlaceModule": "places",
     "SiameseModule": "siamese",
     "SoftContrastiveLoss": "batch_losses",
+    "TripletLoss": "batch_losses",
     "as_descriptor": "describing",
     "build": "network",
     "load": "checkpoint",

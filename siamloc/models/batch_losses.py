@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,14 @@ import torch
 from torch import Tensor, nn
 
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.models.registry import SoftContrastive
+from siamloc.models.registry import (
+    Circle,
+    MetricCalibrated,
+    MultiSimilarity,
+    NearAndFar,
+    SoftContrastive,
+    Triplet,
+)
 from siamloc.settings import takes
 
 
@@ -121,13 +129,133 @@ def _shares(weights: Tensor) -> Tensor:
     return torch.where(total > _LEAST_WEIGHT, weights / total.clamp(min=_LEAST_WEIGHT), 0)
 
 
-LOSSES: dict[str, type[SoftContrastiveLoss]] = {"soft_contrastive": SoftContrastiveLoss}
+class MetricCalibratedLoss(nn.Module):
+    """Let the distance of two descriptors grow with that of the two images, up to a cap.
+
+    The mean over all pairs of images of a building, or of two, of (|d_i - d_j| - sqrt(2) min(x_ij / cap, 1))^2. At the
+    cap two descriptors of unit length say nothing of each other. Afterwards the distance of descriptors is one in
+    metres. Pairs with an unknown position do not count.
+
+    Args:
+        settings: see `siamloc.models.registry.MetricCalibrated`.
+
+    Raises:
+        ConfigError: a cap that is not positive.
+    """
+
+    @takes(MetricCalibrated)
+    def __init__(self, *, settings: MetricCalibrated) -> None:
+        super().__init__()
+        self.cap = float(settings.cap)
+        self.settings = {"name": "metric_calibrated", **settings.plain()}
+
+    def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Compute the loss of a batch, a scalar, from descriptors (N, D) of unit length.
+
+        Raises:
+            DataError: other shapes.
+        """
+        check_batch(descriptors, origins)
+        with torch.autocast(device_type=descriptors.device.type, enabled=False):
+            found = descriptors.float()
+            one, other = torch.triu_indices(len(found), len(found), offset=1, device=found.device)
+            apart = torch.linalg.vector_norm(found[one] - found[other], dim=1)
+            wanted = 2**0.5 * (origins.distances()[one, other].float() / self.cap).clamp(max=1)
+            known = torch.isfinite(wanted)
+            cost = torch.where(known, apart - wanted.nan_to_num(0), 0).square()
+            return cost.sum() / known.sum().clamp(min=1)
+
+
+class _OfNearAndFar(nn.Module):
+    """Base of the losses of pytorch-metric-learning: what is a positive of what follows from the distances."""
+
+    def __init__(self, name: str, settings: NearAndFar, loss: nn.Module) -> None:
+        super().__init__()
+        self.near, self.far = float(settings.near), float(settings.far)
+        self.settings = {"name": name, **settings.plain()}
+        self.loss = loss
+
+    def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Compute the loss of a batch, a scalar, from descriptors (N, D).
+
+        Raises:
+            DataError: other shapes.
+        """
+        check_batch(descriptors, origins)
+        with torch.autocast(device_type=descriptors.device.type, enabled=False):
+            apart = origins.distances()
+            itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
+            positives, negatives = ((apart <= self.near) & ~itself).nonzero().T, (apart > self.far).nonzero().T
+            return self.loss(descriptors.float(), indices_tuple=(*positives, *negatives))
+
+
+class TripletLoss(_OfNearAndFar):
+    """Let each image be nearer to each of its positives than to each of its negatives, by a margin ([Schroff 2015]).
+
+    The mean over the triplets that cost anything of max(|d_a - d_p| - |d_a - d_n| + margin, 0).
+
+    Args:
+        settings: see `siamloc.models.registry.Triplet`.
+    """
+
+    @takes(Triplet)
+    def __init__(self, *, settings: Triplet) -> None:
+        from pytorch_metric_learning.losses import TripletMarginLoss
+
+        super().__init__("triplet", settings, TripletMarginLoss(margin=settings.margin))
+
+
+class CircleLoss(_OfNearAndFar):
+    """Pull positives and push negatives the more, the farther they are from where they should be ([Sun 2020]).
+
+    The mean over the images i that cost anything of log(1 + sum_n exp(gamma [s_n + m]+ (s_n - m)) times
+    sum_p exp(-gamma [1 + m - s_p]+ (s_p - 1 + m))), with the similarities s to the negatives and positives of i.
+
+    Args:
+        settings: see `siamloc.models.registry.Circle`.
+    """
+
+    @takes(Circle)
+    def __init__(self, *, settings: Circle) -> None:
+        from pytorch_metric_learning.losses import CircleLoss as Published
+
+        super().__init__("circle", settings, Published(m=settings.m, gamma=settings.gamma))
+
+
+class MultiSimilarityLoss(_OfNearAndFar):
+    """Weigh each pair by how it compares with the other pairs of its image ([Wang 2019]).
+
+    The mean over the images i of log(1 + sum_p exp(-alpha (s_p - base))) / alpha
+    + log(1 + sum_n exp(beta (s_n - base))) / beta.
+
+    Args:
+        settings: see `siamloc.models.registry.MultiSimilarity`.
+    """
+
+    @takes(MultiSimilarity)
+    def __init__(self, *, settings: MultiSimilarity) -> None:
+        from pytorch_metric_learning.losses import MultiSimilarityLoss as Published
+
+        made = Published(alpha=settings.alpha, beta=settings.beta, base=settings.base)
+        super().__init__("multi_similarity", settings, made)
+
+
+LOSSES: dict[str, Callable[..., nn.Module]] = {
+    "soft_contrastive": SoftContrastiveLoss,
+    "metric_calibrated": MetricCalibratedLoss,
+    "triplet": TripletLoss,
+    "circle": CircleLoss,
+    "multi_similarity": MultiSimilarityLoss,
+}
 """The losses over a batch, by the names that configurations call them."""
+
+UNIT_LENGTH = (SoftContrastiveLoss, MetricCalibratedLoss)
+"""Losses that need descriptors of unit length; the others make them so."""
 
 _LEAST_WEIGHT = 1e-6
 
 
-def make_loss(name: str, **parameters: Any) -> SoftContrastiveLoss:
+def make_loss(name: str, **parameters: Any) -> nn.Module:
     """Make a loss over a batch by its name.
 
     Raises:

@@ -106,6 +106,88 @@ class SoftContrastive(Settings):
     room: Share = 0.0
 
 
+@dataclass(frozen=True)
+class MetricCalibrated(Settings):
+    """The parameters of `MetricCalibratedLoss`.
+
+    Attributes:
+        cap: distance from which two images are as different as can be, in the unit of the positions.
+    """
+
+    WHERE = "loss"
+
+    cap: Positive = 2.0
+
+
+@dataclass(frozen=True)
+class NearAndFar(Settings):
+    """Which images of a batch belong together, and which do not; of those in between nothing is wanted.
+
+    Attributes:
+        near: images up to this far apart are positives of each other, in the unit of the positions.
+        far: images farther apart than this are negatives of each other.
+    """
+
+    WHERE = "loss"
+
+    near: NotNegative = 0.3
+    far: NotNegative = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.far < self.near:
+            raise ConfigError(f"loss.far, {self.far:g}, must not be less than loss.near, {self.near:g}")
+
+
+@dataclass(frozen=True)
+class Triplet(NearAndFar):
+    """The parameters of `TripletLoss`.
+
+    Attributes:
+        margin: by which a negative must be farther than a positive: Euclidean distance of descriptors of unit length.
+    """
+
+    margin: Positive = 0.2
+
+
+@dataclass(frozen=True)
+class Circle(NearAndFar):
+    """The parameters of `CircleLoss`.
+
+    Attributes:
+        m: how far from 1 and from 0 similarities may stay.
+        gamma: scale of the similarities.
+    """
+
+    m: Positive = 0.4
+    gamma: Positive = 80.0
+
+
+@dataclass(frozen=True)
+class MultiSimilarity(NearAndFar):
+    """The parameters of `MultiSimilarityLoss`.
+
+    Attributes:
+        alpha: weight of the positives.
+        beta: weight of the negatives.
+        base: similarity that tells the two apart.
+    """
+
+    alpha: Positive = 2.0
+    beta: Positive = 50.0
+    base: float = 0.5
+
+
+LOSS_SETTINGS: dict[str, type[Settings]] = {
+    "soft_contrastive": SoftContrastive,
+    "metric_calibrated": MetricCalibrated,
+    "triplet": Triplet,
+    "circle": Circle,
+    "multi_similarity": MultiSimilarity,
+}
+"""The losses over batches of places, by the names that configurations call them, with their parameters."""
+
+
 def branch_spec(name: str) -> BranchSpec:
     """Look up a branch by its name.
 

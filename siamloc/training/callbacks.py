@@ -24,7 +24,11 @@ from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.callbacks import Checkpoint, EMAWeightAveraging, ModelCheckpoint  # noqa: E402
 
 _SAID = ("train/loss", "train/accuracy", "val/loss", "val/accuracy", "val/error", "val/room")
+_COLLAPSED = 0.01  # spread below which descriptors tell nothing apart
 _SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter failed")
+
+HIGHER_IS_BETTER = ("val/room",)
+"""Figures of which the highest is the best; of all others it is the lowest."""
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
@@ -64,7 +68,7 @@ def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
         dirpath=folder,
         filename="best",
         monitor=monitor,
-        mode="max" if monitor == "val/room" else "min",
+        mode="max" if monitor in HIGHER_IS_BETTER else "min",
         save_top_k=1,
         save_on_train_epoch_end=False,
         enable_version_counter=False,
@@ -132,10 +136,15 @@ class Curves(Checkpoint):
 
     The rows are kept in the checkpoint, so that the file of a resumed run is the file of a run that never stopped. It
     counts as a checkpoint callback because those come last: after the module has logged its epoch.
+
+    Args:
+        run: of the training.
+        monitor: the figure by which the best epoch is chosen; None where nothing is validated.
+        pace: of the training.
     """
 
-    def __init__(self, run: Run) -> None:
-        self._run = run
+    def __init__(self, run: Run, monitor: str | None, pace: Pace) -> None:
+        self._run, self._monitor, self._pace = run, monitor, pace
         self._rows: list[dict[str, float]] = []
         self._start = (0.0, 0)
         self._events_before = set(run.tensorboard.glob("events.*"))
@@ -156,6 +165,20 @@ class Curves(Checkpoint):
             self._write()
             self._say(trainer, values)
 
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Sum up, unless the training was stopped before its end."""
+        if not trainer.is_global_zero or trainer.current_epoch < (trainer.max_epochs or 0):
+            return
+        parts = [f"trained in {(time.monotonic() - self._start[0]) / 60:.1f} min"]
+        name = self._monitor
+        if name is not None and (found := [(row[name], int(row["epoch"])) for row in self._rows if name in row]):
+            value, epoch = max(found) if name in HIGHER_IS_BETTER else min(found)
+            parts.append(f"best epoch {epoch + 1} by {name} {value:.4f}")
+        if math.isfinite(self._pace.images_per_second):
+            parts.append(f"{self._pace.images_per_second:.0f} images/s")
+            parts.append(f"{self._pace.waiting:.0%} of the time waiting for data")
+        self._tell(trainer, f"{', '.join(parts)}; checkpoints in {self._run.checkpoints}")
+
     def state_dict(self) -> dict[str, Any]:
         """Give the checkpoint the rows so far."""
         return {"rows": self._rows}
@@ -169,8 +192,18 @@ class Curves(Checkpoint):
         done, total = trainer.current_epoch + 1, trainer.max_epochs or 0
         left = (time.monotonic() - start) / (done - first) * (total - done)
         figures = ", ".join(f"{name} {values[name]:.4f}" for name in _SAID if name in values)
+        self._tell(trainer, f"epoch {done} of {total}: {figures}, {left:.0f} s left")
+        spread = values.get("train/spread", math.inf)
+        if spread < _COLLAPSED:
+            self._tell(
+                trainer,
+                f"warning: the network gives nearly every image the same descriptor, train/spread is {spread:.2g}: "
+                "if that lasts, train with a smaller optimizer.learning_rate, or with more places or pairs in a batch",
+            )
+
+    def _tell(self, trainer: Trainer, text: str) -> None:
         say = print if trainer.progress_bar_callback is None else trainer.progress_bar_callback.print
-        say(f"epoch {done} of {total}: {figures}, {left:.0f} s left", file=sys.stderr)
+        say(text, file=sys.stderr)
 
     def _write(self) -> None:
         names = sorted({name for row in self._rows for name in row} - {"epoch", "step"})

@@ -24,7 +24,7 @@ from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.files import content_key, plain
-from siamloc.models.batch_losses import SoftContrastiveLoss
+from siamloc.models.batch_losses import UNIT_LENGTH, SoftContrastiveLoss
 from siamloc.models.checkpoint import load
 from siamloc.models.describing import describe
 from siamloc.models.losses import ContrastiveLoss
@@ -34,7 +34,7 @@ from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
-from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
+from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, Pace, checkpoint_callbacks
 from siamloc.training.place_batches import PlaceDataModule
 from siamloc.training.run_folder import check_folder, check_same_training, finished_epochs, open_run
 from siamloc.training.settings import Training
@@ -126,7 +126,7 @@ def fit(
     effect, augmented = _effect(augmentation, images)
     change = None if effect is None else BatchAugmentation(effect, settings.augment_where, settings.seed)
     data, module = _parts(network, images, train, validated, loss, change, settings)
-    _check_network(network, images, unit=isinstance(module.loss, SoftContrastiveLoss))
+    _check_network(network, images, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
@@ -297,7 +297,7 @@ def _check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) -
     length = float((descriptor.astype("float64") ** 2).sum() ** 0.5)
     if unit and abs(length - 1) > _UNIT_ROUNDING:
         raise ConfigError(
-            f"the soft contrastive loss needs descriptors of length 1, this network's have {length:.3g}: choose the "
+            f"this loss needs descriptors of length 1, this network's have {length:.3g}: choose the "
             "head flat, gem or fourier, or end your own network with torch.nn.functional.normalize"
         )
 
@@ -320,7 +320,8 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
     options = {**TRAINER, **(further or {})}
     if options.get("precision") == "auto":
         options["precision"] = _fast_precision(str(options["accelerator"]))
-    callbacks = [*_listed(options.pop("callbacks", None)), _Seeds(settings.seed), Curves(run)]
+    pace = Pace()
+    callbacks = [*_listed(options.pop("callbacks", None)), _Seeds(settings.seed), pace, Curves(run, monitor, pace)]
     if settings.average is not None:
         callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.batch_losses import Origins, SoftContrastiveLoss, make_loss
+from siamloc.models.batch_losses import LOSSES, Origins, SoftContrastiveLoss, make_loss
+from tests.oracles import mined_losses
 from tests.oracles.soft_contrastive import soft_contrastive_loss
 
 
@@ -98,6 +99,56 @@ def test_descending_brings_neighbours_together():
     assert alike[0, 1] > 0.8
     assert alike[2, 3] > 0.8
     assert alike[:2, 2:].max() < 0.5
+
+
+MINED = {
+    "metric_calibrated": (mined_losses.metric_calibrated, {"cap": 1.3}),
+    "triplet": (mined_losses.triplet, {"near": 0.5, "far": 0.9, "margin": 0.3}),
+    "circle": (mined_losses.circle, {"near": 0.5, "far": 0.9, "m": 0.3, "gamma": 8.0}),
+    "multi_similarity": (
+        mined_losses.multi_similarity,
+        {"near": 0.5, "far": 0.9, "alpha": 2.0, "beta": 5.0, "base": 0.4},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MINED)
+@pytest.mark.parametrize("seed", range(12))
+def test_the_other_losses_agree_with_loops(name, seed):
+    descriptors, xy, _ = draw(2 + seed % 8, 5, seed)
+    oracle, parameters = MINED[name]
+    found = make_loss(name, **parameters)(descriptors, origins(xy))
+    expected = oracle(descriptors.tolist(), xy.tolist(), **parameters)
+    # float32 against float64; exponents of up to 8 * 1.4 * 1.3 are rounded at 1e-6 of their size.
+    assert found.item() == pytest.approx(expected, rel=2e-4, abs=2e-5)
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_every_loss_brings_neighbours_together(name):
+    xy = torch.tensor([[0.0, 0], [0.1, 0], [5, 0], [5.1, 0]])
+    weights = torch.randn(4, 8, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    optimizer = torch.optim.Adam([weights], lr=0.05)
+    for _ in range(80):
+        optimizer.zero_grad()
+        make_loss(name)(F.normalize(weights), origins(xy)).backward()
+        optimizer.step()
+    alike = F.normalize(weights.detach()) @ F.normalize(weights.detach()).T
+    assert min(alike[0, 1], alike[2, 3]) > alike[:2, 2:].max() + 0.2
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_images_that_nobody_knows_a_place_of_cost_nothing(name):
+    descriptors = draw(4, 3, 0)[0].requires_grad_()
+    nowhere = origins(torch.full((4, 2), math.nan))
+    loss = make_loss(name)(descriptors, nowhere)
+    loss.backward()
+    assert loss.item() == 0
+    assert not descriptors.grad.any()
+
+
+def test_far_must_not_be_nearer_than_near():
+    with pytest.raises(ConfigError, match=r"loss\.far, 0\.2, must not be less than loss\.near, 0\.3"):
+        make_loss("triplet", far=0.2)
 
 
 def test_distances_and_rooms_of_a_batch():

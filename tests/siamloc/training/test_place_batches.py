@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 
 import cv2
@@ -99,7 +100,11 @@ def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, c
     curves = run.curves()
     assert {"train/loss", "train/spread", "val/error", "val/median", "val/room"} <= set(curves)
     assert np.isfinite(curves["val/error"]).all()
-    assert "6 batches of 4 places x 2 images per epoch" in capfd.readouterr().err
+    said = capfd.readouterr().err
+    assert "6 batches of 4 places x 2 images per epoch" in said
+    best = int(curves["val/error"].argmin()) + 1
+    assert f"best epoch {best} by val/error {curves['val/error'].min():.4f}" in said
+    assert re.search(r"trained in 0\.\d min, .*, \d+ images/s, \d+% of the time waiting for data; checkpoints in", said)
     best = siamloc.models.load(run)
     known = siamloc.maps.build(best, images, monday, progress=False)
     result = siamloc.evaluation.localization(known, images, tuesday, names=("absolute",))
@@ -246,6 +251,22 @@ def test_a_diverging_training_leaves_no_best_checkpoint(images, drives, tmp_path
             network(), images, drives[0], validation=drives[1], run=tmp_path / "run", loss=loss, epochs=2, **SETTINGS
         )
     assert not list(tmp_path.rglob("best.ckpt"))
+
+
+def test_a_network_that_tells_nothing_apart_is_said(images, drives, tmp_path, capfd):
+    def loss(descriptors, origins):
+        return torch.cdist(descriptors, descriptors).mean()
+
+    settings = {**SETTINGS, "optimizer": {"name": "adamw", "learning_rate": 0.03}}
+    siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=8, **settings)
+    said = capfd.readouterr().err
+    assert "warning: the network gives nearly every image the same descriptor, train/spread is" in said
+
+
+def test_a_misspelt_key_is_compared_with_the_group_that_was_meant():
+    for key, meant in (("placs", "places"), ("labl", "label")):
+        with pytest.raises(ConfigError, match=f"unknown key pairs.{key}: did you mean '{meant}'"):
+            siamloc.training.Training(pairs={key: 4})
 
 
 def test_positions_far_from_the_origin_keep_their_distances():

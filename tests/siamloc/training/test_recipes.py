@@ -8,6 +8,7 @@ import siamloc
 from siamloc.cli.compose import composed, plain
 from siamloc.cli.objects import loss_of, network_of, training_of
 from siamloc.errors import ConfigError
+from siamloc.models.batch_losses import LOSSES, make_loss
 from siamloc.training import RECIPES, Training, recipe
 
 
@@ -36,6 +37,12 @@ def test_a_group_on_the_command_line_takes_the_place_of_the_recipes():
     assert training_of(config).pairs.label == "room"
     with pytest.raises(ConfigError, match="does not go with these pairs"):
         loss_of(composed("train", [*words, "pairs=room"]))
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_the_command_line_has_every_loss_over_batches(name):
+    words = ["pairs=in_batch", f"loss={name}", "data=manifest", "data.manifest=frames.csv"]
+    assert loss_of(composed("train", words)).settings == make_loss(name).settings
 
 
 def test_a_recipe_of_another_name_is_refused():
