@@ -113,6 +113,7 @@ def test_declared_is_what_is_imported():
         "PIL": "pillow",
         "cv2": "opencv-python-headless",
         "hydra": "hydra-core",
+        "pytorch_metric_learning": "pytorch-metric-learning",
         "sklearn": "scikit-learn",
         "yaml": "pyyaml",
     }

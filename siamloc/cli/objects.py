@@ -102,7 +102,9 @@ def training_of(config: DictConfig) -> Training:
     """Return the settings of a training; those that the command line calls otherwise are checked by its names."""
     named = ("seed", "epochs", "batch_size", "clip", "average", "pairs", "optimizer")
     values = {key: plain(config)[key] for key in named}
-    others = {"workers": "loader.workers", "margin": "loss.margin", "augment_where": "augment.where"}
+    others = {"workers": "loader.workers", "augment_where": "augment.where"}
+    if OmegaConf.select(config, "loss.name") == "contrastive":  # others have their own margins
+        others["margin"] = "loss.margin"
     for name, key in others.items():
         value = OmegaConf.select(config, key)
         if value is not None:
