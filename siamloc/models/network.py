@@ -57,8 +57,8 @@ def build(
         circular: let convolutions and pools wrap around the azimuth: for panoramas, whose columns are a full turn.
         normalize: "channels": subtract a mean and divide by a standard deviation for each channel, ImageNet's unless
             the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.
-            "local": give the surroundings of each pixel zero mean and unit contrast, whatever light falls there; see
-            `siamloc.models.normalization.by_surroundings`. What the branch is meant for if None.
+            "local": give the surroundings of each pixel zero mean and unit contrast, whatever light falls there;
+            "local_brightness": the same, but colours stay. What the branch is meant for if None.
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
@@ -181,7 +181,8 @@ class Branch(nn.Module):
     The images are normalized first. "channels" uses the mean and standard deviation of ImageNet unless the loaded
     weights say otherwise; branches without ImageNet weights use the same numbers, which bring indoor images close to
     zero mean and unit variance, what He initialization counts on. "image" does so for each image by its own numbers,
-    so that neither exposure nor contrast matters, and "local" for the surroundings of each pixel.
+    so that neither exposure nor contrast matters, and the other two for the
+    surroundings of each pixel, see `siamloc.models.normalization`.
 
     The torchvision networks keep their own stride: nothing is pooled or scaled to a fixed grid after them. At
     128 x 512 VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU as it does in its paper. The
@@ -222,7 +223,7 @@ class Branch(nn.Module):
             return self.features((panorama - self.mean) / self.std)
         if self.normalize == "image":
             return self.features(by_image(panorama))
-        return self.features(by_surroundings(panorama, self.circular))
+        return self.features(by_surroundings(panorama, self.circular, colours=self.normalize == "local"))
 
 
 @lru_cache(maxsize=256)

@@ -17,18 +17,20 @@ def by_image(panorama: Tensor) -> Tensor:
     return centred / (deviation + DARK)
 
 
-def by_surroundings(panorama: Tensor, circular: bool) -> Tensor:
+def by_surroundings(panorama: Tensor, circular: bool, *, colours: bool = True) -> Tensor:
     """Give the surroundings of each pixel zero mean and unit contrast: light that varies over the image goes, too.
 
         (I - m) / (s + s0),   s^2 = mean over the surroundings and the colours of (I - m)^2,
 
-    with m the mean of each colour over a square around the pixel that reaches 0.15 H to each side, and s0 = 0.03
-    ([Jarrett 2009], with a square instead of a Gaussian). A room twice as bright looks the same, also where another
-    part of the image keeps its brightness. What is left is a picture of edges and textures.
+    with m the mean over a square around the pixel that reaches 0.15 H to each side, and s0 = 0.03 ([Jarrett 2009], with
+    a square instead of a Gaussian). A room twice as bright looks the same, also where another part of the image keeps
+    its brightness. What is left is a picture of edges and textures.
 
     Args:
         panorama: (B, 3, H, W), floating point in [0, 1].
         circular: whether the columns wrap around; where they do not, and at the top and bottom, the edge is repeated.
+        colours: m is the mean of each colour, so that the colour of the light goes as well. Otherwise it is that of
+            all three: a coloured wall keeps its colour.
     """
     height, width = panorama.shape[-2:]
     reach = max(round(SURROUNDINGS * height), 1)
@@ -37,7 +39,8 @@ def by_surroundings(panorama: Tensor, circular: bool) -> Tensor:
     # The means of a square are products with a matrix from each side, much faster than pooling on a CPU. They stay in
     # full precision: what they are subtracted from is nearly the same.
     with torch.autocast(device_type=panorama.device.type, enabled=False):
-        centred = panorama - rows @ (panorama @ columns)
+        level = panorama if colours else panorama.mean(dim=1, keepdim=True)
+        centred = panorama - rows @ (level @ columns)
         square = centred.square().mean(dim=1, keepdim=True)
         return centred / ((rows @ (square @ columns)).clamp(min=0).sqrt() + LEAST_CONTRAST)
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 from siamloc.errors import ConfigError, hint
 from siamloc.settings import NotNegative, Positive, Probability, Rule, Settings, Share
 
-Normalization = Literal["channels", "image", "local"]
+Normalization = Literal["channels", "image", "local", "local_brightness"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
 """What can happen to images before the branch sees them, see `siamloc.models.build`."""
 

@@ -90,9 +90,18 @@ RECIPES: dict[str, Recipe] = {
     ),
     "photographs": Recipe(
         image_size=(96, 128),
-        model={"branch": "panoresnet", "head": "flat", "normalize": "local"},
+        model={"branch": "panoresnet", "head": "flat", "normalize": "local_brightness"},
         loss={"name": "soft_contrastive", "sigma": 1.0},
-        augmentation={"name": "photographs", "all_of": [{"policy": "lighting"}, {"effect": "view"}]},
+        augmentation={
+            "name": "photographs",
+            "all_of": [  # colours are left nearly as they are: walls and doors are told apart by them
+                {"one_of": [{"effect": "bulb"}, {"effect": "shadow"}], "probability": 0.4},
+                {"effect": "exposure", "probability": 0.6},
+                {"effect": "gamma", "probability": 0.3},
+                {"effect": "white_balance", "temperature": [-0.2, 0.2], "tint": [-0.05, 0.05], "probability": 0.5},
+                {"effect": "view"},
+            ],
+        },
         training={
             "epochs": 6,
             "pairs": {"by": "sequence", "radius": 1.0, "near": 0.5, "reach": 10.0, "epoch_batches": 50},

@@ -12,7 +12,7 @@ def panorama():
     return torch.rand(2, 3, 20, 33, generator=torch.Generator().manual_seed(0))
 
 
-def surroundings_by_loops(image, circular):
+def surroundings_by_loops(image, circular, colours=True):
     """Return what `by_surroundings` should, pixel by pixel, for one image (3, H, W)."""
     _, height, width = image.shape
     reach = round(SURROUNDINGS * height)
@@ -26,7 +26,8 @@ def surroundings_by_loops(image, circular):
     pixels = [(y, x) for y in range(height) for x in range(width)]
     centred = np.empty_like(image)
     for y, x in pixels:
-        centred[:, y, x] = image[:, y, x] - around(image, y, x)
+        mean = around(image, y, x)
+        centred[:, y, x] = image[:, y, x] - (mean if colours else mean.mean())
     square = (centred**2).mean(axis=0)
     result = np.empty_like(image)
     for y, x in pixels:
@@ -34,11 +35,21 @@ def surroundings_by_loops(image, circular):
     return result
 
 
+@pytest.mark.parametrize("colours", [True, False])
 @pytest.mark.parametrize("circular", [True, False])
-def test_surroundings_as_defined(panorama, circular):
-    found = by_surroundings(panorama.double(), circular)
+def test_surroundings_as_defined(panorama, circular, colours):
+    found = by_surroundings(panorama.double(), circular, colours=colours)
     for image, one in zip(panorama.double().numpy(), found.numpy(), strict=True):
-        np.testing.assert_allclose(one, surroundings_by_loops(image, circular), atol=1e-9)
+        np.testing.assert_allclose(one, surroundings_by_loops(image, circular, colours), atol=1e-9)
+
+
+def test_a_coloured_wall_keeps_its_colour_if_it_should():
+    wall = torch.tensor([0.1, 0.5, 0.5]).view(1, 3, 1, 1).expand(1, 3, 16, 32)
+    assert by_surroundings(wall, circular=True).abs().max() < 1e-4
+    red, green, blue = by_surroundings(wall, circular=True, colours=False)[0, :, 8, 8].tolist()
+    assert red < -1
+    assert green == pytest.approx(blue)
+    assert green > 0.5
 
 
 def test_surroundings_turn_with_the_panorama(panorama):
