@@ -30,9 +30,8 @@ ANALYTIC = ("fs", "hog", "gist", "wisurf", "briefgist", "radon_fourier", "hsv")
 MOST_EXCESS = {"cloudy": 0.05, "night": 0.10, "sunny": 0.15}
 
 
-def _changed(policy: str | None, normalize: str = "local") -> dict[str, Any]:
-    augmentation = None if policy is None else {"name": "changed", "policy": policy, "rotate": 1.0}
-    return {"normalize": normalize, "augmentation": augmentation}
+def _changed(policy: str, normalize: str = "local") -> dict[str, Any]:
+    return {"normalize": normalize, "augmentation": {"name": "changed", "policy": policy, "rotate": 1.0}}
 
 
 def _own(*effects: dict[str, Any]) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from siamloc.training.callbacks import Pace
 SIZE = (128, 512)
 PAIRS = PairSettings(label="room", same_room_share=0.5)
 CPU_PAIRS, GPU_PAIRS = 32, 128
-MOST_RATIO, MOST_SHARE, MOST_WAITING = 3.0, 0.35, 0.05
+LEAST_RATIO, LEAST_SHARE, MOST_WAITING = 3.0, 0.35, 0.05
 SKIPPED = 2  # steps at the beginning, in which memory is laid out
 
 
@@ -61,7 +61,7 @@ def main() -> None:
         for name, rate in rates.items():
             print(f"{name:<16}{rate:8.1f} images/s")
         ratio = rates["ours"] / rates["published style"]
-        report.target(f"CPU: {MOST_RATIO:g} times the published style ({ratio:.2f})", ratio >= MOST_RATIO)
+        report.target(f"CPU: {LEAST_RATIO:g} times the published style ({ratio:.2f})", ratio >= LEAST_RATIO)
         figures |= {"cpu": found, "cpu_ratio": ratio}
         if torch.cuda.is_available():
             figures["gpu"] = on_gpu(report, images, Path(temporary), options.steps)
@@ -126,7 +126,7 @@ def ours(
 ) -> dict[str, float]:
     """Train with `siamloc.training.fit`, and return its images a second and the share of waiting."""
     network = siamloc.models.build(branch, "fc500_500_5", SIZE)
-    pace = Pace()
+    pace = Pace(synchronize=True)
     siamloc.training.fit(
         network,
         images,
@@ -153,7 +153,7 @@ def on_gpu(report: Report, images: PanoramaLibrary, folder: Path, steps: int) ->
     card = matrix_rate()
     share = found["images_per_second"] * per_image / card
     print(f"vgg16: {found['images_per_second']:.0f} images/s, {share:.1%} of {card / 1e12:.0f} TFLOP/s")
-    report.target(f"GPU: {MOST_SHARE:.0%} of the matrix rate ({share:.1%})", share >= MOST_SHARE)
+    report.target(f"GPU: {LEAST_SHARE:.0%} of the matrix rate ({share:.1%})", share >= LEAST_SHARE)
     waiting = found["waiting"]
     report.target(f"GPU: less than {MOST_WAITING:.0%} waiting ({waiting:.1%})", waiting < MOST_WAITING)
     return {**found, "flops_per_image": per_image, "matrix_flops_per_second": card, "share": share}

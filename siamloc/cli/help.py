@@ -66,16 +66,19 @@ COMMANDS = {
         run=FOLDER                        where the run is written
         protocol.train.sequences=[...]    what it learns from; names or patterns
         protocol.validation.sequences=[...]  what the best checkpoint is chosen on
-        experiment=modern                 our recipe: network, batches, loss, augmentation; single keys still change it
+        experiment=modern|photographs     our recipes: network, batches, loss, augmentation; keys still change them
         model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
                                           panoresnet
         model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, fourier
         model.circular=true               the network wraps around the azimuth
         model.branch.weights=imagenet     start from pretrained weights, or from the path of a state dict
+        model.normalize=local             takes the light out of the picture first; or channels, image, local_brightness
         pairs=room|distance|in_batch      pairs with binary labels, or metric ones; or all pairs of a batch, which goes
-                                          with loss=soft_contrastive
+                                          with loss=soft_contrastive|metric_calibrated|triplet|circle|multi_similarity
+        pairs.by=sequence loss.room=0.5   batches without positions; and rooms learned from, by soft_contrastive
         pairs.same_room_share=0.4 pairs.epoch_pairs=10000
-        augment=thesis|lighting|strong    what happens to training images; augment.where=gpu for doing it there
+        augment=thesis|lighting|strong|any_light
+                                          what happens to training images; augment.where=gpu for doing it there
         epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
         resume=true                       go on from the last checkpoint
         -m model/branch=vgg11,vgg13       a sweep

@@ -84,10 +84,10 @@ class PlaceSampler:
         self._check_count(settings.places)
         per_batch = settings.places * settings.images
         self.epoch_batches = settings.epoch_batches or max(1, round(len(frames) / per_batch))
-        place, self.apart = places_of(frames, settings.by)
+        place, apart = places_of(frames, settings.by)
         # Where images are never near each other, a third coordinate keeps them farther apart than the reach.
         far = 2 * max(settings.radius, settings.reach) + 1.0
-        self._points = np.column_stack([place, self.apart * far])
+        self._points = np.column_stack([place, apart * far])
         self._tree = cKDTree(self._points)
         self._kind = _kinds(frames)
 

@@ -249,8 +249,8 @@ LOSSES: dict[str, Callable[..., nn.Module]] = {
 }
 """The losses over a batch, by the names that configurations call them."""
 
-UNIT_LENGTH = (SoftContrastiveLoss, MetricCalibratedLoss)
-"""Losses that need descriptors of unit length; the others make them so."""
+UNIT_LENGTH = (SoftContrastiveLoss, MetricCalibratedLoss, _OfNearAndFar)
+"""Losses for descriptors of unit length: those of near and far make them so, and what is compared later has to be."""
 
 _LEAST_WEIGHT = 1e-6
 

@@ -64,7 +64,9 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
             f"the weights in the checkpoint {path} are of another architecture than {_name(about)}: {difference}"
         )
     network.load_state_dict(state)
-    network.trained_margin = about["loss"].get("margin")
+    # Losses over batches have a name; the margin of a triplet is none of pairs.
+    pairs: Any = about["loss"] if "name" not in about["loss"] else {}
+    network.trained_margin = pairs.get("margin")
     return network.eval()
 
 

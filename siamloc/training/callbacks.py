@@ -16,6 +16,7 @@ from torch import Tensor
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import StorageError
 from siamloc.files import atomic_path, write_text
+from siamloc.models.places import PlaceModule
 from siamloc.runs import Run
 
 ensure_torchvision()
@@ -88,14 +89,19 @@ class MovingAverage(EMAWeightAveraging):
 class Pace(Callback):
     """Measure how fast a training goes, without the first steps of each epoch, which start things up.
 
+    Args:
+        synchronize: wait for the device after each step. Without it what a GPU still computes counts as waiting, though
+            the images per second are right over many steps; with it a GPU is slowed a little.
+
     Attributes:
-        images_per_second: learned from, while steps follow each other; validation is not in it.
+        images_per_second: learned from by all processes, while steps follow each other; validation is not in it.
         waiting: share of that time in which the next batch was gathered and changed, and nothing was learned.
     """
 
     _FIRST = 2
 
-    def __init__(self) -> None:
+    def __init__(self, synchronize: bool = False) -> None:
+        self._synchronize = synchronize
         self._images, self._seconds, self._waited = 0, 0.0, 0.0
         self._ended: float | None = None
         self._waited_now = 0.0
@@ -123,9 +129,12 @@ class Pace(Callback):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Count the step."""
+        if self._synchronize and pl_module.device.type == "cuda":
+            torch.cuda.synchronize(pl_module.device)
         now = time.monotonic()
         if self._ended is not None and batch_idx >= self._FIRST:
-            self._images += sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
+            images = sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
+            self._images += images * trainer.world_size
             self._seconds += now - self._ended
             self._waited += self._waited_now
         self._ended = now
@@ -164,6 +173,8 @@ class Curves(Checkpoint):
         if trainer.is_global_zero:
             self._write()
             self._say(trainer, values)
+            if isinstance(pl_module, PlaceModule):  # whose descriptors have unit length
+                self._warn(trainer, values.get("train/spread", math.inf))
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Sum up, unless the training was stopped before its end."""
@@ -172,11 +183,13 @@ class Curves(Checkpoint):
         parts = [f"trained in {(time.monotonic() - self._start[0]) / 60:.1f} min"]
         name = self._monitor
         if name is not None and (found := [(row[name], int(row["epoch"])) for row in self._rows if name in row]):
-            value, epoch = max(found) if name in HIGHER_IS_BETTER else min(found)
+            best = max if name in HIGHER_IS_BETTER else min
+            value, epoch = best(found, key=lambda pair: pair[0])  # the first of equals, as the checkpoint
             parts.append(f"best epoch {epoch + 1} by {name} {value:.4f}")
         if math.isfinite(self._pace.images_per_second):
             parts.append(f"{self._pace.images_per_second:.0f} images/s")
-            parts.append(f"{self._pace.waiting:.0%} of the time waiting for data")
+            if pl_module.device.type == "cpu":
+                parts.append(f"{self._pace.waiting:.0%} of the time waiting for data")
         self._tell(trainer, f"{', '.join(parts)}; checkpoints in {self._run.checkpoints}")
 
     def state_dict(self) -> dict[str, Any]:
@@ -193,12 +206,13 @@ class Curves(Checkpoint):
         left = (time.monotonic() - start) / (done - first) * (total - done)
         figures = ", ".join(f"{name} {values[name]:.4f}" for name in _SAID if name in values)
         self._tell(trainer, f"epoch {done} of {total}: {figures}, {left:.0f} s left")
-        spread = values.get("train/spread", math.inf)
+
+    def _warn(self, trainer: Trainer, spread: float) -> None:
         if spread < _COLLAPSED:
             self._tell(
                 trainer,
                 f"warning: the network gives nearly every image the same descriptor, train/spread is {spread:.2g}: "
-                "if that lasts, train with a smaller optimizer.learning_rate, or with more places or pairs in a batch",
+                "if that lasts, train with a smaller optimizer.learning_rate, or with more places in a batch",
             )
 
     def _tell(self, trainer: Trainer, text: str) -> None:

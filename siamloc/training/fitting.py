@@ -1,4 +1,4 @@
-"""`fit`: train a network on pairs of frames, from the start or from the last checkpoint of its run."""
+"""`fit`: train a network on pairs or batches of frames, from the start or from the last checkpoint of its run."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from siamloc.models.checkpoint import load
 from siamloc.models.describing import describe
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.module import NetworkModule, name_of
+from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
@@ -67,10 +68,11 @@ def fit(
     protocol: Mapping[str, Any] | None = None,
     settings: Training,
 ) -> Run:
-    """Train a network on pairs of frames, in place.
+    """Train a network on pairs of frames, or on batches of places, in place.
 
     Afterwards it holds the weights that `siamloc.models.load(run)` gives: the best by the validation (by the loss of
-    pairs, or with batches of places by the error of localization), or the last where nothing is validated. Everything
+    pairs; with batches of places by the error of localization, or by the rooms found where there are no positions), or
+    the last where nothing is validated. Everything
     that can be checked is checked before the run's folder is touched. Where several processes train together
     (`trainer={"devices": 2, "strategy": "ddp"}`, torchrun, SLURM), each calls `fit`, and only the first writes.
 
@@ -126,6 +128,7 @@ def fit(
     effect, augmented = _effect(augmentation, images)
     change = None if effect is None else BatchAugmentation(effect, settings.augment_where, settings.seed)
     data, module = _parts(network, images, train, validated, loss, change, settings)
+    monitor = _monitor(settings, train, validated)
     _check_network(network, images, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used = {
@@ -144,9 +147,10 @@ def fit(
     if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
         network.train()
     with _quiet():
-        lightning = _trainer(run, settings, trainer, _monitor(settings, validated))
+        lightning = _trainer(run, settings, trainer, monitor)
         if first:
             open_run(run, used, resume=resume, validated=validated is not None)
+            _note(settings, train, loss)
             name = content["model"].get("class") or f"{content['model']['branch']} + {content['model']['head']}"
             print(
                 f"training {name} on {len(train)} frames, {data.sampler.summary()} per epoch, "
@@ -154,14 +158,22 @@ def fit(
                 file=sys.stderr,
             )
         start = last if resume and last.is_file() else None
-        if used["trainer"]["precision"] == "auto":  # convolutions are faster when the channels of a pixel lie together
-            network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        try:
+        with _fast_layout(network, used["trainer"]["precision"] == "auto"):
             _train(lightning, module, data, run, start)
-        finally:
-            network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
     load(run, network=network)
     return run
+
+
+def _note(settings: Training, train: FrameTable, loss: object) -> None:
+    """Say what several drives mean where only the order of the frames tells what is near."""
+    drives = len(set(train.sequence.tolist()))
+    by_order = isinstance(settings.pairs, PlaceSettings) and settings.pairs.by == "sequence"
+    if by_order and drives > 1 and not getattr(loss, "room", 0):
+        print(
+            f"note: {drives} drives are learned from by the order of their frames alone, so that one place in two of "
+            "them counts as two: if they share places, give positions (pairs.by=position) or rooms (loss.room=0.5)",
+            file=sys.stderr,
+        )
 
 
 def process_rank() -> int:
@@ -220,7 +232,7 @@ def _parts(
     common: dict[str, Any] = {"workers": settings.workers, "augmentation": augmentation, "seed": settings.seed}
     if isinstance(settings.pairs, PlaceSettings):
         _check_loss(loss, 2)
-        _check_rooms(loss, train, validated)
+        _check_rooms(loss, train)
         places = PlaceDataModule(images, train, validated, places=settings.pairs, **common)
         return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer)
     _check_loss(loss, 3)
@@ -245,18 +257,13 @@ def _check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
         return
 
 
-def _check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: FrameTable | None) -> None:
-    """Make sure that frames have the rooms that are learned from, and what the checkpoint is chosen by."""
+def _check_rooms(loss: Loss | BatchLoss | None, train: FrameTable) -> None:
+    """Make sure that frames have the rooms that are learned from."""
     rooms = set(train.place[train.room != ""].tolist())
     if isinstance(loss, SoftContrastiveLoss) and loss.room > 0 and len(rooms) < _ROOMS:
         raise DataError(
             f"the loss learns from rooms, loss.room={loss.room:g}, but the training frames have {len(rooms)}: give "
             "their room labels, or set loss.room to 0"
-        )
-    if validated is not None and not validated.has_position.any() and not (validated.room != "").any():
-        raise DataError(
-            "the validation frames have neither positions nor rooms, by which the checkpoint is chosen: give either, "
-            "or leave the validation out"
         )
 
 
@@ -302,13 +309,41 @@ def _check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) -
         )
 
 
-def _monitor(settings: Training, validated: FrameTable | None) -> str | None:
-    """Name the figure by which the checkpoint is chosen; None where nothing is validated."""
+def _monitor(settings: Training, train: FrameTable, validated: FrameTable | None) -> str | None:
+    """Name the figure by which the checkpoint is chosen; None where nothing is validated.
+
+    Raises:
+        DataError: frames with neither positions nor rooms, by which the validation could be judged.
+    """
     if validated is None:
         return None
     if not isinstance(settings.pairs, PlaceSettings):
         return "val/loss"
-    return "val/error" if validated.has_position.any() else "val/room"
+    if train.has_position.any() and validated.has_position.any():
+        return "val/error"
+    if len(set(train.place[train.room != ""].tolist())) >= _ROOMS and (validated.room != "").any():
+        return "val/room"
+    raise DataError(
+        "the checkpoint is chosen by the error of localization or by the rooms found, but training and validation "
+        f"frames do not both have positions, or both rooms ({_ROOMS} or more in training): give either, or leave the "
+        "validation out"
+    )
+
+
+@contextmanager
+def _fast_layout(network: nn.Module, wanted: bool) -> Iterator[None]:
+    """Let the channels of a pixel lie together, with which convolutions are faster, in a network of `build`.
+
+    A module of one's own may rely on its layout.
+    """
+    if not (wanted and isinstance(network, Network)):
+        yield
+        return
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    try:
+        yield
+    finally:
+        network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
 
 
 def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, monitor: str | None) -> Trainer:

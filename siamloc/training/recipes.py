@@ -64,6 +64,14 @@ class Recipe:
         from siamloc.models.batch_losses import make_loss
         from siamloc.training.fitting import fit
 
+        wraps = bool(self.model.get("circular"))
+        if images.circular != wraps:
+            raise ConfigError(
+                f"this recipe is for {'panoramas, whose' if wraps else 'pictures whose'} columns "
+                f"{'wrap' if wraps else 'do not wrap'} around, and the library has circular={images.circular}: make it "
+                f"with circular={wraps}, or take the recipe {'photographs' if wraps else 'modern'}"
+            )
+
         options = {"augmentation": dict(self.augmentation), "trainer": dict(self.trainer), **self.training}
         if self.loss is not None:
             options["loss"] = make_loss(**self.loss)
@@ -118,8 +126,8 @@ RECIPES: dict[str, Recipe] = {
 random weights on batches of places, some five minutes on two processor cores.
 
 `photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
-nor rooms are needed. The same network without the wrapping, half as long. With room labels, `loss.room` above 0 learns
-from them, too.
+nor rooms are needed for one drive, in which no place comes twice. The same network without the wrapping, half as long.
+Where drives share places, give rooms and `loss.room` above 0, or positions and `pairs.by="position"`.
 """
 
 

@@ -77,6 +77,8 @@ def test_a_black_image_stays_finite():
     assert not by_surroundings(black, circular=True).any()
 
 
-def test_a_panorama_narrower_than_its_surroundings():
-    narrow = torch.rand(1, 3, 64, 4)
-    assert by_surroundings(narrow, circular=True).shape == narrow.shape
+@pytest.mark.parametrize("circular", [True, False])
+def test_a_panorama_narrower_than_its_surroundings(circular):
+    narrow = torch.rand(1, 3, 32, 4, generator=torch.Generator().manual_seed(2)).double()
+    found = by_surroundings(narrow, circular)[0].numpy()
+    np.testing.assert_allclose(found, surroundings_by_loops(narrow[0].numpy(), circular), atol=1e-9)

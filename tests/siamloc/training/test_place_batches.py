@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import build
 from siamloc.models.batch_losses import Origins
+from siamloc.training import callbacks
 from siamloc.training.batches import BatchAugmentation
 from siamloc.training.place_batches import PlaceBatches, origins_of
 
@@ -104,7 +105,9 @@ def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, c
     assert "6 batches of 4 places x 2 images per epoch" in said
     best = int(curves["val/error"].argmin()) + 1
     assert f"best epoch {best} by val/error {curves['val/error'].min():.4f}" in said
-    assert re.search(r"trained in 0\.\d min, .*, \d+ images/s, \d+% of the time waiting for data; checkpoints in", said)
+    assert re.search(
+        r"trained in \d+\.\d min, .*, \d+ images/s, \d+% of the time waiting for data; checkpoints in", said
+    )
     best = siamloc.models.load(run)
     known = siamloc.maps.build(best, images, monday, progress=False)
     result = siamloc.evaluation.localization(known, images, tuesday, names=("absolute",))
@@ -197,33 +200,73 @@ def test_rooms_that_the_data_lack_are_refused(images, drives, tmp_path):
         siamloc.training.fit(network(), images, nameless, run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
     nowhere = FrameTable(path=drives[1].path, sequence=drives[1].sequence)
     settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}}
-    with pytest.raises(DataError, match="validation frames have neither positions nor rooms"):
+    with pytest.raises(DataError, match="the checkpoint is chosen by the error of localization or by the rooms found"):
         siamloc.training.fit(network(), images, monday, validation=nowhere, run=tmp_path / "run", **settings)
     assert not (tmp_path / "run").exists()
 
 
-def test_the_pace_counts_images_and_the_time_without_work(images, drives, tmp_path):
-    from siamloc.training.callbacks import Pace
+def test_what_the_checkpoint_is_chosen_by_must_be_known_of_both_sides(images, drives, tmp_path):
+    """The map has rooms and the queries positions, or the other way round: nothing can be judged."""
+    monday, tuesday = drives
+    placed = FrameTable(path=tuesday.path, sequence=tuesday.sequence, x=tuesday.x, y=tuesday.y)
+    labelled = FrameTable(path=monday.path, sequence=monday.sequence, room=monday.room)
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}, "epochs": 1}
+    with pytest.raises(DataError, match="do not both have positions, or both rooms"):
+        siamloc.training.fit(network(), images, labelled, validation=placed, run=tmp_path / "run", **settings)
+    assert not (tmp_path / "run").exists()
 
-    class Slow(augment.Effect):
-        name = "slow"
 
-        def brushes(self, params, height, width):
-            time.sleep(0.05)
-            return [[] for _ in range(8)]
+def test_several_drives_by_their_order_alone_are_said(images, frames, tmp_path, capfd):
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "epoch_batches": 1}, "epochs": 1}
+    siamloc.training.fit(network(), images, frames, run=tmp_path / "run", **settings)
+    assert "note: 2 drives are learned from by the order of their frames alone" in capfd.readouterr().err
 
-        def render(self, batch, params):
-            return batch
 
-    pace = Pace()
+def test_the_pace_counts_images_and_the_time_without_work(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(callbacks.time, "monotonic", lambda: clock[0])
+    pace = callbacks.Pace()
     assert np.isnan(pace.images_per_second)
-    siamloc.training.fit(
-        network(), images, drives[0], run=tmp_path / "run", epochs=2, trainer={"callbacks": [pace]},
-        augmentation=Slow(), **SETTINGS,
-    )  # fmt: skip
-    assert 0 < pace.images_per_second < 8 / 0.05
-    assert 0 < pace.waiting < 1
-    assert 8 / pace.images_per_second * pace.waiting >= 0.05  # of each step
+    trainer, batch = SimpleNamespace(world_size=2), {"images": torch.zeros(8, 3, 2, 2), "xy": torch.zeros(8, 2)}
+    for _ in range(2):
+        pace.on_train_epoch_start(trainer, None)
+        clock[0] += 100  # a validation
+        for number in range(5):
+            clock[0] += 1 if number >= 2 else 50  # the first batches take long
+            pace.on_train_batch_start(trainer, None, batch, number)
+            clock[0] += 3
+            pace.on_train_batch_end(trainer, None, None, batch, number)
+    assert pace.waiting == 0.25
+    assert pace.images_per_second == 2 * 8 / 4
+
+
+def test_the_best_epoch_of_the_summary_is_that_of_the_checkpoint(images, drives, tmp_path, capfd):
+    """Where epochs are equally good, both mean the first."""
+    monday, tuesday = (FrameTable(path=d.path, sequence=d.sequence, room=d.room) for d in drives)
+
+    class Fixed(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.weight = torch.nn.Parameter(torch.ones(1))
+            self.flat = torch.nn.Flatten()
+
+        def forward(self, panorama):
+            return torch.nn.functional.normalize(self.flat(panorama[:, :, :1]) * (1 + 0 * self.weight))
+
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}, "epochs": 3}
+    loss = siamloc.models.SoftContrastiveLoss(sigma=1, room=0.5)
+    run = siamloc.training.fit(Fixed(), images, monday, validation=tuesday, run=tmp_path / "run", loss=loss, **settings)
+    assert len(set(run.curves()["val/room"].tolist())) == 1
+    assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == 0
+    assert "best epoch 1 by val/room" in capfd.readouterr().err
+
+
+def test_the_margin_of_a_triplet_is_none_of_pairs(images, drives, tmp_path):
+    loss = siamloc.models.TripletLoss(near=0.6, far=1.0)
+    run = siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
+    known = siamloc.maps.build(siamloc.models.load(run), images, drives[0], progress=False)
+    result = siamloc.evaluation.localization(known, images, drives[1])
+    assert "has no margin" in result.skipped["room_pairs"]
 
 
 def test_a_loss_that_does_not_go_with_the_batches_is_refused_before_anything_is_written(images, drives, tmp_path):
