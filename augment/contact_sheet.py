@@ -113,7 +113,7 @@ def _shots(name: str) -> list[_Shot]:
             _Shot(f"{n:g} stops", {"stops": n, "warmth": w, "slope": s, "phase1": p, "phase2": 2 * p, "phase3": -p}, {})
             for n, w, s, p in ((0.6, 0.2, 0.5, 0), (1.2, -0.3, -0.5, 2), (1.8, 0.3, 0.2, -2))
         ],
-        "doorway": [_Shot(f"{n:+g} stops", {"stops": n, "share": 0.25}, {}) for n in (-2, 1.2, 2.5)],
+        "doorway": [_Shot(f"{n:+g} stops".replace("-", "−"), {"stops": n, "share": 0.25}, {}) for n in (-2, 1.2, 2.5)],
         "windows": [
             _Shot(f"level {n}, {100 * share:g} %", {"level": n, "share": share}, {})
             for n, share in ((10, 0.05), (10, 0.15), (255, 0.15))
