@@ -55,7 +55,7 @@ def preview(batch: Tensor, columns: int = _COLUMNS, cell: int = _CELL) -> Pictur
     Example:
         >>> import torch, augment
         >>> augment.preview(torch.rand(2, 3, 32, 128), columns=6, cell=64).shape
-        (742, 520, 3)
+        (898, 520, 3)
     """
     check_batch(batch)
     if len(batch) == 0:
