@@ -54,7 +54,7 @@ def main() -> None:
                 print(f"seed {seed}: {name}: {rows[name][-1]}", flush=True)
     for descriptor in (*ANALYTIC, Thumbnail()):
         name = descriptor if isinstance(descriptor, str) else "thumbnail 8 x 32, correlation"
-        found = located(library(frames, (120, 160)), descriptor, filter=True)
+        found = located(library(frames, (128, 160)), descriptor, filter=True)  # rows that every descriptor divides
         rows[name] = [figures(found.parts["absolute"])]
         rows[f"{name}, sequence filter"] = [figures(found.parts["absolute_filtered"])]
     judge(report, rows)
