@@ -62,15 +62,14 @@ class Relight(Layer):
     def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
         """Return the gain of each colour."""
         level, slope, colour = self._of_columns(columns, params, width)
-        above = 1 - rows * (2 / max(height - 1, 1))
-        return torch.exp2(level + slope * above) * colour
+        return torch.exp2(level + slope * _above(rows, height)) * colour
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the multiplication with its gains; those of columns come from the whole batch."""
         each = {key: value.float().view(-1, 1, 1, 1) for key, value in params.items()}
         columns = torch.arange(width, dtype=torch.float32).view(1, 1, 1, -1)
         parts = (part.numpy() for part in self._of_columns(columns, each, width))
-        above = 1 - np.arange(height, dtype=np.float32)[:, None] * np.float32(2 / max(height - 1, 1))
+        above = _above(torch.arange(height, dtype=torch.float32).view(-1, 1), height).numpy()
         return [
             [partial(_relight, level[0], slope[0], colour, above)] for level, slope, colour in zip(*parts, strict=True)
         ]
@@ -155,6 +154,11 @@ class Windows(Effect):
         threshold = (reached > most).sum(dim=1).view(-1, 1, 1, 1)
         changed = batch + column_of(params["strength"], batch) * (column_of(params["level"], batch) / 255 - batch)
         return torch.where(bright >= threshold, changed, batch)
+
+
+def _above(rows: Tensor, height: int) -> Tensor:
+    """Return 1 in the first row to -1 in the last."""
+    return 1 - rows * (2 / max(height - 1, 1))
 
 
 def _relight(level: Floats, slope: Floats, colour: Floats, above: Floats, frame: Frame) -> None:

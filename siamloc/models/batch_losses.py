@@ -96,19 +96,16 @@ class SoftContrastiveLoss(nn.Module):
             found = descriptors.float()
             itself = torch.eye(len(found), dtype=torch.bool, device=found.device)
             similarity = (found @ found.T / self.temperature).masked_fill(itself, -math.inf)
-            wanted = self._wanted(origins)
-            weight = wanted.sum(dim=1, keepdim=True)
-            counts = weight[:, 0] > 0
-            wanted = wanted / weight.clamp(min=_LEAST_WEIGHT)
+            wanted = _shares(self._wanted(origins, itself))
+            counts = wanted.sum(dim=1) > 0
             # The softmax of an image with itself is 0, and its logarithm must not meet the 0 that is wanted.
             told = similarity.log_softmax(dim=1).masked_fill(itself, 0)
             cost = -(wanted * told).sum(dim=1)
             return (cost * counts).sum() / counts.sum().clamp(min=1)
 
-    def _wanted(self, origins: Origins) -> Tensor:
-        """Return how alike the images should look (N, N), each row up to a factor."""
-        wanted = torch.zeros(len(origins.xy), len(origins.xy), device=origins.xy.device)
-        itself = torch.eye(len(wanted), dtype=torch.bool, device=wanted.device)
+    def _wanted(self, origins: Origins, itself: Tensor) -> Tensor:
+        """Return how alike the images should look (N, N), each row up to a factor; `itself` is the diagonal."""
+        wanted = torch.zeros(itself.shape, device=itself.device)
         if self.room < 1:
             apart = origins.distances().float() / self.sigma
             near = torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2)
@@ -169,11 +166,14 @@ class MetricCalibratedLoss(nn.Module):
 class _OfNearAndFar(nn.Module):
     """Base of the losses of pytorch-metric-learning: what is a positive of what follows from the distances."""
 
-    def __init__(self, name: str, settings: NearAndFar, loss: nn.Module) -> None:
+    def __init__(self, name: str, published: str, settings: NearAndFar) -> None:
+        from pytorch_metric_learning import losses
+
         super().__init__()
         self.near, self.far = float(settings.near), float(settings.far)
         self.settings = {"name": name, **settings.plain()}
-        self.loss = loss
+        parameters = {key: value for key, value in settings.plain().items() if key not in ("near", "far")}
+        self.loss = getattr(losses, published)(**parameters)
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
         """Compute the loss of a batch, a scalar, from descriptors (N, D).
@@ -200,9 +200,7 @@ class TripletLoss(_OfNearAndFar):
 
     @takes(Triplet)
     def __init__(self, *, settings: Triplet) -> None:
-        from pytorch_metric_learning.losses import TripletMarginLoss
-
-        super().__init__("triplet", settings, TripletMarginLoss(margin=settings.margin))
+        super().__init__("triplet", "TripletMarginLoss", settings)
 
 
 class CircleLoss(_OfNearAndFar):
@@ -217,9 +215,7 @@ class CircleLoss(_OfNearAndFar):
 
     @takes(Circle)
     def __init__(self, *, settings: Circle) -> None:
-        from pytorch_metric_learning.losses import CircleLoss as Published
-
-        super().__init__("circle", settings, Published(m=settings.m, gamma=settings.gamma))
+        super().__init__("circle", "CircleLoss", settings)
 
 
 class MultiSimilarityLoss(_OfNearAndFar):
@@ -234,10 +230,7 @@ class MultiSimilarityLoss(_OfNearAndFar):
 
     @takes(MultiSimilarity)
     def __init__(self, *, settings: MultiSimilarity) -> None:
-        from pytorch_metric_learning.losses import MultiSimilarityLoss as Published
-
-        made = Published(alpha=settings.alpha, beta=settings.beta, base=settings.base)
-        super().__init__("multi_similarity", settings, made)
+        super().__init__("multi_similarity", "MultiSimilarityLoss", settings)
 
 
 LOSSES: dict[str, Callable[..., nn.Module]] = {

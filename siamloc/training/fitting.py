@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import logging
 import os
 import signal
@@ -20,15 +19,13 @@ import augment
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
-from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
+from siamloc.errors import ConfigError
 from siamloc.files import content_key, plain
-from siamloc.models.batch_losses import UNIT_LENGTH, SoftContrastiveLoss
+from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.checkpoint import load
-from siamloc.models.describing import describe
 from siamloc.models.losses import ContrastiveLoss
-from siamloc.models.module import NetworkModule, name_of
+from siamloc.models.module import NetworkModule
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
@@ -36,6 +33,7 @@ from siamloc.runs import Run
 from siamloc.settings import takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, Pace, checkpoint_callbacks
+from siamloc.training.checks import check_loss, check_network, check_rooms, monitored, usable
 from siamloc.training.place_batches import PlaceDataModule
 from siamloc.training.run_folder import check_folder, check_same_training, finished_epochs, open_run
 from siamloc.training.settings import Training
@@ -47,9 +45,6 @@ from lightning.pytorch.utilities.exceptions import MisconfigurationException  # 
 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
 """Arguments of `lightning.Trainer` that `fit` begins with."""
-
-_ROOMS = 2  # that have to be told apart at least
-_UNIT_ROUNDING = 1e-2  # of the length of a descriptor in half precision
 
 
 @takes(Training)
@@ -124,12 +119,12 @@ def fit(
     first = process_rank() == 0
     if first:
         check_folder(run, resume, overwrite)
-    train, validated = _usable(images, frames, validation, settings)
+    train, validated = usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
     change = None if effect is None else BatchAugmentation(effect, settings.augment_where, settings.seed)
     data, module = _parts(network, images, train, validated, loss, change, settings)
-    monitor = _monitor(settings, train, validated)
-    _check_network(network, images, unit=isinstance(module.loss, UNIT_LENGTH))
+    monitor = monitored(settings, train, validated)
+    check_network(network, images, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
@@ -184,41 +179,6 @@ def process_rank() -> int:
     return 0
 
 
-def _usable(
-    images: PanoramaLibrary, frames: FrameTable, validation: FrameTable | None, settings: Training
-) -> tuple[FrameTable, FrameTable | None]:
-    """Select the frames whose image can be read; for distance labels those that have a position."""
-    found: list[FrameTable | None] = []
-    pairs = settings.pairs
-    distance = pairs.by == "position" if isinstance(pairs, PlaceSettings) else pairs.label == "distance"
-    for name, table in (("training", frames), ("validation", validation)):
-        if table is None:
-            found.append(None)
-            continue
-        readable = images.readable(table)
-        if not len(readable):
-            raise DataError(f"there are no {name} frames" if not len(table) else f"no {name} image can be read")
-        if name == "training" and isinstance(pairs, PairSettings) and pairs.label == "auto":
-            distance = len(set(readable.place.tolist())) == 1
-        if distance:
-            missing = readable.path[~readable.has_position].tolist()
-            what = f"{name} frames have no position, which {pairs.needs_positions} need"
-            leave_out(missing, len(readable), what, str(images.settings()["on_error"]))
-            readable = readable.take(readable.has_position)
-        found.append(readable)
-    train, validated = found
-    assert train is not None
-    if validated is not None:
-        known = set(train.identities())
-        both = [key for key in validated.identities() if key in known]
-        if both:
-            raise ConfigError(
-                f"{len(both)} validation frames are training frames too, the first is {both[0][1]}, so that the result "
-                "would not be honest: validate with other frames"
-            )
-    return train, validated
-
-
 def _parts(
     network: nn.Module,
     images: PanoramaLibrary,
@@ -231,40 +191,14 @@ def _parts(
     """Make what serves the batches, and what happens with them: pairs, or places with all their pairs."""
     common: dict[str, Any] = {"workers": settings.workers, "augmentation": augmentation, "seed": settings.seed}
     if isinstance(settings.pairs, PlaceSettings):
-        _check_loss(loss, 2)
-        _check_rooms(loss, train)
+        check_loss(loss, 2)
+        check_rooms(loss, train)
         places = PlaceDataModule(images, train, validated, places=settings.pairs, **common)
         return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer)
-    _check_loss(loss, 3)
+    check_loss(loss, 3)
     pairs = PairDataModule(images, train, validated, pairs=settings.pairs, batch_size=settings.batch_size, **common)
     chosen = ContrastiveLoss(settings.margin) if loss is None else cast(Loss, loss)
     return pairs, SiameseModule(network, chosen, settings.optimizer)
-
-
-def _check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
-    """Make sure that a loss takes as many arguments as there will be."""
-    if loss is None or not callable(loss):
-        return
-    try:
-        called = loss.forward if isinstance(loss, nn.Module) else loss
-        inspect.signature(called).bind(*[None] * arguments)
-    except TypeError as error:
-        raise ConfigError(
-            "a loss of batches of places takes (descriptors, origins), one of pairs takes (d0, d1, y): this one, "
-            f"{name_of(loss)}, does not go with these pairs"
-        ) from error
-    except ValueError:  # functions without a signature
-        return
-
-
-def _check_rooms(loss: Loss | BatchLoss | None, train: FrameTable) -> None:
-    """Make sure that frames have the rooms that are learned from."""
-    rooms = set(train.place[train.room != ""].tolist())
-    if isinstance(loss, SoftContrastiveLoss) and loss.room > 0 and len(rooms) < _ROOMS:
-        raise DataError(
-            f"the loss learns from rooms, loss.room={loss.room:g}, but the training frames have {len(rooms)}: give "
-            "their room labels, or set loss.room to 0"
-        )
 
 
 def _effect(
@@ -287,47 +221,6 @@ def _effect(
         if not effect.slots:
             return None, described
     return effect, described
-
-
-def _check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) -> None:
-    """Describe one image, so that a network of another image size is found before anything is written."""
-    try:
-        descriptor = describe(network, images.batch([0]))
-    except SiamlocError:
-        raise
-    except Exception as error:  # a module of one's own may raise anything
-        shape = " x ".join(map(str, images.image_shape))
-        first_line = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise DataError(f"the network cannot take panoramas of {shape}: {first_line}") from error
-    if descriptor.ndim != 2 or len(descriptor) != 1:
-        raise DataError(f"the network must give descriptors of shape (B, D), got {descriptor.shape} for one image")
-    length = float((descriptor.astype("float64") ** 2).sum() ** 0.5)
-    if unit and abs(length - 1) > _UNIT_ROUNDING:
-        raise ConfigError(
-            f"this loss needs descriptors of length 1, this network's have {length:.3g}: choose the "
-            "head flat, gem or fourier, or end your own network with torch.nn.functional.normalize"
-        )
-
-
-def _monitor(settings: Training, train: FrameTable, validated: FrameTable | None) -> str | None:
-    """Name the figure by which the checkpoint is chosen; None where nothing is validated.
-
-    Raises:
-        DataError: frames with neither positions nor rooms, by which the validation could be judged.
-    """
-    if validated is None:
-        return None
-    if not isinstance(settings.pairs, PlaceSettings):
-        return "val/loss"
-    if train.has_position.any() and validated.has_position.any():
-        return "val/error"
-    if len(set(train.place[train.room != ""].tolist())) >= _ROOMS and (validated.room != "").any():
-        return "val/room"
-    raise DataError(
-        "the checkpoint is chosen by the error of localization or by the rooms found, but training and validation "
-        f"frames do not both have positions, or both rooms ({_ROOMS} or more in training): give either, or leave the "
-        "validation out"
-    )
 
 
 @contextmanager

@@ -1,0 +1,128 @@
+"""What `fit` makes sure of before the first step, and the choices that follow from the frames."""
+
+from __future__ import annotations
+
+import inspect
+
+from torch import nn
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.pairs import PairSettings
+from siamloc.data.places import PlaceSettings
+from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
+from siamloc.models.batch_losses import SoftContrastiveLoss
+from siamloc.models.describing import describe
+from siamloc.models.module import name_of
+from siamloc.models.places import BatchLoss
+from siamloc.models.siamese import Loss
+from siamloc.training.settings import Training
+
+_ROOMS = 2  # that have to be told apart at least
+_UNIT_ROUNDING = 1e-2  # of the length of a descriptor in half precision
+
+
+def usable(
+    images: PanoramaLibrary, frames: FrameTable, validation: FrameTable | None, settings: Training
+) -> tuple[FrameTable, FrameTable | None]:
+    """Select the frames whose image can be read; for distance labels those that have a position."""
+    found: list[FrameTable | None] = []
+    pairs = settings.pairs
+    distance = pairs.by == "position" if isinstance(pairs, PlaceSettings) else pairs.label == "distance"
+    for name, table in (("training", frames), ("validation", validation)):
+        if table is None:
+            found.append(None)
+            continue
+        readable = images.readable(table)
+        if not len(readable):
+            raise DataError(f"there are no {name} frames" if not len(table) else f"no {name} image can be read")
+        if name == "training" and isinstance(pairs, PairSettings) and pairs.label == "auto":
+            distance = len(set(readable.place.tolist())) == 1
+        if distance:
+            missing = readable.path[~readable.has_position].tolist()
+            what = f"{name} frames have no position, which {pairs.needs_positions} need"
+            leave_out(missing, len(readable), what, str(images.settings()["on_error"]))
+            readable = readable.take(readable.has_position)
+        found.append(readable)
+    train, validated = found
+    assert train is not None
+    if validated is not None:
+        known = set(train.identities())
+        both = [key for key in validated.identities() if key in known]
+        if both:
+            raise ConfigError(
+                f"{len(both)} validation frames are training frames too, the first is {both[0][1]}, so that the result "
+                "would not be honest: validate with other frames"
+            )
+    return train, validated
+
+
+def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
+    """Make sure that a loss takes as many arguments as there will be."""
+    if loss is None or not callable(loss):
+        return
+    try:
+        called = loss.forward if isinstance(loss, nn.Module) else loss
+        inspect.signature(called).bind(*[None] * arguments)
+    except TypeError as error:
+        raise ConfigError(
+            "a loss of batches of places takes (descriptors, origins), one of pairs takes (d0, d1, y): this one, "
+            f"{name_of(loss)}, does not go with these pairs"
+        ) from error
+    except ValueError:  # functions without a signature
+        return
+
+
+def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable) -> None:
+    """Make sure that frames have the rooms that are learned from."""
+    if isinstance(loss, SoftContrastiveLoss) and loss.room > 0 and _rooms(train) < _ROOMS:
+        raise DataError(
+            f"the loss learns from rooms, loss.room={loss.room:g}, but the training frames have {_rooms(train)}: give "
+            "their room labels, or set loss.room to 0"
+        )
+
+
+def check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) -> None:
+    """Describe one image, so that a network of another image size is found before anything is written."""
+    try:
+        descriptor = describe(network, images.batch([0]))
+    except SiamlocError:
+        raise
+    except Exception as error:  # a module of one's own may raise anything
+        shape = " x ".join(map(str, images.image_shape))
+        first_line = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise DataError(f"the network cannot take panoramas of {shape}: {first_line}") from error
+    if descriptor.ndim != 2 or len(descriptor) != 1:
+        raise DataError(f"the network must give descriptors of shape (B, D), got {descriptor.shape} for one image")
+    length = float((descriptor.astype("float64") ** 2).sum() ** 0.5)
+    if unit and abs(length - 1) > _UNIT_ROUNDING:
+        raise ConfigError(
+            f"this loss needs descriptors of length 1, this network's have {length:.3g}: choose the "
+            "head flat, gem or fourier, or end your own network with torch.nn.functional.normalize"
+        )
+
+
+def monitored(settings: Training, train: FrameTable, validated: FrameTable | None) -> str | None:
+    """Name the figure by which the checkpoint is chosen; None where nothing is validated.
+
+    Raises:
+        DataError: frames with neither positions nor rooms, by which the validation could be judged.
+    """
+    if validated is None:
+        return None
+    if not isinstance(settings.pairs, PlaceSettings):
+        return "val/loss"
+    if train.has_position.any() and validated.has_position.any():
+        return "val/error"
+    if _rooms(train) >= _ROOMS and _rooms(validated):
+        return "val/room"
+    raise DataError(
+        "the checkpoint is chosen by the error of localization or by the rooms found, but training and validation "
+        f"frames do not both have positions, or both rooms ({_ROOMS} or more in training): give either, or leave the "
+        "validation out"
+    )
+
+
+def _rooms(frames: FrameTable) -> int:
+    """Count the rooms of frames that have one."""
+    return len(set(frames.place[frames.room != ""].tolist()))
