@@ -26,6 +26,7 @@ from siamloc.evaluation.estimates import (
     search_validation,
     with_estimates,
 )
+from siamloc.evaluation.metrics import fitted_margin
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Search, Session
 from siamloc.maps import VisualMap
@@ -56,7 +57,7 @@ class Localization(Estimates):
         names: "absolute" for poses, "room_retrieval" for rooms.
         radii: recall: a map frame this near counts as found, in the unit of the positions.
         ks: recall: numbers of retrieved frames.
-        pairs: pairs of queries that are judged as well, for descriptors that have a margin.
+        pairs: pairs of queries that are judged as well, where a network describes.
     """
 
     WHERE = "task"
@@ -109,8 +110,8 @@ def localization(
         settings: instead of its fields as keywords.
 
     Returns:
-        Parts "absolute" and "room_retrieval", as far as the data have poses and rooms; "room_pairs" for descriptors
-        with a margin; "absolute_filtered", "absolute_interpolated" and "calibration" where asked for.
+        Parts "absolute" and "room_retrieval", as far as the data have poses and rooms; "room_pairs" for
+        networks; "absolute_filtered", "absolute_interpolated" and "calibration" where asked for.
 
     Raises:
         ConfigError: settings that contradict each other, or queries that the protocol forbids.
@@ -283,22 +284,41 @@ def _with_pairs(
     queries: FrameTable,
     skipped: dict[str, str],
 ) -> Result:
-    """Return the result with pairs of queries judged by the distance of their descriptors, where there is a margin."""
-    margin = getattr(known.descriptor, "margin", None)
-    if margin is None:
+    """Return the result with pairs of queries judged by the distance of their descriptors, if a network made them.
+
+    The limit is half the margin of the loss that the network was trained with; without one, as after a training on
+    batches of places, what tells pairs of map frames apart best.
+    """
+    if not hasattr(known.descriptor, "margin"):
         skipped["room_pairs"] = f"{known.descriptor.name} has no margin by which to judge pairs"
         return result
     wanted = settings.pairs
+    asked = PairSettings(label="room", same_room_share=wanted.same_room_share, epoch_pairs=wanted.count)
     try:
-        room_pairs = PairSettings(label="room", same_room_share=wanted.same_room_share, epoch_pairs=wanted.count)
-        sampler = PairSampler(queries, room_pairs, seed=session.seed)
+        pairs = PairSampler(queries, asked, seed=session.seed).epoch(0)
+        margin, learned = known.descriptor.margin, {}
+        if margin is None:
+            margin = _margin_of_map(known, replace(asked, same_room_share=None), session.seed)
+            learned = {"pairs": {"margin": f"{margin:.4g}, learned from {wanted.count} pairs of map frames"}}
     except SiamlocError as error:
         skipped["room_pairs"] = str(error)
         return result
-    pairs = sampler.epoch(0)
     one, other = queries.lighting[pairs.first], queries.lighting[pairs.second]
     first, second = np.where(one <= other, one, other), np.where(one <= other, other, one)
     lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))
     labels = {"first": queries.path[pairs.first], "second": queries.path[pairs.second]}
     one_each, another = vectors[pairs.first], vectors[pairs.second]
-    return result.joined(room_retrieval.evaluate_pairs(one_each, another, pairs.same, margin, 0.5, lighting, labels))
+    judged = room_retrieval.evaluate_pairs(one_each, another, pairs.same, margin, 0.5, lighting, labels)
+    return result.joined(replace(judged, about=learned))
+
+
+def _margin_of_map(known: VisualMap, wanted: PairSettings, seed: int) -> float:
+    """Learn a margin from pairs of map frames, half of them from one room.
+
+    Raises:
+        SiamlocError: map frames without such pairs.
+    """
+    labelled = known.frames.room != ""
+    frames, vectors = known.frames.take(labelled), known.descriptors[labelled].astype(np.float64)
+    pairs = PairSampler(frames, wanted, seed=seed).epoch(0)
+    return fitted_margin(np.linalg.norm(vectors[pairs.first] - vectors[pairs.second], axis=1), pairs.same)

@@ -61,10 +61,7 @@ def pair_dissimilarity(distances: ArrayLike, margin: float = 2.0) -> NDArray[np.
     """
     if not margin > 0:
         raise ConfigError(f"the margin must be positive, got {margin}")
-    values = column_of(distances, "distances")
-    if (values < 0).any():
-        raise DataError(f"{int((values < 0).sum())} of {len(values)} pair distances are negative")
-    return np.minimum(values / margin, 1.0)
+    return np.minimum(_distances(distances) / margin, 1.0)
 
 
 def pair_accuracy(distances: ArrayLike, same: ArrayLike, margin: float = 2.0, threshold: float = 0.5) -> PairAccuracy:
@@ -127,6 +124,38 @@ def pair_threshold_curve(
     )
 
 
+def fitted_margin(distances: ArrayLike, same: ArrayLike) -> float:
+    """Return the margin whose half tells pairs from one room and from two apart best, for descriptors that have none.
+
+    Of all distances that could be the limit, it is one with which the fewest pairs are misjudged; where several gaps
+    between distances are equally good, the middle of the widest.
+
+    Args:
+        distances: between the two descriptors of each pair (n,).
+        same: True for pairs from one room (n,).
+
+    Raises:
+        DataError: other shapes, distances that are negative or not finite, pairs of one kind only, or no two distances
+            that differ.
+
+    Example:
+        >>> fitted_margin([0.1, 0.2, 0.8, 1.0], np.array([True, True, False, False]))
+        1.0
+    """
+    values = _distances(distances)
+    truth = _verdicts(same, values)
+    levels, level = np.unique(values, return_inverse=True)
+    if truth.all() or not truth.any() or len(levels) < 2:
+        raise DataError(
+            f"a margin is learned from pairs of both kinds at different distances, got {int(truth.sum())} from one "
+            f"room, {int((~truth).sum())} from two, {len(levels)} different distances"
+        )
+    gained = np.bincount(level, np.where(truth, 1.0, -1.0)).cumsum()[:-1]  # by a limit above each level but the last
+    gaps = np.where(gained == gained.max(), np.diff(levels), -1)
+    at = int(gaps.argmax())
+    return float(levels[at] + levels[at + 1])
+
+
 def confusion_matrix(true: ArrayLike, predicted: ArrayLike, labels: Sequence[str]) -> NDArray[np.int64]:
     """Return counts (L, L): row = true label, column = predicted label, both in the order of `labels`.
 
@@ -155,6 +184,13 @@ def _share(correct: NDArray[np.bool_]) -> float:
 
 def _shares(counts: NDArray[np.int64], n: int) -> NDArray[np.float64]:
     return counts / n if n else np.full(len(counts), math.nan)
+
+
+def _distances(distances: ArrayLike) -> NDArray[np.float64]:
+    values = column_of(distances, "distances")
+    if (values < 0).any():
+        raise DataError(f"{int((values < 0).sum())} of {len(values)} pair distances are negative")
+    return values
 
 
 def _verdicts(same: ArrayLike, dissimilarity: NDArray[np.float64]) -> NDArray[np.bool_]:

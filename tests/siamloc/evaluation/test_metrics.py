@@ -158,6 +158,28 @@ def test_perfect_and_reversed_pairs() -> None:
     assert metrics.pair_accuracy([2.0, 0.0, 0.1], same).overall == 0
 
 
+@given(seed=seeds)
+def test_no_limit_misjudges_fewer_pairs_than_half_the_fitted_margin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 30))
+    distances, same = rng.integers(0, 13, n) / 4, np.arange(n) % 3 == 0
+    if len(set(distances.tolist())) < 2:
+        return
+    limit = metrics.fitted_margin(distances, same) / 2
+    right = [sum((d < t) == s for d, s in zip(distances, same, strict=True)) for t in sorted(set(distances))[1:]]
+    assert sum((distances < limit) == same) == max(right)
+    assert np.abs(distances - limit).min() > 0
+
+
+def test_the_fitted_margin_lies_in_the_middle_of_the_widest_gap() -> None:
+    assert metrics.fitted_margin([0.0, 0.1, 0.5, 0.6], np.array([True, True, False, False])) == 0.6
+    for distances, same in (([0.1, 0.2], [True, True]), ([0.1, 0.2], [False, False]), ([0.1, 0.1], [True, False])):
+        with pytest.raises(DataError, match="pairs of both kinds at different distances"):
+            metrics.fitted_margin(distances, np.array(same))
+    with pytest.raises(DataError, match="negative"):
+        metrics.fitted_margin([-1.0, 2.0], np.array([True, False]))
+
+
 @given(seed=seeds, margin=st.sampled_from([0.5, 2.0, 3.0]))
 def test_the_threshold_curve_is_the_accuracy_at_every_threshold(seed: int, margin: float) -> None:
     rng = np.random.default_rng(seed)
