@@ -127,7 +127,8 @@ COMMANDS = {
                                           what gives headings for a network; the map's own if not given
         task=hierarchical build=incremental|spectral|som|sample|rooms
                                           search the nodes of a map first, then the frames inside the nearest
-        task.candidates=3                 that many nodes
+        task.candidates=3                 that many nodes; task.coarse.ratio=1.3 leaves out those much farther than
+                                          the nearest
         task.coarse.descriptor=hog_mapping task.coarse.by=representatives|vote
                                           how nodes are ranked
         task=mapping build=incremental    measure the nodes of a map instead: see `siamloc map --help`

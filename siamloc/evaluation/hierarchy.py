@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
-from siamloc.errors import DataError
+from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import absolute
 from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, neighbours
 from siamloc.evaluation.columns import missing_rooms
@@ -35,12 +35,23 @@ class CoarseRanking(Settings):
     Attributes:
         by: by their "representatives", or by the "vote" of the nearest map frames.
         neighbours: frames that vote.
+        ratio: candidates whose representative is farther than so many times the nearest one are not searched, at
+            least 1; all of them are if None.
     """
 
     WHERE = "task.coarse"
 
     by: Literal["representatives", "vote"] = "representatives"
     neighbours: Count = 10
+    ratio: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.ratio is not None and (self.ratio < 1 or self.by != "representatives"):
+            raise ConfigError(
+                f"task.coarse.ratio is 1 or more and goes with task.coarse.by=representatives, got {self.ratio} and "
+                f"{self.by}"
+            )
 
 
 @dataclass(frozen=True)
@@ -117,6 +128,7 @@ def hierarchical(
         by=settings.coarse.by,
         candidates=settings.candidates,
         neighbours=settings.coarse.neighbours,
+        ratio=settings.coarse.ratio,
     )
     placed, scored = known.frames.has_position, session.queries.has_position
     if text := session.lacking(placed, "map frames have no position"):

@@ -128,6 +128,8 @@ class HierarchicalSearch:
         by: how nodes are ranked: by their "representatives" ([C] 4), or by the "vote" of the nearest map frames.
         candidates: nodes searched for each query; all of them if there are fewer.
         neighbours: map frames that vote.
+        ratio: candidates whose representative is farther than so many times the nearest one are not searched, at
+            least 1: most queries then search one node, those between two nodes both; None searches all candidates.
 
     Attributes:
         known: the map.
@@ -135,8 +137,8 @@ class HierarchicalSearch:
         coarse: the map that ranks the nodes.
 
     Raises:
-        ConfigError: numbers below 1, an unknown way to rank, or representatives of descriptors that are compared only
-            after turning: their means have no meaning.
+        ConfigError: numbers below 1, an unknown way to rank, a ratio without representatives, or representatives of
+            descriptors that are compared only after turning: their means have no meaning.
         DataError: a layer or a coarse map of other frames.
 
     Example:
@@ -158,6 +160,7 @@ class HierarchicalSearch:
         by: Literal["representatives", "vote"] = "representatives",
         candidates: int = 3,
         neighbours: int = 10,
+        ratio: float | None = None,
     ) -> None:
         self.known, self.layer, self.coarse = known, layer, known if coarse is None else coarse
         if len(layer.labels) != len(known):
@@ -174,6 +177,9 @@ class HierarchicalSearch:
                 f"descriptors of {self.coarse.descriptor.name} are compared after turning, and their means stand for "
                 "nothing: rank nodes by vote, or by another descriptor"
             )
+        if ratio is not None and by != "representatives":
+            raise ConfigError("a ratio compares distances of representatives: leave it out, or rank by representatives")
+        self._ratio = _check_ratio(ratio)
         self._by, self._candidates, self._neighbours = by, _check_candidates(candidates), check_neighbours(neighbours)
         self._order = np.argsort(layer.labels, kind="stable")
         # Block b holds node b - 1: the frames in no node come first.
@@ -217,8 +223,7 @@ class HierarchicalSearch:
             )
         if self._representatives is None:
             self._representatives = VectorIndex(self.layer.representatives, self.coarse.distance)
-        found = self._representatives.search(queries.position, self._candidates)
-        return NodeRanking(found.indices, np.full(len(found), len(self.layer)))
+        return _nearest_nodes(self._representatives, queries.position, self._candidates, self._ratio)
 
     def search(self, queries: Description | ArrayLike, ranking: NodeRanking, k: int = 1) -> HierarchicalRetrieval:
         """Return the k nearest frames of each query among those of its candidate nodes, exactly.
@@ -291,7 +296,11 @@ class HierarchicalSearch:
 
 
 def rank_by_representatives(
-    queries: ArrayLike, representatives: ArrayLike, candidates: int = 1, distance: str = "euclidean"
+    queries: ArrayLike,
+    representatives: ArrayLike,
+    candidates: int = 1,
+    distance: str = "euclidean",
+    ratio: float | None = None,
 ) -> NodeRanking:
     """Rank nodes by the distance of a query to what stands for each ([C] 4).
 
@@ -300,14 +309,14 @@ def rank_by_representatives(
         representatives: (k, D), those of a `CoarseLayer`.
         candidates: how many nodes to keep; all of them if there are fewer.
         distance: that of the map that the coarse layer was made of.
+        ratio: nodes farther than so many times the nearest one are no candidates; see `HierarchicalSearch`.
 
     Raises:
-        ConfigError: a number of candidates below 1, or an unknown distance.
+        ConfigError: a number of candidates or a ratio below 1, or an unknown distance.
         DataError: vectors that do not fit each other.
     """
     index = VectorIndex(representatives, distance)
-    found = index.search(queries, _check_candidates(candidates))
-    return NodeRanking(found.indices, np.full(len(found), len(index)))
+    return _nearest_nodes(index, queries, _check_candidates(candidates), _check_ratio(ratio))
 
 
 def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compared: int | None = None) -> NodeRanking:
@@ -375,6 +384,22 @@ def _labels(labels: ArrayLike) -> NDArray[np.int64]:
     if node.ndim != 1 or not len(node) or node.dtype.kind not in "iu" or (node < UNASSIGNED).any():
         raise DataError(f"labels must be whole numbers of shape (m,), -1 or more, got {node.dtype} {node.shape}")
     return node.astype(np.int64, copy=False)
+
+
+def _nearest_nodes(
+    representatives: VectorIndex, queries: ArrayLike, candidates: int, ratio: float | None
+) -> NodeRanking:
+    found = representatives.search(queries, candidates)
+    nodes = found.indices
+    if ratio is not None:
+        nodes = np.where(found.distances <= ratio * found.distances[:, :1], nodes, UNASSIGNED)
+    return NodeRanking(nodes, np.full(len(found), len(representatives)))
+
+
+def _check_ratio(ratio: float | None) -> float | None:
+    if ratio is not None and not ratio >= 1:
+        raise ConfigError(f"a ratio of distances to the nearest node is 1 or more, got {ratio}")
+    return ratio
 
 
 def _check_candidates(candidates: Any) -> int:

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from siamloc.errors import DataError
+from analytic import Description
+from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.hierarchy import evaluate_hierarchical, measures_of
+from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical, measures_of
 from siamloc.evaluation.result import Result
 from siamloc.files import plain
 from siamloc.maps import VisualMap
@@ -177,3 +178,27 @@ def test_errors() -> None:
     lost = queries.with_columns(x=np.full(6, np.nan))
     with pytest.raises(DataError, match="6 of 6 queries have no position"):
         evaluate_hierarchical(known, layer, lost, found, found, whole, ks=(1,))
+
+
+def test_a_ratio_of_distances_saves_comparisons_and_one_without_limit_changes_nothing() -> None:
+    known, queries = scenes.visual_map(), scenes.frames(2, 80)
+    described = Description(scenes.describe(queries, seed=2, noise=0.8))
+    layer = layer_of(known)
+
+    def compared(ratio: float | None):
+        search = HierarchicalSearch(known, layer, candidates=3, ratio=ratio)
+        found = search.search(described, search.rank(described))
+        return found.compared, found.found.indices
+
+    every, one, few = compared(None), compared(1.0), compared(1.3)
+    np.testing.assert_array_equal(compared(1e9)[1], every[1])
+    np.testing.assert_array_equal(compared(1e9)[0], every[0])
+    alone = HierarchicalSearch(known, layer, candidates=1)
+    np.testing.assert_array_equal(one[1], alone.search(described, alone.rank(described)).found.indices)
+    assert one[0].mean() < few[0].mean() < every[0].mean()
+    with pytest.raises(ConfigError, match=r"task\.coarse\.ratio is 1 or more and goes with"):
+        CoarseRanking(ratio=0.5)
+    with pytest.raises(ConfigError, match=r"by=representatives, got 1.2 and vote"):
+        CoarseRanking(ratio=1.2, by="vote")
+    with pytest.raises(ConfigError, match="compares distances of representatives"):
+        HierarchicalSearch(known, layer, by="vote", ratio=1.2)

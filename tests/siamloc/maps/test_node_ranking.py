@@ -25,6 +25,21 @@ def test_nodes_by_representatives_equal_the_loop(seed: int, candidates: int, dis
     assert ranking.compared.tolist() == [5] * 4
 
 
+@settings(deadline=None)
+@given(seed=seeds, ratio=st.sampled_from([1.0, 1.2, 2.0, 1e9]))
+def test_nodes_within_a_ratio_of_the_nearest_stay_candidates(seed: int, ratio: float) -> None:
+    rng = np.random.default_rng(seed)
+    queries, representatives = rng.normal(size=(4, 2)), rng.normal(size=(5, 2))
+    every = rank_by_representatives(queries, representatives, 3)
+    ranking = rank_by_representatives(queries, representatives, 3, ratio=ratio)
+    for query, nodes, kept in zip(queries, every.nodes.tolist(), ranking.nodes.tolist(), strict=True):
+        apart = [float(np.linalg.norm(query - representatives[node])) for node in nodes]
+        # Apart from rounding, which could only matter at the limit itself.
+        assert all(abs(value / apart[0] - ratio) > 1e-6 for value in apart[1:])
+        assert kept == [node if value <= ratio * apart[0] else -1 for node, value in zip(nodes, apart, strict=True)]
+    assert ranking.compared.tolist() == [5] * 4
+
+
 @settings(max_examples=50, deadline=None)
 @given(seed=seeds, k=st.integers(1, 9), candidates=st.integers(1, 5))
 def test_nodes_by_vote_equal_the_loop(seed: int, k: int, candidates: int) -> None:
@@ -65,6 +80,7 @@ def test_equal_x_and_different_y() -> None:
     ("call", "error", "message"),
     [
         (lambda: rank_by_representatives([[0.0]], [[0.0]], 0), ConfigError, "candidate nodes >= 1, got 0"),
+        (lambda: rank_by_representatives([[0.0]], [[0.0]], 1, ratio=0.9), ConfigError, "1 or more, got 0.9"),
         (lambda: rank_by_representatives([[0.0, 1]], [[0.0]], 1), DataError, "2 values each"),
         (lambda: rank_by_vote(ONE, [], 1), DataError, "labels must be whole numbers"),
         (lambda: rank_by_vote(ONE, [0.0], 1), DataError, "labels must be whole numbers"),
