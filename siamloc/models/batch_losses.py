@@ -47,6 +47,10 @@ class Origins:
         """Return (N, N) bool: True where both show the same known room."""
         return (self.room[:, None] == self.room[None]) & (self.room >= 0)[:, None]
 
+    def other_room(self) -> Tensor:
+        """Return (N, N) bool: True where the rooms are known and differ."""
+        return (self.room[:, None] != self.room[None]) & (self.room >= 0)[:, None] & (self.room >= 0)[None]
+
 
 class SoftContrastiveLoss(nn.Module):
     """Let each image look like its neighbours in the building, the more so the nearer they are.
@@ -57,8 +61,8 @@ class SoftContrastiveLoss(nn.Module):
         p_ij = exp(-|x_i - x_j|^2 / 2 sigma^2) / sum_k,    q_ij = exp(d_i . d_j / temperature) / sum_k.
 
     It is InfoNCE with a target that fades with the distance instead of ending at a radius. With rooms, p_ij is the
-    weighted mean of this one and of one that is equal for all images of the room of i, and 0 for others. Images without
-    a neighbour or another image of their room in the batch do not count.
+    weighted mean of this one, without the images of other rooms, and of one that is equal for all images of the room
+    of i, and 0 for others. Images without a neighbour or another image of their room in the batch do not count.
 
     Args:
         settings: see `siamloc.models.registry.SoftContrastive`.
@@ -109,7 +113,8 @@ class SoftContrastiveLoss(nn.Module):
         if self.room < 1:
             apart = origins.distances().float() / self.sigma
             near = torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2)
-            wanted = (1 - self.room) * _shares(near.nan_to_num(0).masked_fill(itself, 0))
+            aside = itself | origins.other_room() if self.room > 0 else itself
+            wanted = (1 - self.room) * _shares(near.nan_to_num(0).masked_fill(aside, 0))
         if self.room > 0:
             wanted = wanted + self.room * _shares(origins.same_room().float().masked_fill(itself, 0))
         return wanted

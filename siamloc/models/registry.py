@@ -94,8 +94,9 @@ class SoftContrastive(Settings):
             exp(-x^2 / 2 sigma^2), or "exponential", exp(-x / sigma), which tells the nearest from the second nearest
             and still says something of those beyond.
         sigma: width of the kernel, in the unit of the positions.
-        room: share of what is wanted that goes to all images of the same room alike, the rest goes by the kernel.
-            With 1 it is the supervised contrastive loss of the rooms ([Khosla 2020]), which needs no positions.
+        room: share of what is wanted that goes to all images of the same room alike, the rest goes by the kernel, and
+            then not to those of other rooms. With 1 it is the supervised contrastive loss of the rooms ([Khosla 2020]),
+            which needs no positions.
     """
 
     WHERE = "loss"

@@ -14,7 +14,8 @@ def soft_contrastive_loss(
         for j in others:
             apart = math.dist(places[i], places[j]) if buildings[i] == buildings[j] else math.inf
             near[j] = math.exp(-apart / sigma) if kernel == "exponential" else math.exp(-(apart**2) / (2 * sigma**2))
-            if math.isnan(near[j]):
+            walled = rooms is not None and room_share > 0 and rooms[i] >= 0 and rooms[j] >= 0 and rooms[i] != rooms[j]
+            if math.isnan(near[j]) or walled:
                 near[j] = 0.0
         mates = {j: float(rooms is not None and rooms[i] >= 0 and rooms[i] == rooms[j]) for j in others}
         wanted = dict.fromkeys(others, 0.0)
