@@ -190,6 +190,16 @@ def report(config: DictConfig) -> None:
     print(f"report: {path}, {path.stat().st_size / 1e6:.1f} MB; open it in a browser")
 
 
+def compare(config: DictConfig) -> None:
+    """Print a row for each of several runs, the best first."""
+    from siamloc import training
+
+    found = training.compare(config.runs if isinstance(config.runs, str) else list(config.runs), by=config.by)
+    print(found.table())
+    if config.out is not None:
+        print(f"table: {found.save(config.out)}")
+
+
 def expand(config: DictConfig) -> None:
     """Write an augmented data set in the layout of the one it is made of."""
     from siamloc import data
