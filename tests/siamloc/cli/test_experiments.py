@@ -3,10 +3,14 @@ augmentation and protocol. A new file is tested without a word here."""
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from siamloc import models
 from siamloc.cli import main
@@ -16,6 +20,7 @@ from siamloc.training import Run
 from tests.drawn import draw_panorama, draw_sequence, write_manifest
 
 EXPERIMENTS = sorted(path.stem for path in (config_folder() / "experiment").glob("*.yaml"))
+PUBLISHED = Path(__file__).parents[3] / "docs/results/published.md"
 DRIVES = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
 
 
@@ -77,3 +82,30 @@ def test_a_step_of_every_experiment(experiment, cold, tmp_path):
     trained, fresh = (dict(models.load(run, which=which).named_parameters()) for which in ("last", "untrained"))
     unchanged = [name for name in fresh if torch.equal(trained[name], fresh[name])]
     assert len(unchanged) < 0.2 * len(fresh), unchanged  # a rectifier may be shut for all of a small batch
+
+
+def published_rows():
+    """Return the words of all rows of the page's tables, each with its experiment."""
+    experiment, found = "", []
+    for line in PUBLISHED.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        if header := re.search(r"words after `(experiment=\w+)`", line):
+            experiment = header[1]
+        elif len(cells) > 4 and re.fullmatch(r"5\.\d+", cells[1]):
+            found.append([experiment, *cells[3].strip("`").split()])
+    return found
+
+
+def test_every_published_row_can_be_trained():
+    rows = published_rows()
+    published = [name for name in EXPERIMENTS if name.startswith("thesis")]
+    assert {row[0].removeprefix("experiment=") for row in rows} == set(published)
+    for name in published:
+        config = composed("train", [f"experiment={name}", "data.root=x"])
+        assert (config.data.kind, config.optimizer.name, config.loss.name) == ("cold", "sgd", "contrastive")
+        for word in (word for row in rows if row[0] == f"experiment={name}" for word in row[1:]):
+            key, _, value = word.partition("=")
+            if (config_folder() / key).is_dir():
+                assert (config_folder() / key / f"{value}.yaml").is_file(), word
+            else:
+                assert type(OmegaConf.select(config, key, throw_on_missing=True)) in (int, float, str), word
