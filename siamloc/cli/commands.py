@@ -97,6 +97,9 @@ def map_frames(config: DictConfig) -> None:
     known.save(target)
     run.record_written([target])
     print(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")
+    if config.projector:
+        run.record_written(maps.write_projector(known, run.tensorboard))
+        print(f"projector: tensorboard --logdir {run.tensorboard}, color by room")
     if known.heading is not None:
         size = known.heading.values[0].nbytes
         print(f"headings: by {known.heading.identity['name']}, {size} bytes a frame")

@@ -100,6 +100,7 @@ COMMANDS = {
         build=incremental|spectral|som|sample|rooms
                                         group the frames into nodes as well, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` shows them
+        projector=true                  TensorBoard shows the descriptors as points, coloured by room
         """,
         "siamloc map run=runs/vgg16 protocol.map.every=5",
         inherits=True,

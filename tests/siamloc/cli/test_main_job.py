@@ -210,7 +210,8 @@ def test_a_sweep_gives_each_job_a_folder_of_its_own(train_words, tmp_path, monke
         ("0", "runs/sweep/seed-0"),
         ("1", "runs/sweep/seed-1"),
     ]
-    siamloc("map", "run=runs/sweep/seed-1")
+    siamloc("map", "run=runs/sweep/seed-1", "projector=true")
+    assert (tmp_path / "runs/sweep/seed-1/tensorboard/projector_config.pbtxt").is_file()
     assert (tmp_path / "runs" / "sweep" / "seed-1" / "map.npz").is_file()
 
 
