@@ -97,6 +97,9 @@ def map_frames(config: DictConfig) -> None:
     known.save(target)
     run.record_written([target])
     print(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")
+    if config.projector:
+        run.record_written(maps.write_projector(known, run.tensorboard))
+        print(f"projector: tensorboard --logdir {run.tensorboard}, color by room")
     if known.heading is not None:
         size = known.heading.values[0].nbytes
         print(f"headings: by {known.heading.identity['name']}, {size} bytes a frame")
@@ -188,6 +191,16 @@ def report(config: DictConfig) -> None:
     default = folders[0] / "report.html" if len(folders) == 1 else Path("report.html")
     path = write_report(folders, Path(config.out or default))
     print(f"report: {path}, {path.stat().st_size / 1e6:.1f} MB; open it in a browser")
+
+
+def compare(config: DictConfig) -> None:
+    """Print a row for each of several runs, the best first."""
+    from siamloc import training
+
+    found = training.compare(config.runs if isinstance(config.runs, str) else list(config.runs), by=config.by)
+    print(found.table())
+    if config.out is not None:
+        print(f"table: {found.save(config.out)}")
 
 
 def expand(config: DictConfig) -> None:

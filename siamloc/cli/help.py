@@ -81,7 +81,7 @@ COMMANDS = {
                                           what happens to training images; augment.where=gpu for doing it there
         epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
         resume=true                       go on from the last checkpoint
-        -m model/branch=vgg11,vgg13       a sweep
+        -m model/branch=vgg11,vgg13       a sweep; `siamloc compare runs=FOLDER` makes a table of it
         """,
         "siamloc train experiment=modern data=cold data.root=/data/COLD protocol=freiburg run=runs/freiburg",
     ),
@@ -100,6 +100,7 @@ COMMANDS = {
         build=incremental|spectral|som|sample|rooms
                                         group the frames into nodes as well, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` shows them
+        projector=true                  TensorBoard shows the descriptors as points, coloured by room
         """,
         "siamloc map run=runs/vgg16 protocol.map.every=5",
         inherits=True,
@@ -182,6 +183,21 @@ COMMANDS = {
         """,
         "siamloc report runs=[runs/vgg16,runs/hog] out=comparison.html",
         config="report",
+    ),
+    "compare": Command(
+        "compare",
+        "a table of the runs of a sweep, the best first",
+        """
+        Prints a row for each run: the settings in which the runs differ, the best figure of validation and its epoch,
+        and how long the training took.
+
+        runs=FOLDER      the folder of a sweep, or any folder with runs in it
+        runs=[a,b,c]     several runs
+        by=val/error     the figure that counts; what checkpoints are chosen by if not given
+        out=FILE.csv     writes the table as well
+        """,
+        "siamloc compare runs=runs/sweep out=sweep.csv",
+        config="compare",
     ),
     "augment expand": Command(
         "expand",

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from siamloc.maps.heading import HeadingPart, WithHeading
     from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking
     from siamloc.maps.matching import frame_distances, headings, match
+    from siamloc.maps.projector import write_projector
     from siamloc.maps.search import Retrieval, VectorIndex
     from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
     from siamloc.maps.visual_map import VisualMap
@@ -41,6 +42,7 @@ _HOMES = {
     "frame_distances": "matching",
     "headings": "matching",
     "match": "matching",
+    "write_projector": "projector",
     "Retrieval": "search",
     "VectorIndex": "search",
     "MotionModel": "sequence_filter",
@@ -74,6 +76,7 @@ __all__ = [
     "match",
     "temperature_of_map",
     "tune_filter",
+    "write_projector",
 ]
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

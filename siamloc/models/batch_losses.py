@@ -188,10 +188,14 @@ class _OfNearAndFar(nn.Module):
         """
         check_batch(descriptors, origins)
         with torch.autocast(device_type=descriptors.device.type, enabled=False):
-            apart = origins.distances()
-            itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
-            positives, negatives = ((apart <= self.near) & ~itself).nonzero().T, (apart > self.far).nonzero().T
-            return self.loss(descriptors.float(), indices_tuple=(*positives, *negatives))
+            return self.loss(descriptors.float(), indices_tuple=self._pairs(origins))
+
+    def _pairs(self, origins: Origins) -> tuple[Tensor, ...]:
+        """Return the images of the positive pairs, first and second, and those of the negative pairs."""
+        apart = origins.distances()
+        itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
+        positives, negatives = ((apart <= self.near) & ~itself).nonzero().T, (apart > self.far).nonzero().T
+        return (*positives, *negatives)
 
 
 class TripletLoss(_OfNearAndFar):
@@ -206,6 +210,16 @@ class TripletLoss(_OfNearAndFar):
     @takes(Triplet)
     def __init__(self, *, settings: Triplet) -> None:
         super().__init__("triplet", "TripletMarginLoss", settings)
+
+    def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Return the share of the triplets of a batch that cost anything, a scalar; 0 where there are none."""
+        with torch.no_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
+            found = nn.functional.normalize(descriptors.float())
+            apart = torch.cdist(found, found, compute_mode="donot_use_mm_for_euclid_dist")
+            pairs = self._pairs(origins)
+            one, other = (pairs[0][:, None] == pairs[2]).nonzero().T
+            gaps = apart[pairs[0], pairs[1]][one] - apart[pairs[2], pairs[3]][other]
+            return (gaps + self.loss.margin > 0).sum() / max(len(gaps), 1)
 
 
 class CircleLoss(_OfNearAndFar):

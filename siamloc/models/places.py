@@ -32,7 +32,8 @@ class PlaceModule(NetworkModule):
     map, in which the others are looked for.
 
     Logged at the end of an epoch: `train/loss` and `train/spread`, the mean distance of descriptors from their mean,
-    near 0 where the network gives every image the same descriptor; of the validation `val/error`, the mean distance
+    near 0 where the network gives every image the same descriptor; with a loss that can tell, such as `TripletLoss`,
+    `train/active`, the share of triplets that cost anything; of the validation `val/error`, the mean distance
     from the map frame with the nearest descriptor, `val/median`, and `val/room`, the share whose room it has.
 
     Args:
@@ -48,6 +49,7 @@ class PlaceModule(NetworkModule):
         super().__init__(network, SoftContrastiveLoss() if loss is None else loss, optimizer)
         self._losses: list[Tensor] = []
         self._spreads: list[Tensor] = []
+        self._active: list[Tensor] = []
         self._described: list[dict[str, Tensor]] = []
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
@@ -61,6 +63,8 @@ class PlaceModule(NetworkModule):
         apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)
         self._losses.append(loss.detach())  # read at the end of the epoch: no step waits for the device
         self._spreads.append(apart.mean())
+        if hasattr(self.loss, "active"):
+            self._active.append(self.loss.active(seen, origins))
         if self._trainer is not None:
             self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=True, batch_size=1)
         return loss
@@ -69,8 +73,10 @@ class PlaceModule(NetworkModule):
         """Log the figures of the training epoch."""
         losses, self._losses = self._losses, []
         spreads, self._spreads = self._spreads, []
+        active, self._active = self._active, []
+        figures = {"loss": losses, "spread": spreads, "active": active}
         if losses:
-            self.log_epoch("train", {"loss": torch.stack(losses).mean(), "spread": torch.stack(spreads).mean()})
+            self.log_epoch("train", {name: torch.stack(each).mean() for name, each in figures.items() if each})
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
         """Describe a batch of map frames and queries."""

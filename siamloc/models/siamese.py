@@ -98,7 +98,7 @@ class SiameseModule(NetworkModule):
         d0, d1 = descriptors.chunk(2)
         loss = checked_loss(self.loss(d0, d1, label), self.loss)
         distance = pair_distance(d0.detach(), d1.detach())
-        statistics.update(descriptors.detach(), distance, loss.detach(), batch["same"])
+        statistics.update(descriptors.detach(), distance, loss.detach(), batch["same"], label)
         if batch_index == 0:
             self._draw(batch, distance, stage)
         return loss

@@ -25,19 +25,22 @@ class PairStatistics(Metric):
     - `accuracy`, `accuracy_same`, `accuracy_different`: share of correct decisions when a pair counts as the same
       room if min(d / margin, 1) < 0.5 ([T] 5.3.4). `accuracy`, of all pairs, needs both kinds: where all pairs are
       of one kind, a network that tells nothing apart has 0 or 1;
+    - `active`: share of pairs that cost anything under the contrastive loss, all but dissimilar ones beyond the margin
+      and similar ones at distance 0. The lower, the less is left to learn from such pairs;
     - `spread`: standard deviation of the descriptors' values, averaged over the D dimensions. Near 0 the network
       gives every image the same descriptor.
 
     What has no pair behind it is left out, so that no NaN reaches a logger.
 
     Args:
-        margin: of the loss; None for a loss without one, which gives no accuracies.
+        margin: of the loss; None for a loss without one, which gives neither accuracies nor `active`.
     """
 
     full_state_update = False
     count: Tensor
     distance: Tensor
     correct: Tensor
+    active: Tensor
     loss: Tensor
     values: Tensor
     squares: Tensor
@@ -47,11 +50,12 @@ class PairStatistics(Metric):
         self.margin = margin
         for name in ("count", "distance", "correct"):
             self.add_state(name, torch.zeros(2, dtype=torch.float64), dist_reduce_fx="sum")
-        self.add_state("loss", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        for name in ("loss", "active"):
+            self.add_state(name, torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         for name in ("values", "squares"):  # the first batch gives them the length D of a descriptor
             self.add_state(name, torch.zeros(1, dtype=torch.float64), dist_reduce_fx="sum")
 
-    def update(self, descriptors: Tensor, distance: Tensor, loss: Tensor, same: Tensor) -> None:
+    def update(self, descriptors: Tensor, distance: Tensor, loss: Tensor, same: Tensor, label: Tensor) -> None:
         """Add a batch of B pairs.
 
         Args:
@@ -59,6 +63,7 @@ class PairStatistics(Metric):
             distance: (B,).
             loss: mean over the batch, a scalar.
             same: (B,) bool, True where both images show the same room.
+            label: (B,), dissimilarity in [0, 1].
         """
         distance = distance.double()
         groups = torch.stack([same, ~same]).double()
@@ -67,6 +72,8 @@ class PairStatistics(Metric):
         if self.margin is not None:
             decided_same = distance / self.margin < SAME_BELOW
             self.correct += groups @ (decided_same == same).double()
+            costs = ((label < 1) & (distance > 0)) | ((label > 0) & (distance < self.margin))
+            self.active += costs.sum()
         self.loss += loss.double() * len(distance)
         values = descriptors.double()
         self.values = self.values + values.sum(0)
@@ -78,6 +85,8 @@ class PairStatistics(Metric):
         if total == 0:
             return {}
         result = {"loss": self.loss / total}
+        if self.margin is not None:
+            result["active"] = self.active / total
         if self.margin is not None and (count > 0).all():
             result["accuracy"] = self.correct.sum() / total
         for index, group in enumerate(_GROUPS):

@@ -12,6 +12,7 @@ from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.lazy import lazy
 from siamloc.models.registry import Optimizer
 from siamloc.runs import Run
+from siamloc.training.comparison import Comparison, compare
 from siamloc.training.recipes import RECIPES, Recipe, recipe
 from siamloc.training.settings import Training
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "RECIPES",
     "BatchAugmentation",
+    "Comparison",
     "Optimizer",
     "PairDataModule",
     "PairSampler",
@@ -33,6 +35,7 @@ __all__ = [
     "Recipe",
     "Run",
     "Training",
+    "compare",
     "fit",
     "recipe",
 ]

@@ -35,6 +35,10 @@ def metric_calibrated(descriptors, places, cap):
 
 def triplet(descriptors, places, near, far, margin):
     """Every anchor with every one of its positives and every one of its negatives."""
+    return _mean_of_positive(triplet_costs(descriptors, places, near, far, margin))
+
+
+def triplet_costs(descriptors, places, near, far, margin):
     costs = []
     for a in range(len(places)):
         positives, negatives = _others(places, a, near, far)
@@ -42,7 +46,7 @@ def triplet(descriptors, places, near, far, margin):
             for n in negatives:
                 gap = _distance(descriptors[a], descriptors[p]) - _distance(descriptors[a], descriptors[n])
                 costs.append(max(gap + margin, 0))
-    return _mean_of_positive(costs)
+    return costs
 
 
 def circle(descriptors, places, near, far, m, gamma):

@@ -17,8 +17,9 @@ _NAMES = {
     "distance_same": "distance of pairs of one room",
     "distance_different": "distance of pairs of two rooms",
     "spread": "spread of the descriptors",
+    "active": "share that costs anything",
 }
-_SHARES = ("accuracy", "accuracy_same", "accuracy_different")
+_SHARES = ("accuracy", "accuracy_same", "accuracy_different", "active")
 _PARTS = {"train": ("training", SERIES[0]), "val": ("validation", SERIES[2])}
 
 

@@ -202,7 +202,16 @@ def test_a_sweep_gives_each_job_a_folder_of_its_own(train_words, tmp_path, monke
     found = sorted(path.parent.name for path in tmp_path.glob("runs/sweep/*/run.json"))
     assert found == ["seed-0", "seed-1"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs"]
-    siamloc("map", "run=runs/sweep/seed-1")
+    siamloc("compare", "runs=runs/sweep", "out=sweep.csv")
+    with (tmp_path / "sweep.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert list(table[0]) == ["seed", "train/loss", "epoch", "epochs", "minutes", "run"]
+    assert sorted((row["seed"], row["run"]) for row in table) == [
+        ("0", "runs/sweep/seed-0"),
+        ("1", "runs/sweep/seed-1"),
+    ]
+    siamloc("map", "run=runs/sweep/seed-1", "projector=true")
+    assert (tmp_path / "runs/sweep/seed-1/tensorboard/projector_config.pbtxt").is_file()
     assert (tmp_path / "runs" / "sweep" / "seed-1" / "map.npz").is_file()
 
 
@@ -390,3 +399,11 @@ def test_two_processes_train_on_what_one_would(train_words, tmp_path):
     assert [row["step"] for row in one] == [row["step"] for row in two]
     for a, b in zip(one, two, strict=True):
         assert float(a["train/loss"]) == pytest.approx(float(b["train/loss"]), rel=1e-3)
+
+
+def test_joblib_trains_the_jobs_of_a_sweep_side_by_side(train_words, tmp_path, monkeypatch):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="the extra `sweeps` is not installed")
+    monkeypatch.chdir(tmp_path)
+    launcher = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    siamloc(*train_words, "-m", *launcher, "epochs=1", "seed=0,1", "run=runs/sweep")
+    assert sorted(path.parent.name for path in tmp_path.glob("runs/sweep/*/run.json")) == ["seed-0", "seed-1"]

@@ -178,3 +178,17 @@ def test_a_loss_is_made_by_its_name():
         make_loss("soft_contrast")
     with pytest.raises(ConfigError, match=r"unknown key loss\.sigm: did you mean 'sigma'"):
         make_loss("soft_contrastive", sigm=0.2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_active_triplets_are_those_that_cost_anything(seed):
+    descriptors, xy, _ = draw(9, 3, seed)
+    loss = make_loss("triplet", near=0.5, far=0.9, margin=0.3)
+    costs = mined_losses.triplet_costs(descriptors.tolist(), xy.tolist(), 0.5, 0.9, 0.3)
+    expected = sum(cost > 0 for cost in costs) / max(len(costs), 1)
+    assert loss.active(descriptors, origins(xy)).item() == pytest.approx(expected)
+
+
+def test_without_triplets_none_is_active():
+    loss = make_loss("triplet")
+    assert loss.active(torch.ones(2, 3), origins(torch.tensor([[0.0, 0.0], [90.0, 0.0]]))).item() == 0

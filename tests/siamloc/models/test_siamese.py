@@ -84,7 +84,16 @@ def test_fit_lowers_the_loss_and_logs_finite_figures():
     training = trainer(max_epochs=15)
     training.fit(module, loader(batch), loader(draw_pairs(16, seed=1)))
     logged = training.callback_metrics
-    names = ["loss", "accuracy", "accuracy_same", "accuracy_different", "distance_same", "distance_different", "spread"]
+    names = [
+        "loss",
+        "active",
+        "accuracy",
+        "accuracy_same",
+        "accuracy_different",
+        "distance_same",
+        "distance_different",
+        "spread",
+    ]
     assert {f"{stage}/{name}" for stage in ("train", "val") for name in names} | {"loss_step"} == set(logged)
     assert all(math.isfinite(value) for value in logged.values())
     assert logged["train/loss"] < 0.5 * first_loss
@@ -226,7 +235,9 @@ def test_a_training_that_diverges_is_stopped_before_its_epoch_is_saved(stage):
     module = make(learning_rate=0.5)
     descriptors = torch.zeros(4, 5)
     loss = torch.tensor(float("nan"))
-    getattr(module, f"{stage}_statistics").update(descriptors, torch.ones(2), loss, torch.tensor([True, False]))
+    getattr(module, f"{stage}_statistics").update(
+        descriptors, torch.ones(2), loss, torch.tensor([True, False]), torch.zeros(2)
+    )
     end = module.on_train_epoch_end if stage == "train" else module.on_validation_epoch_end
     with pytest.raises(ConfigError, match=f"diverged: {stage}/loss of epoch 1 is nan; .* than 0.5"):
         end()

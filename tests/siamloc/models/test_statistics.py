@@ -19,7 +19,7 @@ MARGIN = 2.0
 def add(statistics, d0, d1, label, same):
     distance = pair_distance(d0, d1)
     loss = ContrastiveLoss(MARGIN)(d0, d1, label)
-    statistics.update(torch.cat([d0, d1]), distance, loss, same)
+    statistics.update(torch.cat([d0, d1]), distance, loss, same, label)
 
 
 def draw(pairs, dimensions, seed, same_share=0.5):
@@ -83,6 +83,14 @@ def test_a_collapsed_network_has_no_spread_even_far_from_zero():
     for _ in range(20):
         add(statistics, same_for_all, same_for_all, torch.ones(50), torch.zeros(50, dtype=torch.bool))
     assert statistics.compute()["spread"] < 1e-2
+
+
+def test_dissimilar_pairs_beyond_the_margin_cost_nothing():
+    statistics = PairStatistics(MARGIN)
+    d1 = torch.tensor([[1.9], [2.1], [2.1], [0.3], [0.0]])
+    label = torch.tensor([1.0, 1.0, 0.9, 0.0, 0.0])
+    add(statistics, torch.zeros(5, 1), d1, label, label < 1)
+    assert statistics.compute()["active"] == pytest.approx(3 / 5)
 
 
 def test_reset_forgets_everything():

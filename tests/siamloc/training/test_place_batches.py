@@ -265,6 +265,7 @@ def test_pairs_are_judged_by_a_margin_that_the_map_teaches(images, drives, tmp_p
     """The margin of a triplet is none of pairs."""
     loss = siamloc.models.TripletLoss(near=0.6, far=1.0)
     run = siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
+    assert 0 < run.curves()["train/active"][0] <= 1
     known = siamloc.maps.build(siamloc.models.load(run), images, drives[0], progress=False)
     result = siamloc.evaluation.localization(known, images, drives[1])
     pairs = result.parts["room_pairs"]

@@ -1,0 +1,111 @@
+"""One step of every file in conf/experiment, on a few small drawn pictures: its own network, loss, batches, optimizer,
+augmentation and protocol. A new file is tested without a word here."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from siamloc import models
+from siamloc.cli import main
+from siamloc.cli.compose import composed, config_folder, plain
+from siamloc.errors import ConfigError
+from siamloc.training import Run
+from tests.drawn import draw_panorama, draw_sequence, write_manifest
+
+EXPERIMENTS = sorted(path.stem for path in (config_folder() / "experiment").glob("*.yaml"))
+PUBLISHED = Path(__file__).parents[3] / "docs/results/published.md"
+DRIVES = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
+
+
+@pytest.fixture(scope="module")
+def cold(tmp_path_factory):
+    """Draw all drives through a part of Freiburg in COLD's layout, with a few small pictures each."""
+    root = tmp_path_factory.mktemp("cold")
+    codes = {"kitchen": "KT-A", "office": "1PO-A", "corridor": "CR-A"}
+    for number, drive in enumerate(DRIVES):
+        folder = root / "freiburg" / "part_a" / f"seq2_{drive}"
+        (folder / "omni_cam").mkdir(parents=True)
+        (folder / "localization").mkdir()
+        rows = []
+        for time, pose in enumerate(draw_sequence(number, 11)):
+            name = f"t{time}.5_x{pose['x']:.3f}_y{pose['y']:.3f}_a{pose['theta']:.3f}.jpeg"
+            place = pose["local_x"], pose["y"], pose["theta"], pose["room"]
+            cv2.imwrite(str(folder / "omni_cam" / name), draw_panorama(*place, drive[:-1], size=(64, 64)))
+            rows.append(f"{name} {codes[pose['room']]}")
+        (folder / "localization" / "places.lst").write_text("\n".join(rows) + "\n")
+    return root
+
+
+def small_data(experiment, cold, folder):
+    """Return the words that name a small data set with the sequences of the experiment's protocol."""
+    words = [f"experiment={experiment}", "data.manifest=x"]
+    try:
+        config = composed("train", words)
+    except ConfigError:  # COLD has no manifest
+        return [f"data.root={cold}"]
+    protocol = plain(config.protocol)
+    named = {name for role in ("train", "validation", "map", "query") for name in protocol[role]["sequences"] or []}
+    manifest = write_manifest(folder, dict.fromkeys(sorted(named) or ["monday"], "cloudy"))
+    return [f"data.manifest={manifest}", *([] if named else ["protocol.train.sequences=[monday]"])]
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_a_step_of_every_experiment(experiment, cold, tmp_path):
+    data = [*small_data(experiment, cold, tmp_path / "data"), f"data.cache={tmp_path / 'cache'}"]
+    words = [f"experiment={experiment}", *data, f"run={tmp_path / 'run'}", "data.image_size=[64,64]", "epochs=1"]
+    config = composed("train", words)
+    if "places" in config.pairs:
+        words += ["pairs.places=4", "pairs.images=2", "pairs.epoch_batches=1"]
+    else:
+        words += ["batch_size=4", "pairs.epoch_pairs=4"]
+    words += ["trainer.accelerator=cpu", "model.branch.weights=null"]  # pretrained weights would have to be fetched
+    assert main(["train", *words]) == 0
+
+    run = Run(tmp_path / "run")
+    used, wanted = run.settings, plain(config)
+    assert [used["model"][key] for key in ("branch", "head")] == [
+        wanted["model"][key]["name"] for key in ("branch", "head")
+    ]
+    assert used["loss"].get("name", "contrastive") == wanted["loss"]["name"]
+    assert used["augment"] == {key: value for key, value in wanted["augment"].items() if key != "where"}
+    assert used["training"]["optimizer"] == wanted["optimizer"]
+    curves = run.curves()
+    assert curves["step"].tolist() == [1]
+    assert all(np.isfinite(values).all() for values in curves.values())
+    trained, fresh = (dict(models.load(run, which=which).named_parameters()) for which in ("last", "untrained"))
+    unchanged = [name for name in fresh if torch.equal(trained[name], fresh[name])]
+    assert len(unchanged) < 0.2 * len(fresh), unchanged  # a rectifier may be shut for all of a small batch
+
+
+def published_rows():
+    """Return the words of all rows of the page's tables, each with its experiment."""
+    experiment, found = "", []
+    for line in PUBLISHED.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        if header := re.search(r"words after `(experiment=\w+)`", line):
+            experiment = header[1]
+        elif len(cells) > 4 and re.fullmatch(r"5\.\d+", cells[1]):
+            found.append([experiment, *cells[3].strip("`").split()])
+    return found
+
+
+def test_every_published_row_can_be_trained():
+    rows = published_rows()
+    published = [name for name in EXPERIMENTS if name.startswith("thesis")]
+    assert {row[0].removeprefix("experiment=") for row in rows} == set(published)
+    for name in published:
+        config = composed("train", [f"experiment={name}", "data.root=x"])
+        assert (config.data.kind, config.optimizer.name, config.loss.name) == ("cold", "sgd", "contrastive")
+        for word in (word for row in rows if row[0] == f"experiment={name}" for word in row[1:]):
+            key, _, value = word.partition("=")
+            if (config_folder() / key).is_dir():
+                assert (config_folder() / key / f"{value}.yaml").is_file(), word
+            else:
+                assert type(OmegaConf.select(config, key, throw_on_missing=True)) in (int, float, str), word

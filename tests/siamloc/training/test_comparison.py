@@ -1,0 +1,92 @@
+"""Tables of several runs: what differs, which epoch was the best, and which run comes first."""
+
+from __future__ import annotations
+
+import csv
+import os
+from datetime import datetime
+
+import pytest
+
+from siamloc.errors import ConfigError
+from siamloc.training import Run, compare
+
+SETTINGS = {
+    "data": {"name": "robot", "cache": "a"},
+    "model": {"branch": "alexnet", "head": "flat", "seed": 0},
+    "training": {"seed": 0, "pairs": {"places": 16}},
+    "frames": {"train": "1f"},
+}
+
+
+def make(folder, curves, **changes):
+    """Write a run with these curves, a list over the epochs for each figure, that took two minutes."""
+    run = Run(folder)
+    seed = changes.get("seed", 0)
+    model = {**SETTINGS["model"], "branch": changes.get("branch", "alexnet"), "seed": seed}
+    run.start({**SETTINGS, "data": {"cache": folder.name}, "model": model, "training": {"seed": seed}}, [])
+    if curves:
+        rows = [dict(zip(curves, values, strict=True)) for values in zip(*curves.values(), strict=True)]
+        with run.metrics.open("w", newline="") as file:
+            writer = csv.DictWriter(file, ["epoch", *curves])
+            writer.writeheader()
+            writer.writerows({"epoch": number, **row} for number, row in enumerate(rows))
+        begun = datetime.strptime(run.load_record()["created"], "%Y-%m-%dT%H:%M:%S%z").timestamp()
+        os.utime(run.metrics, (begun + 120, begun + 120))
+    return run
+
+
+def test_rows_hold_what_differs_and_the_best_epoch_and_the_best_run_comes_first(tmp_path):
+    make(tmp_path / "a", {"train/loss": [3, 2, 1], "val/error": [0.9, 0.5, 0.7]})
+    make(tmp_path / "b", {"train/loss": [3, 2, 1], "val/error": [0.9, 0.8, 0.3]}, seed=1, branch="vgg16")
+    found = compare(tmp_path)
+    assert found.by == "val/error"
+    assert found.differing == ("model.branch", "seed")
+    assert [dict(row) for row in found.rows] == [
+        {
+            "model.branch": branch,
+            "seed": seed,
+            "val/error": error,
+            "epoch": epoch,
+            "epochs": 3,
+            "minutes": 2.0,
+            "run": (tmp_path / name).as_posix(),
+        }
+        for branch, seed, error, epoch, name in [("vgg16", 1, 0.3, 3, "b"), ("alexnet", 0, 0.5, 2, "a")]
+    ]
+
+
+def test_of_rooms_and_accuracies_the_highest_is_the_best(tmp_path):
+    make(tmp_path / "a", {"val/room": [0.2, 0.9, 0.4], "val/accuracy": [0.1, 0.2, 0.3]})
+    make(tmp_path / "b", {"val/room": [0.5, 0.6, 0.7], "val/accuracy": [0.9, 0.8, 0.3]}, seed=1)
+    assert [(row["seed"], row["val/room"], row["epoch"]) for row in compare(tmp_path).rows] == [
+        (0, 0.9, 2),
+        (1, 0.7, 3),
+    ]
+    found = compare(tmp_path, by="val/accuracy").rows
+    assert [(row["seed"], row["val/accuracy"], row["epoch"]) for row in found] == [(1, 0.9, 1), (0, 0.3, 3)]
+
+
+def test_a_run_without_a_figure_comes_last(tmp_path):
+    runs = [make(tmp_path / "a", {}), make(tmp_path / "b", {"val/loss": ["", 0.5]}, seed=1)]
+    found = compare(runs)
+    assert [(row["seed"], row["epoch"], row["epochs"]) for row in found.rows] == [(1, 2, 2), (0, None, 0)]
+    saved = found.save(tmp_path / "table.csv").read_text().splitlines()
+    assert saved[0] == "seed,val/loss,epoch,epochs,minutes,run"
+    assert saved[1:] == [f"1,0.5,2,2,2.0,{runs[1].folder.as_posix()}", f"0,,,0,,{runs[0].folder.as_posix()}"]
+    assert [line.split() for line in found.table().splitlines()][1][:5] == ["1", "0.5", "2", "2", "2"]
+
+
+def test_mistakes_are_named(tmp_path):
+    for runs, says in (("nowhere", "no folder"), (tmp_path, "no runs in"), ([], "no runs")):
+        with pytest.raises(ConfigError, match=says):
+            compare(runs)
+    make(tmp_path / "a", {})
+    with pytest.raises(ConfigError, match="finished an epoch"):
+        compare(tmp_path)
+    make(tmp_path / "b", {"val/error": [1, 2]}, seed=1)
+    with pytest.raises(ConfigError, match="did you mean 'val/error'"):
+        compare(tmp_path, by="val/eror")
+    make(tmp_path / "c", {"val/loss": [1, 2]}, seed=2)
+    with pytest.raises(ConfigError, match="no figure in common"):
+        compare(tmp_path)
