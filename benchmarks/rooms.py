@@ -1,0 +1,113 @@
+"""Rooms instead of positions: whether two pictures are from one room, and from which, under three lightings.
+
+Networks are trained on the simulated building, three drives under three lightings, in two ways:
+
+- `positions and rooms`: the recipe `modern` with half of what is wanted from the rooms (`loss.room=0.5`);
+- `rooms alone`: the same without positions, from room labels and the order of the frames (`pairs.by=sequence`, with
+  `loss.sigma=1`, counted in frames).
+
+Pairs of queries are judged by the distance of their descriptors, the limit learned from the map; the room of a query is
+that of the map frame that looks most like it. The first network is also searched in two layers, nodes and frames, both
+by its own descriptors.
+
+Targets, of the mean over the seeds: 99 % of the pairs and of the rooms right under every light in both ways; in two
+layers at most 10 % of the comparisons, and no larger mean error than in the whole map.
+
+    siamloc simulate camera=panorama out=data
+    python -m benchmarks.rooms --data data/freiburg_like
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import siamloc
+from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, Building, mean_and_range
+from benchmarks.report import Report, hardware, parser
+from siamloc.data import FrameTable
+
+RECIPE = siamloc.training.recipe("modern")
+SIGMA = {"positions and rooms": 0.2, "rooms alone": 1.0}
+"""Width of the kernel, in metres and in frames."""
+WAYS: dict[str, dict[str, Any]] = {
+    "positions and rooms": {},
+    "rooms alone": {"pairs": {"by": "sequence", "radius": 1.0, "near": 0.5, "reach": 10.0}},
+}
+LEAST, MOST_COMPARED = 0.99, 0.10
+NODES, CANDIDATES, RATIO = 30, 3, 1.3
+
+
+def main() -> None:
+    """Train, evaluate, print a table and write the file."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
+    arguments.add_argument("--seeds", type=int, default=3)
+    arguments.add_argument("--ways", nargs="+", default=list(WAYS), choices=list(WAYS))
+    options = arguments.parse_args()
+    report = Report("rooms", options.out)
+    building = Building(options.data, RECIPE.image_size)
+    rows: dict[str, list[dict[str, Any]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for way in options.ways:
+            for seed in range(options.seeds):
+                network = trained(building, way, seed, Path(folder) / f"{way}{seed}")
+                rows.setdefault(way, []).append(measured(building, network, layers=way == "positions and rooms"))
+                print(f"{way}, seed {seed}: {rows[way][-1]}", flush=True)
+    for way, found in rows.items():
+        for figure in ("rooms", "pairs"):
+            for light in LIGHTINGS:
+                mean = statistics.mean(row[light][figure] for row in found)
+                report.target(f"{way}, {light}: {LEAST:.0%} of the {figure} ({mean:.1%})", mean >= LEAST)
+    for number, row in enumerate(row for found in rows.values() for row in found if "layers" in row):
+        layers = row["layers"]
+        share, loss = layers["share"], layers["loss"]
+        report.target(f"two layers, {number}: {MOST_COMPARED:.0%} compared ({share:.1%})", share <= MOST_COMPARED)
+        report.target(f"two layers, {number}: no larger error ({loss:+.1%})", loss <= 0)
+    print(f"{options.seeds} seeds: mean (lowest to highest); {hardware()['cpu']}\n\n{table(rows)}")
+    report.write({"seeds": options.seeds, "rows": rows})
+
+
+def trained(building: Building, way: str, seed: int, run: Path) -> Any:
+    """Train on three drives, with or without their positions."""
+    network = RECIPE.build(seed=seed)
+    frames = building.drives(TRAIN)
+    if way == "rooms alone":
+        frames = FrameTable(path=frames.path, sequence=frames.sequence, room=frames.room, lighting=frames.lighting)
+    loss = siamloc.models.SoftContrastiveLoss(kernel="exponential", sigma=SIGMA[way], room=0.5)
+    RECIPE.fit(network, building.images, frames, run=run, seed=seed, loss=loss, **WAYS[way])
+    return network
+
+
+def measured(building: Building, network: Any, layers: bool) -> dict[str, Any]:
+    """Return the shares of rooms and pairs found under each light, and what two layers cost and lose."""
+    known = siamloc.maps.build(network, building.images, building.drives(MAP), progress=False)
+    queries = building.drives(QUERIES)
+    parts = siamloc.evaluation.rooms(known, building.images, queries).parts
+    rooms, pairs = parts["room_retrieval"]["lighting"], parts["room_pairs"]["lighting"]
+    found: dict[str, Any] = {
+        light: {"rooms": rooms[light]["accuracy"], "pairs": pairs[light]["overall"]} for light in LIGHTINGS
+    }
+    if layers:
+        nodes = siamloc.maps.group(known, "spectral", nodes=NODES)
+        settings: dict[str, Any] = {"candidates": CANDIDATES, "coarse": {"ratio": RATIO}}
+        result = siamloc.evaluation.hierarchical(known, building.images, queries, nodes, **settings)
+        overall = result.parts["hierarchical"]["overall"]
+        found["layers"] = {"loss": overall["loss"], "share": overall["comparisons"]["share"]}
+    return found
+
+
+def table(rows: dict[str, list[dict[str, Any]]]) -> str:
+    """Return a table of the shares found."""
+    lines = [f"| way | figure | {' | '.join(LIGHTINGS)} |", "|---|---|---|---|---|"]
+    for way, found in rows.items():
+        for figure in ("rooms", "pairs"):
+            cells = [mean_and_range([100 * row[light][figure] for row in found], 1) for light in LIGHTINGS]
+            lines.append(f"| {way} | {figure} right [%] | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
