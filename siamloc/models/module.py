@@ -63,11 +63,15 @@ class NetworkModule(LightningModule):
         if settings.schedule == "constant":
             return made
         steps = max(int(self.trainer.estimated_stepping_batches), 2)
-        if math.isclose(steps * settings.warm_up, 1):
-            steps += 1  # torch divides by the steps after the first of the warm-up
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            made, settings.learning_rate, total_steps=steps, pct_start=settings.warm_up, cycle_momentum=False
-        )
+        schedule: torch.optim.lr_scheduler.LRScheduler
+        if settings.schedule == "cosine":
+            schedule = torch.optim.lr_scheduler.LambdaLR(made, lambda step: cosine_share(step, steps, settings.warm_up))
+        else:
+            if math.isclose(steps * settings.warm_up, 1):
+                steps += 1  # torch divides by the steps after the first of the warm-up
+            schedule = torch.optim.lr_scheduler.OneCycleLR(
+                made, settings.learning_rate, total_steps=steps, pct_start=float(settings.warm_up), cycle_momentum=False
+            )
         return {"optimizer": made, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def content(self) -> dict[str, Any]:
@@ -101,6 +105,27 @@ class NetworkModule(LightningModule):
         rate = self.optimizer.learning_rate
         advice = f"train again with a smaller optimizer.learning_rate than {rate:g}"
         return ConfigError(f"the training diverged: {sign}; {advice}")
+
+
+def cosine_share(step: int, steps: int, warm_up: float) -> float:
+    """Compute the share of the full learning rate in a step: even growth, then half a cosine to almost 0.
+
+    With w whole steps of warm-up it is (t + 1) / (w + 1) in the steps t before w, and then
+    (1 + cos(pi (t - w) / (steps - w))) / 2.
+
+    Args:
+        step: t, from 0.
+        steps: of the whole training.
+        warm_up: share of them in which it grows.
+
+    Example:
+        >>> [round(cosine_share(step, steps=6, warm_up=0.4), 3) for step in range(6)]
+        [0.333, 0.667, 1.0, 0.854, 0.5, 0.146]
+    """
+    growing = int(warm_up * steps)
+    if step < growing:
+        return (step + 1) / (growing + 1)
+    return (1 + math.cos(math.pi * min((step - growing) / (steps - growing), 1))) / 2
 
 
 def name_of(thing: object) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import NotNegative, Positive, Probability, Rule, Settings, Share
+from siamloc.settings import NotNegative, Positive, Rule, Settings, Share
 
 Normalization = Literal["channels", "image", "local", "local_brightness"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
@@ -57,7 +57,7 @@ HEADS: dict[str, tuple[int, ...]] = {
 descriptors of unit length, whose number of outputs can be chosen."""
 
 
-Momentum = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
+BelowOne = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,9 @@ class Optimizer(Settings):
         learning_rate: step size.
         momentum: of "sgd"; for the other two the decay of the first moment (beta 1).
         weight_decay: share of a weight that each step takes away, times the learning rate.
-        schedule: "constant", or "one_cycle": the learning rate grows to `learning_rate` and falls to almost 0, each
-            along half a cosine, over the whole training ([Smith 2018]).
+        schedule: "constant"; "one_cycle": the learning rate grows to `learning_rate` and falls to almost 0, each along
+            half a cosine, over the whole training ([Smith 2018]); or "cosine": it grows evenly and falls along half a
+            cosine ([Loshchilov 2017]).
         warm_up: share of the steps in which it grows.
     """
 
@@ -78,10 +79,10 @@ class Optimizer(Settings):
 
     name: Literal["sgd", "adam", "adamw"] = "sgd"
     learning_rate: Positive = 0.001
-    momentum: Momentum = 0.9
+    momentum: BelowOne = 0.9
     weight_decay: NotNegative = 0.0
-    schedule: Literal["constant", "one_cycle"] = "constant"
-    warm_up: Probability = 0.2
+    schedule: Literal["constant", "one_cycle", "cosine"] = "constant"
+    warm_up: BelowOne = 0.2
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,82 @@
+"""Optimizer and schedules of a training, step by step."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import ConfigError
+from siamloc.models import Optimizer, SiameseModule, build
+
+ensure_torchvision()
+from lightning.pytorch import Callback, Trainer  # noqa: E402
+
+SIZE = (32, 64)
+
+
+class Rates(Callback):
+    """Note the learning rates of each step, one for each group of weights."""
+
+    def __init__(self):
+        self.seen = []
+
+    def on_train_batch_start(self, trainer, pl_module, batch, batch_idx):
+        (optimizer,) = trainer.optimizers
+        self.seen.append([group["lr"] for group in optimizer.param_groups])
+
+
+def draw_pairs(count=4, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    first, second = torch.rand(2, count, 3, *SIZE, generator=generator)
+    same = torch.arange(count) % 2 == 0
+    return {"first": first, "second": second, "label": (~same).float(), "same": same}
+
+
+def rates(steps, network=None, epochs=1, **options):
+    """Train so many steps, and return the learning rates of each."""
+    network = build("simple1", "fc500_500_5", SIZE) if network is None else network
+    noted = Rates()
+    trainer = Trainer(
+        accelerator="cpu",
+        max_epochs=epochs,
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        callbacks=[noted],
+    )
+    module = SiameseModule(network, optimizer=Optimizer(**options))
+    batches = DataLoader([draw_pairs(seed=step) for step in range(steps // epochs)], batch_size=None)
+    trainer.fit(module, batches, DataLoader([draw_pairs()], batch_size=None))
+    return noted.seen
+
+
+@pytest.mark.parametrize(("warm_up", "growing"), [(0.2, 4), (0.0, 0), (0.49, 9)])
+def test_cosine_grows_evenly_and_falls_along_half_a_cosine(warm_up, growing):
+    found = [rate for (rate,) in rates(20, epochs=2, learning_rate=0.01, schedule="cosine", warm_up=warm_up)]
+    for step in (0, 1, 3, 4, 5, 10, 19):
+        if step < growing:
+            expected = 0.01 * (step + 1) / (growing + 1)
+        else:
+            expected = 0.005 * (1 + math.cos(math.pi * (step - growing) / (20 - growing)))
+        assert found[step] == pytest.approx(expected)
+    assert max(found) == found[growing] == 0.01
+    assert 0 < found[-1] < 0.0003
+
+
+@pytest.mark.parametrize("schedule", ["cosine", "one_cycle"])
+@pytest.mark.parametrize("steps", [1, 2, 5])
+@pytest.mark.parametrize("warm_up", [0, 0.2, 0.5, 0.99])
+def test_the_shortest_trainings_have_a_schedule_too(schedule, steps, warm_up):
+    found = rates(steps, learning_rate=0.01, schedule=schedule, warm_up=warm_up)
+    assert len(found) == steps
+    assert all(0 < rate <= 0.01 for (rate,) in found)
+
+
+def test_a_warm_up_of_the_whole_training_is_refused():
+    with pytest.raises(ConfigError, match=r"optimizer\.warm_up must be a number from 0 to below 1, got 1"):
+        Optimizer(schedule="cosine", warm_up=1)
