@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from os import PathLike, fspath
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -140,6 +140,13 @@ class Network(nn.Module):
         return self.head.outputs
 
     @property
+    def stages(self) -> list[list[nn.Module]]:
+        """The parts from the image to the descriptor: the layers of the branch by resolution, then the head."""
+        layers = iter(self.branch.features)
+        counts = _layers_by_stage(self.branch.name, self.branch.circular)
+        return [*([next(layers) for _ in range(count)] for count in counts), [self.head]]
+
+    @property
     def identity(self) -> dict[str, Any]:
         """What decides the descriptors: names, image size, a hash of all weights, and what else is out of the ordinary.
 
@@ -206,7 +213,7 @@ class Branch(nn.Module):
         self.name = name
         self.circular = circular
         self.normalize = normalize
-        self.features = _features(name, circular)
+        self.features: nn.Sequential = _features(name, circular)
         self.register_buffer("mean", torch.empty(1, 3, 1, 1))
         self.register_buffer("std", torch.empty(1, 3, 1, 1))
         self.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
@@ -297,7 +304,7 @@ def _initialize(network: Network, seed: int) -> None:
             nn.init.constant_(module.second[1].weight, RESIDUAL)  # type: ignore[arg-type]
 
 
-def _features(name: str, circular: bool = False) -> nn.Module:
+def _features(name: str, circular: bool = False) -> nn.Sequential:
     spec = branch_spec(name)
     if spec.kind == "residual":
         features: nn.Sequential = residual_features(spec.widths)
@@ -308,7 +315,7 @@ def _features(name: str, circular: bool = False) -> nn.Module:
         features = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(SIMPLE_GRID))
     else:
         features = _torchvision_features(name)
-    return around(features) if circular else features
+    return cast(nn.Sequential, around(features)) if circular else features
 
 
 def _torchvision_features(name: str) -> nn.Sequential:
@@ -326,7 +333,23 @@ def _torchvision_features(name: str) -> nn.Sequential:
 
 
 @lru_cache(maxsize=32)
-def _weightless(name: str, circular: bool) -> nn.Module:
+def _layers_by_stage(name: str, circular: bool) -> list[int]:
+    """Count the layers of a branch at each resolution; those without weights belong to the weights before them."""
+    features, counts, before = torch.empty(1, 3, 256, 256, device="meta"), [0], None
+    with torch.no_grad():
+        for layer in _weightless(name, circular):
+            features = layer(features)
+            if next(layer.parameters(), None) is not None:
+                resolution = features.shape[2:]
+                if before is not None and resolution != before:
+                    counts.append(0)
+                before = resolution
+            counts[-1] += 1
+    return counts
+
+
+@lru_cache(maxsize=32)
+def _weightless(name: str, circular: bool) -> nn.Sequential:
     with torch.device("meta"):
         return _features(name, circular).eval()
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import NotNegative, Positive, Rule, Settings, Share
+from siamloc.settings import Natural, NotNegative, Positive, Rule, Settings, Share
 
 Normalization = Literal["channels", "image", "local", "local_brightness"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
@@ -73,6 +73,10 @@ class Optimizer(Settings):
             half a cosine, over the whole training ([Smith 2018]); or "cosine": it grows evenly and falls along half a
             cosine ([Loshchilov 2017]).
         warm_up: share of the steps in which it grows.
+        frozen_stages: how many stages of the network, from the image on, stay as they are, the statistics of their
+            batch normalizations as well; `siamloc.models.stages` lists them.
+        stage_decay: what the learning rate of a stage is multiplied with for that of the stage before it. The last
+            stage, the head, has the full one.
     """
 
     WHERE = "optimizer"
@@ -83,6 +87,8 @@ class Optimizer(Settings):
     weight_decay: NotNegative = 0.0
     schedule: Literal["constant", "one_cycle", "cosine"] = "constant"
     warm_up: BelowOne = 0.2
+    frozen_stages: Natural = 0
+    stage_decay: Annotated[float, Rule("a number above 0, at most 1", lambda value: 0 < value <= 1)] = 1.0
 
 
 @dataclass(frozen=True)

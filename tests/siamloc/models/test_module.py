@@ -80,3 +80,52 @@ def test_the_shortest_trainings_have_a_schedule_too(schedule, steps, warm_up):
 def test_a_warm_up_of_the_whole_training_is_refused():
     with pytest.raises(ConfigError, match=r"optimizer\.warm_up must be a number from 0 to below 1, got 1"):
         Optimizer(schedule="cosine", warm_up=1)
+
+
+@pytest.mark.parametrize("schedule", ["constant", "one_cycle", "cosine"])
+def test_stages_have_rates_of_their_own(schedule):
+    network = build("panoresnet", "flat", SIZE, outputs=4)
+    found = rates(4, network, learning_rate=0.01, schedule=schedule, stage_decay=0.5, frozen_stages=2)
+    plain = rates(4, build("panoresnet", "flat", SIZE, outputs=4), learning_rate=0.01, schedule=schedule)
+    for by_stage, (rate,) in zip(found, plain, strict=True):
+        assert by_stage == pytest.approx([rate * 0.5**after for after in (2, 1, 0)])
+
+
+@pytest.mark.parametrize("schedule", ["constant", "cosine"])
+def test_the_first_stages_stay_as_they_are(schedule):
+    network = build("panoresnet", "flat", SIZE, outputs=4)
+    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    frozen = network.branch.features[:5]
+    rates(3, network, learning_rate=0.1, weight_decay=0.1, schedule=schedule, frozen_stages=2)
+    same = {name for name, tensor in network.state_dict().items() if torch.equal(tensor, before[name])}
+    assert same == {f"branch.features.{name}" for name in frozen.state_dict()} | {"branch.mean", "branch.std"}
+    assert all(weight.requires_grad for weight in network.parameters())
+    assert all(part.training for part in network.modules())
+
+
+def test_all_weights_are_trained_once_where_stages_have_their_rates():
+    loss = torch.nn.PairwiseDistance()
+    loss.register_parameter("weight", torch.nn.Parameter(torch.ones(1)))
+    for decay, frozen in ((0.5, 0), (1, 1)):
+        network = build("alexnet", "fc500_500_5", (64, 64))
+        module = SiameseModule(network, loss, Optimizer(name="adamw", stage_decay=decay, frozen_stages=frozen))
+        groups = module.configure_optimizers().param_groups
+        trained = [weight for group in groups for weight in group["params"]]
+        names = [name for name, weight in module.named_parameters() for other in trained if weight is other]
+        first = ["network.branch.features.0.weight", "network.branch.features.0.bias"]
+        assert [*first[: 2 * frozen], *names] == [name for name, _ in module.named_parameters()]
+        assert any(weight is loss.weight for weight in groups[-1]["params"])
+
+
+def test_stages_that_cannot_be_frozen_or_do_not_exist_are_refused():
+    network = build("vgg11", "flat", SIZE)
+    with pytest.raises(
+        ConfigError, match=r"frozen_stages=6 leaves nothing to train: the network has 6 stages, .* 5 at"
+    ):
+        SiameseModule(network, optimizer=Optimizer(frozen_stages=6))
+    for options in ({"frozen_stages": 1}, {"stage_decay": 0.5}):
+        with pytest.raises(ConfigError, match="Flatten does not say its stages"):
+            SiameseModule(torch.nn.Flatten(), optimizer=Optimizer(**options))
+    for value in (0, 1.5):
+        with pytest.raises(ConfigError, match=r"optimizer\.stage_decay must be a number above 0, at most 1"):
+            Optimizer(stage_decay=value)
