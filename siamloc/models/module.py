@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.checkpoint import CONTENT_KEY, FORMAT_VERSION
+from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
 from siamloc.models.describing import identity_of, margin_of
 from siamloc.models.network_stages import FrozenStages, weights_by_stage
 from siamloc.models.registry import Optimizer

@@ -19,6 +19,7 @@ from siamloc.models.normalization import by_image, by_surroundings
 from siamloc.models.panoresnet import ResidualBlock, residual_features
 from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
 from siamloc.models.weights import fill, find_weights
+from siamloc.runs import Run
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -30,7 +31,7 @@ def build(
     branch: str,
     head: str,
     image_size: Sequence[int] = (128, 512),
-    weights: str | PathLike[str] | None = None,
+    weights: str | PathLike[str] | Run | None = None,
     seed: int = 0,
     *,
     outputs: int | None = None,
@@ -50,8 +51,9 @@ def build(
         head: a name in `HEADS`.
         image_size: (H, W) of the panoramas in pixels.
         weights: None for random weights; "imagenet" or the name of a torchvision weight enum such as
-            "IMAGENET1K_V1" for a pre-trained branch; or the path of a state dict (.pth, .ckpt, .safetensors) of
-            this network, of a torchvision network with this branch, or of a checkpoint of `SiameseModule`.
+            "IMAGENET1K_V1" for a pre-trained branch; the path of a state dict (.pth, .safetensors) of this network or
+            of a torchvision network with this branch; or a run, its folder or a checkpoint: of a run the best one is
+            taken, all of it where head and image size agree, else the branch alone, as a printed note says.
         seed: of the random weights; any integer from 0 to 2**63 - 1.
         outputs: length D of a descriptor, for the heads "flat", "gem" and "fourier"; 256 if None.
         circular: let convolutions and pools wrap around the azimuth: for panoramas, whose columns are a full turn.
@@ -62,6 +64,7 @@ def build(
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
+        FormatError: a checkpoint of another version.
 
     Example:
         >>> import torch
@@ -84,7 +87,7 @@ def build(
         "branch": branch,
         "head": head,
         "image_size": list(size),
-        "weights": None if weights is None else fspath(weights),
+        "weights": None if weights is None else fspath(weights.folder if isinstance(weights, Run) else weights),
         "seed": seed,
         "outputs": network.outputs if len(head_widths(head)) == 1 else None,
         "circular": bool(circular),

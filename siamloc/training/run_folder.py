@@ -8,7 +8,7 @@ from typing import Any
 
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.models.checkpoint import read_checkpoint
+from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import branch_spec
 from siamloc.runs import Run
 from siamloc.training.settings import Training
