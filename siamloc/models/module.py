@@ -26,7 +26,8 @@ class NetworkModule(LightningModule):
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
-        loss: a module, whose parameters are trained as well, or a function.
+        loss: a module, whose parameters are trained as well, or a function. If it has a method `progress`, that is
+            told before each step which share of the training is done.
         optimizer: how the weights are updated.
 
     Raises:
@@ -68,6 +69,13 @@ class NetworkModule(LightningModule):
         """Let the frozen stages work as in evaluation."""
         if self._frozen is not None:
             self._frozen.rest()
+
+    def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
+        """Tell a loss that changes with the training how far it is: 0 in the first step, 1 in the last."""
+        progress = getattr(self.loss, "progress", None)
+        if callable(progress):
+            steps = self.trainer.estimated_stepping_batches
+            progress(min(self.trainer.global_step / max(steps - 1, 1), 1.0))
 
     def teardown(self, stage: str) -> None:
         """Let the frozen stages be as they were."""

@@ -101,6 +101,8 @@ class SoftContrastive(Settings):
             exp(-x^2 / 2 sigma^2), or "exponential", exp(-x / sigma), which tells the nearest from the second nearest
             and still says something of those beyond.
         sigma: width of the kernel, in the unit of the positions.
+        sigma_start: width with which a training begins; from step to step it is multiplied with the same number until
+            it is `sigma` in the last one. The same width throughout if None.
         room: share of what is wanted that goes to all images of the same room alike, the rest goes by the kernel, and
             then not to those of other rooms. With 1 it is the supervised contrastive loss of the rooms ([Khosla 2020]),
             which needs no positions.
@@ -111,6 +113,7 @@ class SoftContrastive(Settings):
     temperature: Positive = 0.07
     kernel: Literal["gaussian", "exponential"] = "gaussian"
     sigma: Positive = 0.4
+    sigma_start: Positive | None = None
     room: Share = 0.0
 
 

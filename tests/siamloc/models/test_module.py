@@ -36,7 +36,7 @@ def draw_pairs(count=4, seed=0):
     return {"first": first, "second": second, "label": (~same).float(), "same": same}
 
 
-def rates(steps, network=None, epochs=1, **options):
+def rates(steps, network=None, epochs=1, loss=None, **options):
     """Train so many steps, and return the learning rates of each."""
     network = build("simple1", "fc500_500_5", SIZE) if network is None else network
     noted = Rates()
@@ -49,7 +49,7 @@ def rates(steps, network=None, epochs=1, **options):
         enable_model_summary=False,
         callbacks=[noted],
     )
-    module = SiameseModule(network, optimizer=Optimizer(**options))
+    module = SiameseModule(network, loss, optimizer=Optimizer(**options))
     batches = DataLoader([draw_pairs(seed=step) for step in range(steps // epochs)], batch_size=None)
     trainer.fit(module, batches, DataLoader([draw_pairs()], batch_size=None))
     return noted.seen
@@ -129,3 +129,20 @@ def test_stages_that_cannot_be_frozen_or_do_not_exist_are_refused():
     for value in (0, 1.5):
         with pytest.raises(ConfigError, match=r"optimizer\.stage_decay must be a number above 0, at most 1"):
             Optimizer(stage_decay=value)
+
+
+def test_a_loss_is_told_how_far_the_training_is():
+    told = []
+
+    class Changing(torch.nn.Module):
+        def progress(self, share):
+            told.append(share)
+
+        def forward(self, d0, d1, y):
+            return (d0 - d1).square().mean()
+
+    rates(6, epochs=2, loss=Changing())
+    assert told == pytest.approx([0, 0.2, 0.4, 0.6, 0.8, 1])
+    told.clear()
+    rates(1, loss=Changing())
+    assert told == [0]
