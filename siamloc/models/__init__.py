@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from siamloc.models.describing import NetworkDescriptor, as_descriptor
     from siamloc.models.losses import ContrastiveLoss
     from siamloc.models.network import Network, build
+    from siamloc.models.network_stages import stages
     from siamloc.models.places import PlaceModule
     from siamloc.models.siamese import SiameseModule
 
@@ -44,6 +45,7 @@ __all__ = [
     "as_descriptor",
     "build",
     "load",
+    "stages",
 ]
 
 _HOMES = {
@@ -61,6 +63,7 @@ _HOMES = {
     "as_descriptor": "describing",
     "build": "network",
     "load": "checkpoint",
+    "stages": "network_stages",
 }
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

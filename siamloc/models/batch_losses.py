@@ -82,8 +82,15 @@ class SoftContrastiveLoss(nn.Module):
     def __init__(self, *, settings: SoftContrastive) -> None:
         super().__init__()
         self.temperature, self.sigma = float(settings.temperature), float(settings.sigma)
+        self._settings = settings
         self.kernel, self.room = settings.kernel, float(settings.room)
         self.settings = {"name": "soft_contrastive", **settings.plain()}
+
+    def progress(self, share: float) -> None:
+        """Set `sigma` to what it is after a share of the training, from 0 in the first step to 1 in the last."""
+        first, last = self._settings.sigma_start, self._settings.sigma
+        if first is not None:
+            self.sigma = float(first ** (1 - share) * last**share)
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
         """Compute the loss of a batch, a scalar.

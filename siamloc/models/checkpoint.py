@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import nn
 
 from siamloc.errors import ConfigError, FormatError, SiamlocError
+from siamloc.models.checkpoint_file import CONTENT_KEY, network_state, read_checkpoint
 from siamloc.models.network import build
 from siamloc.models.weights import mismatch
 from siamloc.runs import Run
-
-CONTENT_KEY = "siamloc"
-FORMAT_VERSION = 2
 
 
 def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: nn.Module | None = None) -> nn.Module:
@@ -53,11 +49,7 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     if network is None:
         network = _made(path, {**about["model"], "weights": None})
         network.settings = dict(about["model"])  # type: ignore[assignment]
-    state = {
-        name.removeprefix("network."): tensor
-        for name, tensor in content["state_dict"].items()
-        if name.startswith("network.")
-    }
+    state = network_state(content)
     difference = mismatch(network, state)
     if difference is not None:
         raise FormatError(
@@ -68,45 +60,6 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     pairs: Any = about["loss"] if "name" not in about["loss"] else {}
     network.trained_margin = pairs.get("margin")
     return network.eval()
-
-
-def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
-    """Read a checkpoint of `SiameseModule`: a dictionary with `state_dict` and, under "siamloc", what was trained.
-
-    Args:
-        path: of the file that Lightning wrote.
-        mmap: leave the weights on the disk until they are used.
-
-    Raises:
-        FormatError: the file is missing, not whole, not such a checkpoint, or of another version.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FormatError(f"the checkpoint {path} does not exist")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what torch says of a foreign file would hide our own sentence
-            content = torch.load(path, map_location="cpu", weights_only=True, mmap=mmap)
-    except Exception as error:  # zip, pickle and torch each raise their own kinds
-        raise FormatError(
-            f"the checkpoint {path} cannot be read ({type(error).__name__}): it is cut short, or holds more than "
-            f"tensors and plain values; train again or take another checkpoint"
-        ) from error
-    if not isinstance(content, dict) or not isinstance(content.get("state_dict"), dict):
-        raise FormatError(f"{path} is no checkpoint of a siamese network: it has no weights")
-    if "siamloc_format" in content:
-        raise FormatError(
-            f"the checkpoint {path} was written by siamloc 0.1, whose runs are no longer read: train again"
-        )
-    about = content.get(CONTENT_KEY)
-    if not isinstance(about, dict) or not {"format", "model", "loss"} <= set(about):
-        raise FormatError(f"{path} is no checkpoint of a siamese network: it does not say what was trained")
-    if not isinstance(about["format"], int) or about["format"] > FORMAT_VERSION:
-        raise FormatError(
-            f"the checkpoint {path} has format {about['format']}, this version of siamloc reads up to "
-            f"{FORMAT_VERSION}: update siamloc"
-        )
-    return content
 
 
 def _checkpoint_of(source: str | Path | Run, which: str) -> Path:

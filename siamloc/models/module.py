@@ -11,8 +11,9 @@ from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.checkpoint import CONTENT_KEY, FORMAT_VERSION
+from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
 from siamloc.models.describing import identity_of, margin_of
+from siamloc.models.network_stages import FrozenStages, weights_by_stage
 from siamloc.models.registry import Optimizer
 
 ensure_torchvision()
@@ -25,11 +26,12 @@ class NetworkModule(LightningModule):
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
-        loss: a module, whose parameters are trained as well, or a function.
+        loss: a module, whose parameters are trained as well, or a function. If it has a method `progress`, that is
+            told before each step which share of the training is done.
         optimizer: how the weights are updated.
 
     Raises:
-        ConfigError: a network that is no module, or a loss that cannot be called.
+        ConfigError: a network that is no module or has no such stages, or a loss that cannot be called.
     """
 
     def __init__(self, network: nn.Module, loss: Any, optimizer: Optimizer | None = None) -> None:
@@ -41,6 +43,13 @@ class NetworkModule(LightningModule):
         self.network = network
         self.loss = loss
         self.optimizer = Optimizer() if optimizer is None else optimizer
+        self._by_stage = self.optimizer.frozen_stages > 0 or self.optimizer.stage_decay < 1
+        self._frozen: FrozenStages | None = None
+        if self._by_stage and self.optimizer.frozen_stages >= (count := len(weights_by_stage(network))):
+            raise ConfigError(
+                f"optimizer.frozen_stages={self.optimizer.frozen_stages} leaves nothing to train: the network has "
+                f"{count} stages, so freeze {count - 1} at most"
+            )
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -51,24 +60,64 @@ class NetworkModule(LightningModule):
         """Compute the descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1]."""
         return self.network(panorama)
 
+    def setup(self, stage: str) -> None:
+        """Freeze the first stages while the network is trained."""
+        if stage == "fit" and self.optimizer.frozen_stages:
+            self._frozen = FrozenStages(self.network, self.optimizer.frozen_stages)
+
+    def on_train_start(self) -> None:
+        """Let the frozen stages work as in evaluation."""
+        if self._frozen is not None:
+            self._frozen.rest()
+
+    def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
+        """Tell a loss that changes with the training how far it is: 0 in the first step, 1 in the last."""
+        progress = getattr(self.loss, "progress", None)
+        if callable(progress):
+            steps = self.trainer.estimated_stepping_batches
+            progress(min(self.trainer.global_step / max(steps - 1, 1), 1.0))
+
+    def teardown(self, stage: str) -> None:
+        """Let the frozen stages be as they were."""
+        frozen, self._frozen = self._frozen, None
+        if frozen is not None:
+            frozen.thaw()
+
     def configure_optimizers(self) -> Any:
         """Make the optimizer of all weights, those of the loss included, and the schedule of its learning rate."""
         settings = self.optimizer
         common: dict[str, Any] = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
         if settings.name == "sgd":
-            made: torch.optim.Optimizer = torch.optim.SGD(self.parameters(), momentum=settings.momentum, **common)
+            made: torch.optim.Optimizer = torch.optim.SGD(self._weights(), momentum=settings.momentum, **common)
         else:
             kind = torch.optim.Adam if settings.name == "adam" else torch.optim.AdamW
-            made = kind(self.parameters(), betas=(settings.momentum, 0.999), **common)
+            made = kind(self._weights(), betas=(settings.momentum, 0.999), **common)
         if settings.schedule == "constant":
             return made
         steps = max(int(self.trainer.estimated_stepping_batches), 2)
-        if math.isclose(steps * settings.warm_up, 1):
-            steps += 1  # torch divides by the steps after the first of the warm-up
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            made, settings.learning_rate, total_steps=steps, pct_start=settings.warm_up, cycle_momentum=False
-        )
+        schedule: torch.optim.lr_scheduler.LRScheduler
+        if settings.schedule == "cosine":
+            schedule = torch.optim.lr_scheduler.LambdaLR(made, lambda step: cosine_share(step, steps, settings.warm_up))
+        else:
+            if math.isclose(steps * settings.warm_up, 1):
+                steps += 1  # torch divides by the steps after the first of the warm-up
+            rates = [group["lr"] for group in made.param_groups]
+            schedule = torch.optim.lr_scheduler.OneCycleLR(
+                made, rates, total_steps=steps, pct_start=float(settings.warm_up), cycle_momentum=False
+            )
         return {"optimizer": made, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+    def _weights(self) -> Any:
+        """Return all weights, by stage with their learning rates where those differ; the loss goes with the head."""
+        if not self._by_stage:
+            return self.parameters()
+        of_network = set(self.network.parameters())
+        *stages, head = weights_by_stage(self.network)
+        stages.append([*head, *(weight for weight in self.parameters() if weight not in of_network)])
+        decay = self.optimizer.stage_decay
+        rates = [self.optimizer.learning_rate * decay**after for after in reversed(range(len(stages)))]
+        groups = [{"params": weights, "lr": rate} for weights, rate in zip(stages, rates, strict=True)]
+        return groups[self.optimizer.frozen_stages :]
 
     def content(self) -> dict[str, Any]:
         """Describe in plain values what is trained: the network, the loss and the optimizer."""
@@ -101,6 +150,27 @@ class NetworkModule(LightningModule):
         rate = self.optimizer.learning_rate
         advice = f"train again with a smaller optimizer.learning_rate than {rate:g}"
         return ConfigError(f"the training diverged: {sign}; {advice}")
+
+
+def cosine_share(step: int, steps: int, warm_up: float) -> float:
+    """Compute the share of the full learning rate in a step: even growth, then half a cosine to almost 0.
+
+    With w whole steps of warm-up it is (t + 1) / (w + 1) in the steps t before w, and then
+    (1 + cos(pi (t - w) / (steps - w))) / 2.
+
+    Args:
+        step: t, from 0.
+        steps: of the whole training.
+        warm_up: share of them in which it grows.
+
+    Example:
+        >>> [round(cosine_share(step, steps=6, warm_up=0.4), 3) for step in range(6)]
+        [0.333, 0.667, 1.0, 0.854, 0.5, 0.146]
+    """
+    growing = int(warm_up * steps)
+    if step < growing:
+        return (step + 1) / (growing + 1)
+    return (1 + math.cos(math.pi * min((step - growing) / (steps - growing), 1))) / 2
 
 
 def name_of(thing: object) -> str:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from os import PathLike, fspath
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -19,6 +19,7 @@ from siamloc.models.normalization import by_image, by_surroundings
 from siamloc.models.panoresnet import ResidualBlock, residual_features
 from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
 from siamloc.models.weights import fill, find_weights
+from siamloc.runs import Run
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -30,7 +31,7 @@ def build(
     branch: str,
     head: str,
     image_size: Sequence[int] = (128, 512),
-    weights: str | PathLike[str] | None = None,
+    weights: str | PathLike[str] | Run | None = None,
     seed: int = 0,
     *,
     outputs: int | None = None,
@@ -50,8 +51,9 @@ def build(
         head: a name in `HEADS`.
         image_size: (H, W) of the panoramas in pixels.
         weights: None for random weights; "imagenet" or the name of a torchvision weight enum such as
-            "IMAGENET1K_V1" for a pre-trained branch; or the path of a state dict (.pth, .ckpt, .safetensors) of
-            this network, of a torchvision network with this branch, or of a checkpoint of `SiameseModule`.
+            "IMAGENET1K_V1" for a pre-trained branch; the path of a state dict (.pth, .safetensors) of this network or
+            of a torchvision network with this branch; or a run, its folder or a checkpoint: of a run the best one is
+            taken, all of it where head and image size agree, else the branch alone, as a printed note says.
         seed: of the random weights; any integer from 0 to 2**63 - 1.
         outputs: length D of a descriptor, for the heads "flat", "gem" and "fourier"; 256 if None.
         circular: let convolutions and pools wrap around the azimuth: for panoramas, whose columns are a full turn.
@@ -62,6 +64,7 @@ def build(
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
+        FormatError: a checkpoint of another version.
 
     Example:
         >>> import torch
@@ -84,7 +87,7 @@ def build(
         "branch": branch,
         "head": head,
         "image_size": list(size),
-        "weights": None if weights is None else fspath(weights),
+        "weights": None if weights is None else fspath(weights.folder if isinstance(weights, Run) else weights),
         "seed": seed,
         "outputs": network.outputs if len(head_widths(head)) == 1 else None,
         "circular": bool(circular),
@@ -138,6 +141,13 @@ class Network(nn.Module):
     def outputs(self) -> int:
         """Length D of a descriptor."""
         return self.head.outputs
+
+    @property
+    def stages(self) -> list[list[nn.Module]]:
+        """The parts from the image to the descriptor: the layers of the branch by resolution, then the head."""
+        layers = iter(self.branch.features)
+        counts = _layers_by_stage(self.branch.name, self.branch.circular)
+        return [*([next(layers) for _ in range(count)] for count in counts), [self.head]]
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -206,7 +216,7 @@ class Branch(nn.Module):
         self.name = name
         self.circular = circular
         self.normalize = normalize
-        self.features = _features(name, circular)
+        self.features: nn.Sequential = _features(name, circular)
         self.register_buffer("mean", torch.empty(1, 3, 1, 1))
         self.register_buffer("std", torch.empty(1, 3, 1, 1))
         self.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
@@ -297,7 +307,7 @@ def _initialize(network: Network, seed: int) -> None:
             nn.init.constant_(module.second[1].weight, RESIDUAL)  # type: ignore[arg-type]
 
 
-def _features(name: str, circular: bool = False) -> nn.Module:
+def _features(name: str, circular: bool = False) -> nn.Sequential:
     spec = branch_spec(name)
     if spec.kind == "residual":
         features: nn.Sequential = residual_features(spec.widths)
@@ -308,7 +318,7 @@ def _features(name: str, circular: bool = False) -> nn.Module:
         features = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(SIMPLE_GRID))
     else:
         features = _torchvision_features(name)
-    return around(features) if circular else features
+    return cast(nn.Sequential, around(features)) if circular else features
 
 
 def _torchvision_features(name: str) -> nn.Sequential:
@@ -326,7 +336,23 @@ def _torchvision_features(name: str) -> nn.Sequential:
 
 
 @lru_cache(maxsize=32)
-def _weightless(name: str, circular: bool) -> nn.Module:
+def _layers_by_stage(name: str, circular: bool) -> list[int]:
+    """Count the layers of a branch at each resolution; those without weights belong to the weights before them."""
+    features, counts, before = torch.empty(1, 3, 256, 256, device="meta"), [0], None
+    with torch.no_grad():
+        for layer in _weightless(name, circular):
+            features = layer(features)
+            if next(layer.parameters(), None) is not None:
+                resolution = features.shape[2:]
+                if before is not None and resolution != before:
+                    counts.append(0)
+                before = resolution
+            counts[-1] += 1
+    return counts
+
+
+@lru_cache(maxsize=32)
+def _weightless(name: str, circular: bool) -> nn.Sequential:
     with torch.device("meta"):
         return _features(name, circular).eval()
 

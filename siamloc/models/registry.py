@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import NotNegative, Positive, Probability, Rule, Settings, Share
+from siamloc.settings import Natural, NotNegative, Positive, Rule, Settings, Share
 
 Normalization = Literal["channels", "image", "local", "local_brightness"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
@@ -57,7 +57,7 @@ HEADS: dict[str, tuple[int, ...]] = {
 descriptors of unit length, whose number of outputs can be chosen."""
 
 
-Momentum = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
+BelowOne = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
 
 
 @dataclass(frozen=True)
@@ -69,19 +69,26 @@ class Optimizer(Settings):
         learning_rate: step size.
         momentum: of "sgd"; for the other two the decay of the first moment (beta 1).
         weight_decay: share of a weight that each step takes away, times the learning rate.
-        schedule: "constant", or "one_cycle": the learning rate grows to `learning_rate` and falls to almost 0, each
-            along half a cosine, over the whole training ([Smith 2018]).
+        schedule: "constant"; "one_cycle": the learning rate grows to `learning_rate` and falls to almost 0, each along
+            half a cosine, over the whole training ([Smith 2018]); or "cosine": it grows evenly and falls along half a
+            cosine ([Loshchilov 2017]).
         warm_up: share of the steps in which it grows.
+        frozen_stages: how many stages of the network, from the image on, stay as they are, the statistics of their
+            batch normalizations as well; `siamloc.models.stages` lists them.
+        stage_decay: what the learning rate of a stage is multiplied with for that of the stage before it. The last
+            stage, the head, has the full one.
     """
 
     WHERE = "optimizer"
 
     name: Literal["sgd", "adam", "adamw"] = "sgd"
     learning_rate: Positive = 0.001
-    momentum: Momentum = 0.9
+    momentum: BelowOne = 0.9
     weight_decay: NotNegative = 0.0
-    schedule: Literal["constant", "one_cycle"] = "constant"
-    warm_up: Probability = 0.2
+    schedule: Literal["constant", "one_cycle", "cosine"] = "constant"
+    warm_up: BelowOne = 0.2
+    frozen_stages: Natural = 0
+    stage_decay: Annotated[float, Rule("a number above 0, at most 1", lambda value: 0 < value <= 1)] = 1.0
 
 
 @dataclass(frozen=True)
@@ -94,6 +101,8 @@ class SoftContrastive(Settings):
             exp(-x^2 / 2 sigma^2), or "exponential", exp(-x / sigma), which tells the nearest from the second nearest
             and still says something of those beyond.
         sigma: width of the kernel, in the unit of the positions.
+        sigma_start: width with which a training begins; from step to step it is multiplied with the same number until
+            it is `sigma` in the last one. The same width throughout if None.
         room: share of what is wanted that goes to all images of the same room alike, the rest goes by the kernel, and
             then not to those of other rooms. With 1 it is the supervised contrastive loss of the rooms ([Khosla 2020]),
             which needs no positions.
@@ -104,6 +113,7 @@ class SoftContrastive(Settings):
     temperature: Positive = 0.07
     kernel: Literal["gaussian", "exponential"] = "gaussian"
     sigma: Positive = 0.4
+    sigma_start: Positive | None = None
     room: Share = 0.0
 
 

@@ -1,8 +1,9 @@
-"""Weights from elsewhere: torchvision's ImageNet weights, or a state dict on disk."""
+"""Weights from elsewhere: torchvision's ImageNet weights, a state dict on disk, or what another training left."""
 
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -14,10 +15,14 @@ from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, hint
+from siamloc.models.checkpoint_file import CONTENT_KEY, checked_content, network_state
+from siamloc.models.heads import GeneralizedMean
 from siamloc.models.registry import BRANCHES, branch_spec
+from siamloc.runs import Run
 
 # The published DenseNet files number the layers "norm.1", the class has called them "norm1" for years.
 _OLD_DENSENET = re.compile(r"(denselayer\d+\.(?:norm|relu|conv))\.([12])\.")
+_NAMES = re.compile("imagenet(1k_.*)?", re.IGNORECASE)
 _SUFFIXES = (".pth", ".pt", ".bin", ".ckpt", ".safetensors")
 
 
@@ -30,41 +35,54 @@ class Weights:
         origin: where they come from, in words.
         mean: of the red, green and blue channel of the images they were trained on, in [0, 1]; None if unknown.
         std: standard deviations, likewise.
+        model: for what a training left: the network as its run's settings describe it.
     """
 
     state: Mapping[str, Tensor]
     origin: str
     mean: list[float] | None = None
     std: list[float] | None = None
+    model: Mapping[str, Any] | None = None
 
 
-def find_weights(branch: str, weights: str | PathLike[str]) -> Weights:
+def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
     """Find weights for a branch by their name or path.
 
     Args:
         branch: a name in `BRANCHES`.
-        weights: "imagenet", the name of a torchvision weight enum, or a path; see `siamloc.models.build`.
+        weights: "imagenet", the name of a torchvision weight enum, a path, or a run; see `siamloc.models.build`.
 
     Raises:
-        ConfigError: an unknown name, a failed download, or a file that cannot be read.
+        ConfigError: an unknown name, a failed download, a file that cannot be read, or a run without a checkpoint.
+        FormatError: a checkpoint of another version.
     """
-    if isinstance(weights, PathLike) or Path(weights).suffix in _SUFFIXES or Path(weights).is_file():
-        path = Path(weights)
-        return Weights(read_state(path), str(path))
+    if isinstance(weights, Run):
+        return read_weights(weights.checkpoint())
+    path = Path(weights).expanduser()
+    if path.is_dir() and not _NAMES.fullmatch(str(weights)):
+        return read_weights(Run(path).checkpoint())
+    if isinstance(weights, PathLike) or path.suffix in _SUFFIXES or path.is_file():
+        return read_weights(path)
     return _imagenet(branch, weights)
 
 
 def fill(network: nn.Module, weights: Weights, what: str) -> None:
     """Put weights into a network, in place: into all of it, or into its branch if they are a torchvision network's.
 
+    What a training left goes into all of it as well, or, with a note that says why, into its branch alone where the
+    head was another one or saw features of another size.
+
     Args:
         network: branch and head, as `siamloc.models.build` makes it.
-        weights: of the whole network, or of a torchvision network with this branch.
+        weights: of the whole network, or of another one with this branch.
         what: the network in words.
 
     Raises:
         ConfigError: weights of another architecture.
     """
+    if weights.model is not None:
+        _fill_as_trained(network, weights, weights.model, what)
+        return
     state = weights.state
     target: nn.Module = network
     if not any(key.startswith("branch.") for key in state):
@@ -84,11 +102,12 @@ def fill(network: nn.Module, weights: Weights, what: str) -> None:
     target.load_state_dict(state)
 
 
-def read_state(path: Path) -> dict[str, Tensor]:
-    """Read a state dict without running any code that may stand in the file.
+def read_weights(path: Path) -> Weights:
+    """Read a state dict or a checkpoint without running any code that may stand in the file.
 
     Raises:
         ConfigError: the file is missing, is not whole, or holds anything but named tensors.
+        FormatError: a checkpoint of another version.
     """
     if not path.is_file():
         raise ConfigError(f"the weights file {path} does not exist")
@@ -101,11 +120,14 @@ def read_state(path: Path) -> dict[str, Tensor]:
             state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # each layer below (zip, pickle, torch, safetensors) raises its own kinds
         raise ConfigError(f"the weights file {path} is not a whole state dict ({type(error).__name__})") from error
+    if isinstance(state, Mapping) and CONTENT_KEY in state:
+        content = checked_content(state, path)
+        return Weights(network_state(content), str(path), model=content[CONTENT_KEY]["model"])
     if isinstance(state, Mapping) and isinstance(state.get("state_dict"), Mapping):
         state = {str(key).removeprefix("network."): value for key, value in state["state_dict"].items()}
     if not isinstance(state, Mapping) or not state or not all(isinstance(value, Tensor) for value in state.values()):
         raise ConfigError(f"the weights file {path} holds no state dict (names with tensors)")
-    return {str(key): value for key, value in state.items()}
+    return Weights({str(key): value for key, value in state.items()}, str(path))
 
 
 def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
@@ -124,6 +146,35 @@ def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
         expected, got = tuple(own[key].shape), tuple(state[key].shape)
         parts.append(f"of another shape: {len(shapes)}, first {key!r} with {got} for {expected}")
     return "; ".join(parts) or None
+
+
+def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, Any], what: str) -> None:
+    """Put what a training left into a network: all of it where the heads agree, else what the branch has."""
+    here: Mapping[str, Any] = network.settings  # type: ignore[assignment]
+    if "branch" not in model:
+        raise ConfigError(
+            f"the weights of {weights.origin} are of a module of your own, {model.get('class')}, and not of {what}: "
+            "load them with siamloc.models.load(..., network=...)"
+        )
+    if model["branch"] != here["branch"]:
+        raise ConfigError(
+            f"the weights of {weights.origin} are of another architecture than {what}: their branch is "
+            f"{model['branch']}"
+        )
+    there = {"outputs": None, "circular": False, "normalize": branch_spec(model["branch"]).normalize, **model}
+    keys = ("head", "outputs", "image_size", "circular", "normalize")
+    differing = [f"{key} is {there[key]} there and {here[key]} here" for key in keys if there[key] != here[key]]
+    sizes = () if isinstance(network.get_submodule("head"), GeneralizedMean) else ("image_size",)
+    target, state = network, weights.state
+    if any(there[key] != here[key] for key in ("head", "outputs", *sizes)) or mismatch(network, state) is not None:
+        target = network.get_submodule("branch")
+        state = {name.removeprefix("branch."): value for name, value in state.items() if name.startswith("branch.")}
+    difference = mismatch(target, state)
+    if difference is not None:
+        raise ConfigError(f"the weights of {weights.origin} are of another architecture than {what}: {difference}")
+    target.load_state_dict(state)
+    taken = "the whole network" if target is network else "the branch alone"
+    print("; ".join([f"note: {taken} starts from {weights.origin}", *differing]), file=sys.stderr)
 
 
 def _imagenet(branch: str, name: str) -> Weights:

@@ -309,6 +309,8 @@ def _train(
         if start is None and not any(run.checkpoints.glob("*.ckpt")) and process_rank() == 0:
             run.discard()  # a loss that fails at once must not block the folder for the next call
         raise
+    finally:
+        module.teardown("fit")  # which Lightning leaves out where something fails
 
 
 class _Seeds(Callback):

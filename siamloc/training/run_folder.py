@@ -8,7 +8,7 @@ from typing import Any
 
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.models.checkpoint import read_checkpoint
+from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import branch_spec
 from siamloc.runs import Run
 from siamloc.training.settings import Training
@@ -55,11 +55,16 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     before = {**before, "training": Training.of(before["training"]).plain(), "model": _whole(before["model"])}
     if before["loss"].get("name") == "soft_contrastive":
-        before["loss"] = {"room": 0.0, **before["loss"]}
+        before["loss"] = {"room": 0.0, "sigma_start": None, **before["loss"]}
     planned = before["training"]["epochs"]
-    if before["training"]["optimizer"]["schedule"] != "constant" and planned != epochs:
+    scheduled = {
+        "learning rate": before["training"]["optimizer"]["schedule"] != "constant",
+        "sigma": before["loss"].get("sigma_start") is not None,
+    }
+    if any(scheduled.values()) and planned != epochs:
+        what = next(name for name, changes in scheduled.items() if changes)
         raise ConfigError(
-            f"the learning rate of {run.folder} was laid out for {planned} epochs: resume with epochs={planned}, or "
+            f"the {what} of {run.folder} was laid out for {planned} epochs: resume with epochs={planned}, or "
             "train another run"
         )
     # The same frames may be named in several ways; how is only worth a word where they are others.

@@ -159,7 +159,23 @@ def test_distances_and_rooms_of_a_batch():
     assert known.same_room().tolist() == [[True, True, False], [True, True, False], [False, False, False]]
 
 
-@pytest.mark.parametrize(("name", "value"), [("temperature", 0), ("sigma", -1), ("sigma", math.nan), ("sigma", "wide")])
+def test_sigma_goes_from_its_start_to_its_end_by_equal_factors():
+    descriptors, xy, _ = draw(6, 4, 3)
+    loss = SoftContrastiveLoss(sigma=0.5, sigma_start=4.0)
+    for share, sigma in ((0, 4.0), (1 / 3, 2.0), (2 / 3, 1.0), (1, 0.5)):
+        loss.progress(share)
+        expected = SoftContrastiveLoss(sigma=sigma)(descriptors, origins(xy))
+        assert loss(descriptors, origins(xy)).item() == pytest.approx(expected.item(), rel=1e-6)
+    constant = SoftContrastiveLoss(sigma=0.5)
+    before = constant(descriptors, origins(xy))
+    constant.progress(0.2)
+    assert torch.equal(constant(descriptors, origins(xy)), before)
+    assert torch.equal(SoftContrastiveLoss(sigma=0.5, sigma_start=4.0)(descriptors, origins(xy)), before)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("temperature", 0), ("sigma", -1), ("sigma_start", 0), ("sigma", math.nan), ("sigma", "wide")]
+)
 def test_parameters_out_of_range_are_refused(name, value):
     with pytest.raises(ConfigError, match=rf"loss\.{name} must be a number above 0"):
         SoftContrastiveLoss(**{name: value})
@@ -172,8 +188,8 @@ def test_other_shapes_are_refused():
 
 def test_a_loss_is_made_by_its_name():
     loss = make_loss("soft_contrastive", sigma=0.2)
-    expected = {"name": "soft_contrastive", "temperature": 0.07, "kernel": "gaussian", "sigma": 0.2, "room": 0.0}
-    assert loss.settings == expected
+    expected = {"name": "soft_contrastive", "temperature": 0.07, "kernel": "gaussian", "sigma": 0.2}
+    assert loss.settings == {**expected, "sigma_start": None, "room": 0.0}
     with pytest.raises(ConfigError, match="did you mean 'soft_contrastive'"):
         make_loss("soft_contrast")
     with pytest.raises(ConfigError, match=r"unknown key loss\.sigm: did you mean 'sigma'"):

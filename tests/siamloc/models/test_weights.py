@@ -10,8 +10,12 @@ import torch
 from safetensors.torch import save_file
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError
+from siamloc.cli.compose import composed
+from siamloc.cli.objects import network_of
+from siamloc.errors import ConfigError, FormatError
 from siamloc.models import build
+from siamloc.runs import Run
+from siamloc.training import recipe
 
 ensure_torchvision()
 from torchvision import models  # noqa: E402
@@ -169,3 +173,121 @@ def test_files_without_named_tensors_are_refused(tmp_path, content):
     torch.save(content, tmp_path / "odd.pth")
     with pytest.raises(ConfigError, match="holds no state dict"):
         build("simple1", HEAD, SIZE, weights=tmp_path / "odd.pth")
+
+
+def write_run(folder, network, *, model=None, best=True):
+    """The folder that a training of this network would leave; `last.ckpt` has other weights than `best.ckpt`."""
+    run = Run(folder)
+    run.checkpoints.mkdir(parents=True)
+    state = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
+    about = {"format": 2, "model": network.settings if model is None else model, "loss": {"class": "Own"}}
+    for name, shift in (("last", 1), *([("best", 0)] if best else [])):
+        shifted = {key: tensor + shift for key, tensor in state.items()} | {"loss.scale": torch.ones(())}
+        torch.save({"state_dict": shifted, "siamloc": about}, run.checkpoints / f"{name}.ckpt")
+    return run
+
+
+def same(network, source):
+    """Names of the weights that two networks share."""
+    other = source.state_dict()
+    state = network.state_dict()
+    return {name for name in state if name in other and torch.equal(state[name], other[name])}
+
+
+def test_a_run_starts_the_whole_network_by_its_best_checkpoint(tmp_path, capsys):
+    source = build("simple1", HEAD, SIZE, seed=4)
+    source.branch.normalize_with((0.1, 0.2, 0.3), (1, 1, 1))
+    run = write_run(tmp_path / "run", source)
+    for given in (run, run.folder, str(run.folder), run.checkpoint("best")):
+        network = build("simple1", HEAD, SIZE, weights=given)
+        assert network.identity == source.identity
+        assert network.settings["weights"] == str(given.folder if given is run else given)
+        assert capsys.readouterr().err == f"note: the whole network starts from {run.checkpoint('best')}\n"
+    last = build("simple1", HEAD, SIZE, weights=write_run(tmp_path / "last", source, best=False))
+    assert torch.equal(last.head.layers[1].bias, source.head.layers[1].bias + 1)
+
+
+@pytest.mark.parametrize(
+    ("head", "changes", "says"),
+    [
+        ("flat", {"head": "fourier"}, "head is flat there and fourier here"),
+        ("flat", {"outputs": 7}, "outputs is 5 there and 7 here"),
+        ("flat", {"image_size": (64, 32)}, "image_size is [32, 32] there and [64, 32] here"),
+        ("fc500_500_5", {"head": "gem"}, "head is fc500_500_5 there and gem here; outputs is None there and 5 here"),
+        ("flat", {"head": "gem", "normalize": "image"}, "gem here; normalize is channels there and image here"),
+    ],
+)
+def test_another_head_or_size_takes_the_branch_alone_and_says_so(tmp_path, capsys, head, changes, says):
+    source = build("simple1", head, SIZE, seed=4, outputs=5 if head == "flat" else None)
+    run = write_run(tmp_path / "run", source)
+    options = {"head": head, "image_size": SIZE, "outputs": 5, "seed": 1, **changes}
+    network, untrained = build("simple1", **options, weights=run), build("simple1", **options)
+    assert {name for name in same(network, source) if name.startswith("branch.")} == {
+        name for name in network.state_dict() if name.startswith("branch.")
+    }
+    assert {name for name in same(network, untrained) if name.startswith("head.")} == {
+        name for name in network.state_dict() if name.startswith("head.")
+    }
+    said = capsys.readouterr().err
+    assert said.startswith(f"note: the branch alone starts from {run.checkpoint('best')}; ")
+    assert said.endswith(f"{says}\n")
+
+
+def test_a_head_that_takes_any_size_and_another_padding_start_whole(tmp_path, capsys):
+    source = build("simple1", "gem", SIZE, seed=4, outputs=5)
+    run = write_run(tmp_path / "run", source)
+    network = build("simple1", "gem", (64, 128), weights=run, outputs=5, circular=True)
+    assert same(network, source) == set(network.state_dict())
+    said = capsys.readouterr().err
+    assert "the whole network starts from" in said
+    assert said.endswith("image_size is [32, 32] there and [64, 128] here; circular is False there and True here\n")
+
+
+@pytest.mark.parametrize(
+    ("source", "model", "says"),
+    [
+        ("simple2", None, r"another architecture than simple1 \+ fc500_100_10 at 32 x 32: their branch is simple2"),
+        ("simple1", {"class": "Small"}, r"are of a module of your own, Small, and not of simple1 \+"),
+        (
+            "simple2",
+            {"branch": "simple1", "head": "flat", "image_size": [9, 9]},
+            "simple1 .*: of another shape",
+        ),
+    ],
+)
+def test_the_run_of_another_network_is_refused(tmp_path, source, model, says):
+    run = write_run(tmp_path / "run", build(source, HEAD, SIZE), model=model)
+    with pytest.raises(ConfigError, match=says) as info:
+        build("simple1", HEAD, SIZE, weights=run.folder)
+    assert "\n" not in str(info.value)
+
+
+def test_a_folder_without_a_checkpoint_and_a_newer_one_are_refused(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="empty holds no checkpoint: train it first"):
+        build("simple1", HEAD, SIZE, weights=str(tmp_path / "empty"))
+    run = write_run(tmp_path / "run", build("simple1", HEAD, SIZE))
+    content = torch.load(run.checkpoint("best"), weights_only=True)
+    content["siamloc"]["format"] = 99
+    torch.save(content, run.checkpoint("best"))
+    with pytest.raises(FormatError, match="has format 99"):
+        build("simple1", HEAD, SIZE, weights=run)
+
+
+def test_a_folder_called_like_weights_does_not_hide_them(hub, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "imagenet").mkdir()
+    state = torchvision_state("alexnet")
+    torch.save(state, hub / Path(models.AlexNet_Weights.DEFAULT.url).name)
+    assert_holds(build("alexnet", HEAD, (64, 64), weights="imagenet"), state)
+
+
+def test_recipes_and_the_command_line_start_from_a_run(tmp_path):
+    used = recipe("photographs")
+    run = write_run(tmp_path / "run", used.build((32, 32), seed=3))
+    wanted = used.build((32, 32), weights=run).state_dict()
+    words = ["experiment=photographs", "data.manifest=a.csv", f"model.branch.weights={run.folder}"]
+    found = build(**network_of(composed("train", words)), image_size=(32, 32)).state_dict()
+    assert all(torch.equal(found[name], wanted[name]) for name in wanted)
+    content = torch.load(run.checkpoint("best"), weights_only=True)["state_dict"]
+    assert all(torch.equal(wanted[name], content[f"network.{name}"]) for name in wanted)

@@ -117,11 +117,14 @@ def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, c
     assert all(torch.equal(value, again[name]) for name, value in net.state_dict().items())
 
 
-@pytest.mark.parametrize("schedule", ["constant", "one_cycle"])
+@pytest.mark.parametrize("schedule", ["constant", "one_cycle", "cosine"])
 def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_path, schedule):
     monday, tuesday = drives
     options = {"validation": tuesday, "average": 0.9, "clip": 1.0, "augmentation": "lighting", **SETTINGS}
     options["optimizer"] = {"name": "adamw", "schedule": schedule}
+    if schedule == "cosine":  # everything that changes with the training or with the stage
+        options["optimizer"] |= {"frozen_stages": 1, "stage_decay": 0.5}
+        options["loss"] = siamloc.models.SoftContrastiveLoss(sigma_start=3.0)
     whole = siamloc.training.fit(network(), images, monday, run=tmp_path / "whole", epochs=4, **options)
 
     class Stop(Exception):
@@ -148,9 +151,18 @@ def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_pa
     assert whole.metrics.read_text() == cut.metrics.read_text()
     one, other = (siamloc.models.load(run, which="last").state_dict() for run in (whole, cut))
     assert all(torch.equal(one[name], other[name]) for name in one)
-    if schedule == "one_cycle":
-        with pytest.raises(ConfigError, match="was laid out for 4 epochs: resume with epochs=4"):
+    if schedule != "constant":
+        with pytest.raises(ConfigError, match=r"rate of .* was laid out for 4 epochs: resume with epochs=4"):
             siamloc.training.fit(network(), images, monday, run=whole, epochs=6, resume=True, **options)
+
+
+def test_a_width_that_changes_was_laid_out_for_its_epochs(images, drives, tmp_path):
+    options = {**SETTINGS, "loss": siamloc.models.SoftContrastiveLoss(sigma_start=3.0), "run": tmp_path / "run"}
+    options["pairs"] = {**SETTINGS["pairs"], "epoch_batches": 1}
+    run = siamloc.training.fit(network(), images, drives[0], epochs=1, **options)
+    assert run.settings["loss"]["sigma_start"] == 3.0
+    with pytest.raises(ConfigError, match=r"the sigma of .* was laid out for 1 epochs: resume with epochs=1"):
+        siamloc.training.fit(network(), images, drives[0], epochs=2, resume=True, **options)
 
 
 def test_a_loss_of_ones_own_gets_descriptors_and_origins(images, drives, tmp_path):

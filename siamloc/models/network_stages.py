@@ -1,0 +1,93 @@
+"""The stages of a network from the image to the descriptor: which weights belong to which, and freezing the first."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+from torch import nn
+
+from siamloc.errors import ConfigError
+
+
+def stages(network: nn.Module) -> list[list[str]]:
+    """List the names of a network's weights by stage, from the image to the descriptor.
+
+    A network of `siamloc.models.build` has a stage for each resolution of its branch: a new one begins with the layer
+    that makes rows and columns fewer, or follows a pool that does; the last stage is the head. A module of one's own
+    says its stages by a property `stages`, a list with a module or a list of modules for each.
+
+    Raises:
+        ConfigError: a module that does not say its stages, or whose stages do not hold every weight once.
+
+    Example:
+        >>> from siamloc.models import build
+        >>> for names in stages(build("simple1", "flat", (32, 64))):
+        ...     print(names[0], "...", len(names))
+        branch.features.0.weight ... 6
+        head.layer.weight ... 2
+    """
+    found = weights_by_stage(network)
+    names = {parameter: name for name, parameter in network.named_parameters()}
+    return [[names[parameter] for parameter in weights] for weights in found]
+
+
+def weights_by_stage(network: nn.Module) -> list[list[nn.Parameter]]:
+    """List the weights of a network themselves as `stages` does their names.
+
+    Raises:
+        ConfigError: as `stages`.
+    """
+    found = [list(nn.ModuleList(parts).parameters()) for parts in _parts(network)]
+    counts = Counter(weight for weights in found for weight in weights)
+    for name, parameter in network.named_parameters():
+        count = counts.pop(parameter, 0)
+        if count != 1:
+            raise ConfigError(
+                f"the stages of {type(network).__name__} must hold every weight once, and {name} is in {count} of "
+                "them: let its property `stages` list all parts from the image to the descriptor"
+            )
+    if counts:
+        raise ConfigError(f"the stages of {type(network).__name__} hold {len(counts)} weights that are not its own")
+    return found
+
+
+class FrozenStages:
+    """The first stages of a network, which get no gradient until they are thawed.
+
+    Raises:
+        ConfigError: as `stages`.
+    """
+
+    def __init__(self, network: nn.Module, count: int) -> None:
+        self._parts = nn.ModuleList([nn.ModuleList(parts) for parts in _parts(network)[:count]])
+        self._weights = [(weight, weight.requires_grad) for weight in self._parts.parameters()]
+        self._modes = [(part, part.training) for part in self._parts.modules()]
+        self._parts.requires_grad_(False)
+
+    def rest(self) -> None:
+        """Let them work as in evaluation: batch normalization keeps its statistics, and nothing drops out."""
+        self._parts.eval()
+
+    def thaw(self) -> None:
+        """Let everything be as it was."""
+        for weight, trained in self._weights:
+            weight.requires_grad_(trained)
+        for part, training in self._modes:
+            part.training = training
+
+
+def _parts(network: nn.Module) -> list[list[nn.Module]]:
+    """Return the modules of each stage."""
+    said = getattr(network, "stages", None)
+    listed = [_listed(stage) for stage in said] if isinstance(said, Iterable) else [[]]
+    if not all(isinstance(part, nn.Module) for parts in listed for part in parts) or not all(listed):
+        raise ConfigError(
+            f"{type(network).__name__} does not say its stages: give it a property `stages`, a list of its parts from "
+            "the image to the descriptor, or leave out optimizer.frozen_stages and optimizer.stage_decay"
+        )
+    return listed
+
+
+def _listed(stage: object) -> list[nn.Module]:
+    return list(stage) if isinstance(stage, list | tuple) else [stage]  # type: ignore[list-item]

@@ -1,0 +1,133 @@
+"""Stages of a network: what belongs to which, and what freezing does."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+import torch
+from torch import nn
+
+from siamloc.errors import ConfigError
+from siamloc.models import BRANCHES, HEADS, Network, build, stages
+from siamloc.models.network_stages import FrozenStages
+
+SIZE = (64, 128)
+COUNTS = {"simple": 2, "alexnet": 4, "densenet121": 6, "vgg": 6, "panoresnet": 5}
+
+
+def shapes_only(branch, circular=False):
+    """A network without values, as large ones take long to draw."""
+    with torch.device("meta"):
+        return Network(branch, "flat", SIZE, circular=circular)
+
+
+@pytest.mark.parametrize("circular", [False, True])
+@pytest.mark.parametrize("branch", BRANCHES)
+def test_every_branch_has_a_stage_for_each_resolution_and_the_head(branch, circular):
+    network = shapes_only(branch, circular)
+    found = stages(network)
+    assert len(found) == next(count for start, count in COUNTS.items() if branch.startswith(start))
+    assert [name for names in found for name in names] == [name for name, _ in network.named_parameters()]
+    assert found[-1] == ["head.layer.weight", "head.layer.bias"]
+    # What the layers of a stage give has one number of rows, and each stage gives fewer than the one before.
+    stage_of = {name: number for number, names in enumerate(found) for name in names}
+    rows = [set() for _ in found[:-1]]
+    features = torch.empty(1, 3, *SIZE, device="meta")
+    for name, layer in network.eval().branch.features.named_children():
+        features = layer(features)
+        for weight, _ in layer.named_parameters():
+            rows[stage_of[f"branch.features.{name}.{weight}"]].add(features.shape[2])
+    assert all(len(seen) == 1 for seen in rows)
+    assert sorted(set.union(*rows), reverse=True) == [max(seen) for seen in rows]
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_the_head_is_the_last_stage(head):
+    network = build("simple1", head, SIZE)
+    assert stages(network)[-1] == [f"head.{name}" for name, _ in network.head.named_parameters()]
+
+
+def test_vgg_has_the_blocks_of_its_paper():
+    found = stages(shapes_only("vgg16"))
+    layers = [sorted({int(re.search(r"\d+", name)[0]) for name in names}) for names in found[:-1]]
+    assert layers == [[0, 2], [5, 7], [10, 12, 14], [17, 19, 21], [24, 26, 28]]
+
+
+@pytest.mark.parametrize("branch", ["panoresnet", "densenet121"])
+def test_frozen_stages_keep_weights_and_statistics_and_are_thawed(branch):
+    network = build(branch, "flat", SIZE)
+    first, second = ([name for names in part for name in names] for part in (stages(network)[:2], stages(network)[2:]))
+    network.get_parameter(second[-1]).requires_grad_(False)  # by hand
+    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    frozen = FrozenStages(network, 2)
+    frozen.rest()
+    network(torch.rand(4, 3, *SIZE)).sum().backward()
+    weights = dict(network.named_parameters())
+    assert all(weights[name].grad is None for name in first)
+    assert all(weights[name].grad is not None for name in second[:-1])
+    after = network.state_dict()
+    moved = {name for name in before if "running" in name and not torch.equal(before[name], after[name])}
+    parts = {name.rpartition(".")[0] for name in first}
+    assert moved
+    assert not {name.rpartition(".")[0] for name in moved} & parts
+    frozen.thaw()
+    assert all(weights[name].requires_grad for name in [*first, *second[:-1]])
+    assert not weights[second[-1]].requires_grad
+    assert all(part.training for part in network.modules())
+
+
+class Own(nn.Module):
+    """A network of one's own that can say its stages."""
+
+    def __init__(self, *said):
+        super().__init__()
+        self.stem, self.body, self.head = nn.Linear(3, 3), nn.Linear(3, 3), nn.Linear(3, 2)
+        self.said = said
+
+    @property
+    def stages(self):
+        return [[getattr(self, name) for name in names.split()] for names in self.said]
+
+    def forward(self, panorama):
+        return self.head(self.body(self.stem(panorama.mean(dim=(2, 3)))))
+
+
+def test_a_network_of_ones_own_says_its_stages():
+    found = stages(Own("stem body", "head"))
+    assert found == [["stem.weight", "stem.bias", "body.weight", "body.bias"], ["head.weight", "head.bias"]]
+
+
+class Modules(nn.Module):
+    def __init__(self, parts):
+        super().__init__()
+        self.layer = nn.Linear(3, 2)
+        self.stages = parts
+
+
+@pytest.mark.parametrize(
+    ("network", "says"),
+    [
+        (nn.Linear(3, 2), r"Linear does not say its stages: give it a property `stages`"),
+        (Modules(None), "Modules does not say its stages"),
+        (Modules("layer"), "Modules does not say its stages"),
+        (Modules([[], []]), "Modules does not say its stages"),
+        (Own("stem", "head"), r"hold every weight once, and body\.weight is in 0 of them"),
+        (Own("stem body", "body head"), r"hold every weight once, and body\.weight is in 2 of them"),
+        (Modules([]), r"layer\.weight is in 0 of them"),
+    ],
+)
+def test_stages_that_are_not_said_or_not_whole_are_refused_in_one_sentence(network, says):
+    with pytest.raises(ConfigError, match=says) as info:
+        stages(network)
+    assert "\n" not in str(info.value)
+
+
+def test_weights_of_another_network_are_no_stage():
+    network = Own("stem", "body", "head")
+    network.said = ("stem body", "head")
+    other = nn.Linear(3, 3)
+    network.__dict__["extra"] = other
+    network.said = ("stem body", "head extra")
+    with pytest.raises(ConfigError, match="hold 2 weights that are not its own"):
+        stages(network)
