@@ -20,7 +20,7 @@ from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.evaluation import Result
 
 RECIPE = siamloc.training.recipe("modern")
-SHORT = {"epochs": 10, "pairs": {"epoch_batches": 25}}  # as conf/experiment/demo.yaml has it
+SHORT = {"epochs": 5, "pairs": {"epoch_batches": 50}}  # as conf/experiment/demo.yaml has it
 TRAIN = ("*cloudy1", "*night1", "*sunny1")
 VALIDATION, MAP = ("*cloudy3",), ("*cloudy1",)
 QUERIES = ("*cloudy2", "*night2", "*sunny2")
