@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
@@ -184,6 +185,10 @@ class EpochDataModule(LightningDataModule):
         """Return the number of this process among those that train together, and how many those are."""
         return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
 
+    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
+        """Return the files of a training batch of this process, by the name that its images have in the batch."""
+        raise NotImplementedError
+
     def augmented(self, images: Tensor, params: dict[str, Tensor]) -> Tensor:
         """Apply the augmentation that was put off until the batch is on the device."""
         assert self.augmentation is not None
@@ -258,6 +263,15 @@ class PairDataModule(EpochDataModule):
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation batches; an empty list where there are no validation frames."""
         return [] if self.validation_sampler is None else self._batches(self.validation_sampler, None, None)
+
+    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
+        """Return the files of the first and the second images of a training batch."""
+        rank, world_size = self.share()
+        mine = len(self.sampler) // world_size
+        rows = slice(batch * self._batch_size, min((batch + 1) * self._batch_size, mine))
+        pairs = self.sampler.epoch(epoch, rank, world_size).take(rows)
+        files = self.sampler.frames.path
+        return {"first": files[pairs.first], "second": files[pairs.second]}
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
         """Apply the augmentation that was put off until the batch is on the device."""

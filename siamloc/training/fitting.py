@@ -34,8 +34,9 @@ from siamloc.settings import takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, Pace, checkpoint_callbacks
 from siamloc.training.checks import check_loss, check_network, check_rooms, monitored, usable
+from siamloc.training.guard import FiniteGuard
 from siamloc.training.place_batches import PlaceDataModule
-from siamloc.training.run_folder import check_folder, check_same_training, finished_epochs, open_run
+from siamloc.training.run_folder import KEPT, check_folder, check_same_training, finished_epochs, open_run
 from siamloc.training.settings import Training
 
 ensure_torchvision()
@@ -95,7 +96,8 @@ def fit(
 
     Raises:
         ConfigError: settings that have no meaning or contradict each other, a folder that holds a run or other files,
-            a run of other settings to resume, or a training that diverges.
+            a run of other settings to resume, or a training whose loss or gradient is not finite: its batch is kept in
+            the run as `bad_batch.npz`, see `siamloc.training.guard`.
         DataError: frames that give no pairs, or images that the network cannot take.
         KeyboardInterrupt: the user stopped it; the checkpoint of the last finished epoch is there.
         StorageError: the disk is full or refuses.
@@ -249,7 +251,9 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
     if options.get("precision") == "auto":
         options["precision"] = _fast_precision(str(options["accelerator"]))
     pace = Pace()
-    callbacks = [*_listed(options.pop("callbacks", None)), _Seeds(settings.seed), pace, Curves(run, monitor, pace)]
+    guard = FiniteGuard(run)
+    own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace)]
+    callbacks = [*_listed(options.pop("callbacks", None)), *own_callbacks]
     if settings.average is not None:
         callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:
@@ -306,7 +310,8 @@ def _train(
         print(text, file=sys.stderr, flush=True)
         raise KeyboardInterrupt(text) from error
     except Exception:
-        if start is None and not any(run.checkpoints.glob("*.ckpt")) and process_rank() == 0:
+        nothing = not any((*run.checkpoints.glob("*.ckpt"), *run.folder.glob(KEPT)))
+        if start is None and nothing and process_rank() == 0:
             run.discard()  # a loss that fails at once must not block the folder for the next call
         raise
     finally:

@@ -21,6 +21,14 @@ _FREE = (
 )
 _LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
 
+KEPT = "bad_batch*.npz"
+"""Files of a run that hold a batch which stopped a training."""
+
+
+def bad_batch(rank: int) -> str:
+    """Name the file that keeps such a batch of a process."""
+    return KEPT.replace("*", f"_{rank}" if rank else "")
+
 
 def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
     """Refuse to write over a run unless told to, and over anything else in any case."""
@@ -42,7 +50,8 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
         )
     elif run.folder.exists() and not run.folder.is_dir():
         raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
-    foreign = run.foreign(names_written(validated=True))
+    kept = [path.name for path in run.folder.glob(KEPT)]
+    foreign = run.foreign([*names_written(validated=True), *kept])
     if foreign:
         raise ConfigError(
             f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "
