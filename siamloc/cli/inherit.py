@@ -105,7 +105,7 @@ def _kept(
             "trainer.precision": record.get("trainer", {}).get("precision", "32-true"),
             **{key: training[key] for key in ("pairs", "epochs", "batch_size")},
             "optimizer": Optimizer.of(training["optimizer"]).plain(),
-            **{key: training.get(key) for key in ("clip", "average")},
+            **{key: training.get(key) for key in ("clip", "average", "checkpoint_every")},
         }
     return kept
 

@@ -136,20 +136,25 @@ class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
     Args:
         batches: in an epoch.
         epoch: to begin with; None for validation, which has the pairs of epoch 0 in every epoch.
+        start: an epoch and the batch that it begins with; all others begin with batch 0.
     """
 
-    def __init__(self, batches: Sized, epoch: int | None = 0) -> None:
+    def __init__(self, batches: Sized, epoch: int | None = 0, start: tuple[int, int] = (0, 0)) -> None:
         super().__init__(batches, num_replicas=1, rank=0, shuffle=False)  # type: ignore[arg-type]
         self._moving = epoch is not None
+        self._start = start
         self.set_epoch(epoch or 0)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:  # type: ignore[override]
         epoch = self.epoch if self._moving else 0
-        return ((epoch, number) for number in range(len(self)))
+        first = self._start[1] if self._moving and epoch == self._start[0] else 0
+        return ((epoch, number) for number in range(first, len(self)))
 
 
 class EpochDataModule(LightningDataModule):
     """Base of data modules whose batches follow from the number of the epoch; the number travels in the checkpoint.
+
+    In a checkpoint within an epoch the number of the next batch travels too.
 
     A trainer that resumes may ask for the first batches long before it knows which epoch it is in, and keeps them.
 
@@ -160,6 +165,7 @@ class EpochDataModule(LightningDataModule):
     """
 
     _first_epoch = 0
+    _first_batch = 0
 
     def __init__(self, library: PanoramaLibrary, workers: int, augmentation: BatchAugmentation | None) -> None:
         super().__init__()
@@ -174,12 +180,16 @@ class EpochDataModule(LightningDataModule):
         return max(self._first_epoch, self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
 
     def state_dict(self) -> dict[str, Any]:
-        """Give the checkpoint the epoch that comes next."""
-        return {"epoch": self.next_epoch()}
+        """Give the checkpoint the epoch and the batch that come next."""
+        batch = 0
+        if self.trainer is not None:
+            done = self.trainer.fit_loop.epoch_loop.batch_progress.current.processed  # type: ignore[attr-defined]
+            batch = done if done < self.trainer.num_training_batches else 0
+        return {"epoch": self.next_epoch(), "batch": batch}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take over the epoch of a checkpoint."""
-        self._first_epoch = int(state_dict["epoch"])
+        """Take over the epoch and the batch of a checkpoint."""
+        self._first_epoch, self._first_batch = int(state_dict["epoch"]), int(state_dict.get("batch", 0))
 
     def share(self) -> tuple[int, int]:
         """Return the number of this process among those that train together, and how many those are."""
@@ -199,7 +209,7 @@ class EpochDataModule(LightningDataModule):
         return DataLoader(
             batches,
             batch_size=None,
-            sampler=EpochSampler(batches, epoch),  # type: ignore[arg-type]
+            sampler=EpochSampler(batches, epoch, (self._first_epoch, self._first_batch)),  # type: ignore[arg-type]
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator

@@ -8,7 +8,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,8 +36,9 @@ from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage,
 from siamloc.training.checks import check_loss, check_network, check_rooms, monitored, usable
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.place_batches import PlaceDataModule
-from siamloc.training.run_folder import KEPT, check_folder, check_same_training, finished_epochs, open_run
+from siamloc.training.run_folder import KEPT, check_folder, check_same_training, open_run, progress
 from siamloc.training.settings import Training
+from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks
 
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
@@ -99,7 +100,8 @@ def fit(
             a run of other settings to resume, or a training whose loss or gradient is not finite: its batch is kept in
             the run as `bad_batch.npz`, see `siamloc.training.guard`.
         DataError: frames that give no pairs, or images that the network cannot take.
-        KeyboardInterrupt: the user stopped it; the checkpoint of the last finished epoch is there.
+        KeyboardInterrupt: the user stopped it. It ended its step and wrote a checkpoint before; a second Ctrl-C stops
+            at once, and leaves the checkpoint that was there.
         StorageError: the disk is full or refuses.
 
     Example:
@@ -254,6 +256,7 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
     guard = FiniteGuard(run)
     own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace)]
     callbacks = [*_listed(options.pop("callbacks", None)), *own_callbacks]
+    steps = StepCheckpoints(run.checkpoints / "last.ckpt", settings.checkpoint_every, guard)
     if settings.average is not None:
         callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:
@@ -262,7 +265,7 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
         "logger": TensorBoardLogger(run.folder, name="tensorboard", version=""),
-        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor)],
+        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor), steps],
         "plugins": [*_listed(options.pop("plugins", None)), AtomicCheckpoints()],
         "num_sanity_val_steps": 0,
         "limit_val_batches": 1.0 if monitor else 0,
@@ -298,15 +301,19 @@ def _train(
     """
     handler = signal.getsignal(signal.SIGINT)
     try:
-        with torch.random.fork_rng(devices=[]):
+        steps = next(one for one in trainer.checkpoint_callbacks if isinstance(one, StepCheckpoints))
+        # Among several processes one could stop a step before the others, which would wait for it.
+        asking = first_interrupt_asks(steps) if trainer.world_size == 1 else nullcontext()
+        with torch.random.fork_rng(devices=[]), asking:
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
     except SystemExit as error:
         # Lightning ignores further Ctrl-C and leaves the interpreter with status 1.
         if not trainer.interrupted:
             raise
         signal.signal(signal.SIGINT, handler)
-        done = finished_epochs(run)
-        text = f"stopped after {done} of {trainer.max_epochs} epochs: go on with resume=true, run={run.folder}"
+        done, more = progress(run)
+        within = f" and {more} of {trainer.num_training_batches} steps" if more else ""
+        text = f"stopped after {done} of {trainer.max_epochs} epochs{within}: go on with resume=true, run={run.folder}"
         print(text, file=sys.stderr, flush=True)
         raise KeyboardInterrupt(text) from error
     except Exception:
@@ -319,14 +326,14 @@ def _train(
 
 
 class _Seeds(Callback):
-    """Seed the random generator that layers such as dropout draw from, by the seed and the epoch."""
+    """Seed the random generator that layers such as dropout draw from, by the seed, the epoch and the batch."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
 
-    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         """Seed it."""
-        key = content_key([self._seed, trainer.current_epoch, trainer.global_rank], 15)
+        key = content_key([self._seed, trainer.current_epoch, batch_idx, trainer.global_rank], 15)
         torch.manual_seed(int(key, 16))
 
 
@@ -354,8 +361,15 @@ def _quiet() -> Iterator[None]:
     """Keep what Lightning says about itself off the screen; warnings that concern the user stay."""
     loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
     levels = [logger.level for logger in loggers]
+    unfounded = (
+        "LeafSpec",
+        "many workers",
+        "smaller than the logging interval",
+        "is not empty",
+        "before the epoch ended",
+    )
     with warnings.catch_warnings():
-        for text in ("LeafSpec", "does not have many workers", "smaller than the logging interval", "is not empty"):
+        for text in unfounded:
             warnings.filterwarnings("ignore", message=f".*{text}")
         for logger in loggers:
             logger.setLevel(logging.WARNING)

@@ -17,12 +17,16 @@ from siamloc.training.settings import Training
 _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
-    *("training.epochs", "training.workers", "training.augment_where"),
+    *("training.epochs", "training.workers", "training.augment_where", "training.checkpoint_every"),
 )
 _LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
 
 KEPT = "bad_batch*.npz"
 """Files of a run that hold a batch which stopped a training."""
+
+
+EPOCH_SUMS = "epoch_sums"
+"""Key of a checkpoint within an epoch: what each process has summed up since the epoch began."""
 
 
 def bad_batch(rank: int) -> str:
@@ -87,10 +91,11 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
                     f"{key}={new.get(key)}: leave it out, or train another run"
                 )
-    done = finished_epochs(run)
-    if done > epochs:
-        raise ConfigError(f"{run.folder} has {done} epochs already, more than epochs={epochs}: ask for more epochs")
-    if done == 0:
+    done, steps = progress(run)
+    if done + (steps > 0) > epochs:
+        has = f"{done} epochs already" if not steps else f"begun epoch {done + 1} already"
+        raise ConfigError(f"{run.folder} has {has}, more than epochs={epochs}: ask for more epochs")
+    if done == steps == 0:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
 
 
@@ -101,10 +106,15 @@ def _whole(model: Mapping[str, Any]) -> dict[str, Any]:
     return {"outputs": None, "circular": False, "normalize": branch_spec(model["branch"]).normalize, **model}
 
 
-def finished_epochs(run: Run) -> int:
-    """Count the epochs that the last checkpoint holds."""
+def progress(run: Run) -> tuple[int, int]:
+    """Count the epochs that the last checkpoint holds, and the steps of the epoch after them."""
     last = run.checkpoints / "last.ckpt"
-    return int(read_checkpoint(last, mmap=True)["epoch"]) + 1 if last.is_file() else 0
+    if not last.is_file():
+        return 0, 0
+    content = read_checkpoint(last, mmap=True)
+    if EPOCH_SUMS not in content:
+        return int(content["epoch"]) + 1, 0
+    return int(content["epoch"]), int(content["loops"]["fit_loop"]["epoch_loop.batch_progress"]["current"]["processed"])
 
 
 def _flat(prefix: str, value: Any) -> dict[str, Any]:
