@@ -77,7 +77,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
 
 
 # Settings of a training that the command line calls by the same name.
-_OF_TRAINING = ("seed", "epochs", "batch_size", "clip", "average", "checkpoint_every")
+_OF_TRAINING = ("seed", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every")
 _BY_GROUP = ("pairs", "loss", "optimizer")
 
 

@@ -254,7 +254,7 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
         options["precision"] = _fast_precision(str(options["accelerator"]))
     pace = Pace()
     guard = FiniteGuard(run)
-    own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace)]
+    own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
     callbacks = [*_listed(options.pop("callbacks", None)), *own_callbacks]
     steps = StepCheckpoints(run.checkpoints / "last.ckpt", settings.checkpoint_every, guard)
     if settings.average is not None:

@@ -17,7 +17,8 @@ from siamloc.training.settings import Training
 _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
-    *("training.epochs", "training.workers", "training.augment_where", "training.checkpoint_every"),
+    *("training.epochs", "training.workers", "training.augment_where"),
+    *("training.checkpoint_every", "training.patience"),
 )
 _LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
 
