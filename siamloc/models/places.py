@@ -79,14 +79,14 @@ class PlaceModule(NetworkModule):
             self.log_epoch("train", {name: torch.stack(each).mean() for name, each in figures.items() if each})
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return the losses and the spreads of the steps."""
-        if not self._losses:
-            return {}
-        return {"losses": torch.stack(self._losses), "spreads": torch.stack(self._spreads)}
+        """Return the figures of the steps."""
+        found = {"losses": self._losses, "spreads": self._spreads, "active": self._active}
+        return {name: torch.stack(each) for name, each in found.items() if each}
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
         """Go on with those of a checkpoint."""
-        self._losses, self._spreads = (list(sums[name]) for name in ("losses", "spreads"))
+        found = (list(sums.get(name, ())) for name in ("losses", "spreads", "active"))
+        self._losses, self._spreads, self._active = found
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
         """Describe a batch of map frames and queries."""

@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -30,13 +31,14 @@ from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
-from siamloc.settings import takes
+from siamloc.settings import checked, takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, Pace, checkpoint_callbacks
 from siamloc.training.checks import check_loss, check_network, check_rooms, monitored, usable
+from siamloc.training.debug import Debug, debug_training
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.place_batches import PlaceDataModule
-from siamloc.training.run_folder import KEPT, check_folder, check_same_training, open_run, progress
+from siamloc.training.run_folder import KEPT, check_debug, check_folder, check_same_training, open_run, progress
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks
 
@@ -63,6 +65,7 @@ def fit(
     resume: bool = False,
     overwrite: bool = False,
     protocol: Mapping[str, Any] | None = None,
+    debug: Debug | None = None,
     settings: Training,
 ) -> Run:
     """Train a network on pairs of frames, or on batches of places, in place.
@@ -89,6 +92,10 @@ def fit(
         resume: go on from the last checkpoint of the run; only `epochs`, `workers` and the place of files may differ.
         overwrite: replace a run: what siamloc wrote into the folder is removed, all other files stay.
         protocol: who does what in the data, as plain values for the record; the sequences of the frames if None.
+        debug: look at the training instead, and leave the network as it is: "one_batch" makes a single step, and says
+            what shapes, figures and times it has; "overfit" learns one batch by heart, and says whether the loss goes
+            down as it should; "profile" says where the time of a step goes, and writes a trace into the run. Nothing
+            else is written.
         settings: the fields of `Training` together, instead of one keyword each: epochs, batch_size, seed, workers,
             pairs, optimizer, margin, augment_where.
 
@@ -121,7 +128,10 @@ def fit(
     """
     run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
     first = process_rank() == 0
-    if first:
+    debug = checked(debug, Debug | None, "debug")
+    if debug is not None:
+        check_debug(run, debug, resume)
+    elif first:
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
@@ -145,6 +155,10 @@ def fit(
         check_same_training(run, plain(used), settings.epochs)
     if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
         network.train()
+    if debug is not None:
+        with _quiet(), _fast_layout(network, used["trainer"]["precision"] == "auto"):
+            debug_training(debug, module, data, run, used, partial(_debug_trainer, trainer))
+        return run
     with _quiet():
         lightning = _trainer(run, settings, trainer, monitor)
         if first:
@@ -247,11 +261,9 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
     """Make the trainer of a run: checkpoints, curves and TensorBoard lie in the run's folder.
 
     Raises:
-        ConfigError: arguments that Lightning refuses.
+        ConfigError: arguments that Lightning refuses, or that are set here.
     """
-    options = {**TRAINER, **(further or {})}
-    if options.get("precision") == "auto":
-        options["precision"] = _fast_precision(str(options["accelerator"]))
+    options = dict(further or {})
     pace = Pace()
     guard = FiniteGuard(run)
     own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
@@ -275,6 +287,25 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
     if taken:
         raise ConfigError(f"trainer.{taken[0]} is set by siamloc itself: leave it out")
     options.setdefault("enable_progress_bar", sys.stderr.isatty())
+    return _made(options, own)
+
+
+def _debug_trainer(further: Mapping[str, Any] | None, **own: Any) -> Trainer:
+    """Make a trainer on the device of the training that keeps nothing, with callbacks of its own only."""
+    quiet = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
+    own = {**dict.fromkeys(quiet, False), "num_sanity_val_steps": 0, **own}
+    return _made({name: value for name, value in (further or {}).items() if name not in own}, own)
+
+
+def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
+    """Make a trainer.
+
+    Raises:
+        ConfigError: arguments that Lightning refuses.
+    """
+    options = {**TRAINER, **options}
+    if options.get("precision") == "auto":
+        options["precision"] = _fast_precision(str(options["accelerator"]))
     try:
         return Trainer(**options, **own)
     except (MisconfigurationException, TypeError, ValueError, RuntimeError) as error:

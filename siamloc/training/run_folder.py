@@ -26,6 +26,8 @@ KEPT = "bad_batch*.npz"
 """Files of a run that hold a batch which stopped a training."""
 
 
+PROFILE = "profile.json"
+"""Trace of some steps, which `debug=profile` writes."""
 EPOCH_SUMS = "epoch_sums"
 """Key of a checkpoint within an epoch: what each process has summed up since the epoch began."""
 
@@ -40,8 +42,7 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
     if resume and overwrite:
         raise ConfigError("resume=true goes on with a run, overwrite=true throws it away: choose one")
     if run.record.is_file():
-        run.load_record()
-        if not resume and not overwrite:
+        if not resume and not overwrite and not _only_profiled(run):
             raise ConfigError(
                 f"{run.folder} holds a run already: go on with it by resume=true, replace it by overwrite=true, "
                 "or choose another run="
@@ -55,13 +56,26 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
         )
     elif run.folder.exists() and not run.folder.is_dir():
         raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
-    kept = [path.name for path in run.folder.glob(KEPT)]
+    kept = [path.name for pattern in (KEPT, PROFILE) for path in run.folder.glob(pattern)]
     foreign = run.foreign([*names_written(validated=True), *kept])
     if foreign:
         raise ConfigError(
             f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "
             "or choose another run="
         )
+
+
+def check_debug(run: Run, debug: str, resume: bool) -> None:
+    """Refuse to look at a training that is resumed, and to write a profile over anything that is not a run."""
+    if resume:
+        raise ConfigError(f"debug={debug} looks at a training from its start: leave out resume=true")
+    if debug == "profile":
+        check_folder(run, resume=False, overwrite=run.record.is_file())
+
+
+def _only_profiled(run: Run) -> bool:
+    """Say whether all that a run holds is the trace of `debug=profile`."""
+    return set(run.load_record()["written"]) == {PROFILE}
 
 
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
@@ -131,9 +145,12 @@ def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool
         record = run.load_record()
         run.start(used, record["written"])
     else:
-        if run.record.is_file():
+        names = names_written(validated=validated)
+        if run.record.is_file() and _only_profiled(run):
+            names.append(PROFILE)
+        elif run.record.is_file():
             run.clear()
-        run.start(used, names_written(validated=validated))
+        run.start(used, names)
     run.clear_temporaries()
 
 
