@@ -79,9 +79,10 @@ def train(config: DictConfig) -> None:
         protocol=Protocol.of(plain(config.protocol)).plain(),
         resume=config.resume,
         overwrite=config.overwrite,
+        debug=config.debug,
         settings=training_of(config),
     )
-    if process_rank() == 0:
+    if process_rank() == 0 and config.debug is None:
         print(f"checkpoint: {run.checkpoint('best')}; next: siamloc map run={run.folder}")
 
 

@@ -22,7 +22,7 @@ _CHOOSES = {
     "data": ("data", "unwrap", "protocol"),
     "experiment": (
         *("data", "unwrap", "protocol", "protocol.map", "model", "pairs", "optimizer", "loss"),
-        *("augment", "epochs", "batch_size", "clip", "average", "seed"),
+        *("augment", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every", "seed"),
     ),
     "protocol": ("protocol", "protocol.map"),
 }
@@ -105,7 +105,7 @@ def _kept(
             "trainer.precision": record.get("trainer", {}).get("precision", "32-true"),
             **{key: training[key] for key in ("pairs", "epochs", "batch_size")},
             "optimizer": Optimizer.of(training["optimizer"]).plain(),
-            **{key: training.get(key) for key in ("clip", "average")},
+            **{key: training.get(key) for key in ("clip", "average", "patience", "checkpoint_every")},
         }
     return kept
 

@@ -100,7 +100,7 @@ def bundle_of(config: DictConfig) -> Path:
 
 def training_of(config: DictConfig) -> Training:
     """Return the settings of a training; those that the command line calls otherwise are checked by its names."""
-    named = ("seed", "epochs", "batch_size", "clip", "average", "pairs", "optimizer")
+    named = ("seed", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every", "pairs", "optimizer")
     values = {key: plain(config)[key] for key in named}
     others = {"workers": "loader.workers", "augment_where": "augment.where"}
     if OmegaConf.select(config, "loss.name") == "contrastive":  # others have their own margins

@@ -59,7 +59,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
             "places": defaults_of(PlaceSettings),
             "optimizer": defaults_of(Optimizer),
             "training": {
-                **{key: training[key] for key in ("seed", "epochs", "batch_size", "clip", "average")},
+                **{key: training[key] for key in _OF_TRAINING},
                 "loader": {"workers": training["workers"]},
                 "augment": {"where": training["augment_where"]},
             },
@@ -76,6 +76,8 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     }
 
 
+# Settings of a training that the command line calls by the same name.
+_OF_TRAINING = ("seed", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every")
 _BY_GROUP = ("pairs", "loss", "optimizer")
 
 

@@ -114,6 +114,13 @@ class SoftContrastiveLoss(nn.Module):
             cost = -(wanted * told).sum(dim=1)
             return (cost * counts).sum() / counts.sum().clamp(min=1)
 
+    def lowest(self, origins: Origins) -> float:
+        """Return the smallest loss that images from there can have: their descriptors are as alike as is wanted."""
+        itself = torch.eye(len(origins.frame), dtype=torch.bool, device=origins.xy.device)
+        wanted = _shares(self._wanted(origins, itself))
+        counts = wanted.sum(dim=1) > 0
+        return float(-torch.xlogy(wanted, wanted).sum() / counts.sum().clamp(min=1))
+
     def _wanted(self, origins: Origins, itself: Tensor) -> Tensor:
         """Return how alike the images should look (N, N), each row up to a factor; `itself` is the diagonal."""
         wanted = torch.zeros(itself.shape, device=itself.device)

@@ -145,6 +145,13 @@ class NetworkModule(LightningModule):
         # The sums are already those of all processes; averaging equal numbers over them changes nothing.
         self.log_dict({f"{stage}/{name}": value for name, value in values.items()}, sync_dist=True)
 
+    def epoch_sums(self) -> dict[str, Tensor]:
+        """Return what has been summed up since the epoch began, for a checkpoint within it."""
+        return {}
+
+    def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
+        """Go on with the sums of a checkpoint."""
+
     def diverged(self, sign: str) -> ConfigError:
         """Return the error of a training that came to nothing, with what showed it."""
         rate = self.optimizer.learning_rate

@@ -78,6 +78,16 @@ class PlaceModule(NetworkModule):
         if losses:
             self.log_epoch("train", {name: torch.stack(each).mean() for name, each in figures.items() if each})
 
+    def epoch_sums(self) -> dict[str, Tensor]:
+        """Return the figures of the steps."""
+        found = {"losses": self._losses, "spreads": self._spreads, "active": self._active}
+        return {name: torch.stack(each) for name, each in found.items() if each}
+
+    def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
+        """Go on with those of a checkpoint."""
+        found = (list(sums.get(name, ())) for name in ("losses", "spreads", "active"))
+        self._losses, self._spreads, self._active = found
+
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
         """Describe a batch of map frames and queries."""
         if "known" not in batch:

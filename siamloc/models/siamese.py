@@ -87,6 +87,14 @@ class SiameseModule(NetworkModule):
         """Log the statistics of the validation."""
         self._log_epoch("val", self.val_statistics)
 
+    def epoch_sums(self) -> dict[str, Tensor]:
+        """Return the sums of the statistics."""
+        return self.train_statistics.sums()
+
+    def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
+        """Go on with the statistics of a checkpoint."""
+        self.train_statistics.load_sums(sums)
+
     def _step(self, batch: Mapping[str, Tensor], batch_index: int, stage: str, statistics: PairStatistics) -> Tensor:
         missing = [key for key in _BATCH_KEYS if key not in batch]
         if missing:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
@@ -78,6 +80,16 @@ class PairStatistics(Metric):
         values = descriptors.double()
         self.values = self.values + values.sum(0)
         self.squares = self.squares + values.square().sum(0)
+
+    def sums(self) -> dict[str, Tensor]:
+        """Return all sums since the last reset."""
+        return {name: getattr(self, name).clone() for name in self._defaults}
+
+    def load_sums(self, sums: Mapping[str, Tensor]) -> None:
+        """Go on with what `sums` returned."""
+        for name, value in sums.items():
+            setattr(self, name, value.clone())
+        self._update_count = max(self._update_count, 1)  # `compute` warns where there was no update
 
     def compute(self) -> dict[str, Tensor]:
         """Compute the scalars that have at least one pair behind them."""

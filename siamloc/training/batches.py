@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
@@ -135,20 +136,25 @@ class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
     Args:
         batches: in an epoch.
         epoch: to begin with; None for validation, which has the pairs of epoch 0 in every epoch.
+        start: an epoch and the batch that it begins with; all others begin with batch 0.
     """
 
-    def __init__(self, batches: Sized, epoch: int | None = 0) -> None:
+    def __init__(self, batches: Sized, epoch: int | None = 0, start: tuple[int, int] = (0, 0)) -> None:
         super().__init__(batches, num_replicas=1, rank=0, shuffle=False)  # type: ignore[arg-type]
         self._moving = epoch is not None
+        self._start = start
         self.set_epoch(epoch or 0)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:  # type: ignore[override]
         epoch = self.epoch if self._moving else 0
-        return ((epoch, number) for number in range(len(self)))
+        first = self._start[1] if self._moving and epoch == self._start[0] else 0
+        return ((epoch, number) for number in range(first, len(self)))
 
 
 class EpochDataModule(LightningDataModule):
     """Base of data modules whose batches follow from the number of the epoch; the number travels in the checkpoint.
+
+    In a checkpoint within an epoch the number of the next batch travels too.
 
     A trainer that resumes may ask for the first batches long before it knows which epoch it is in, and keeps them.
 
@@ -159,6 +165,7 @@ class EpochDataModule(LightningDataModule):
     """
 
     _first_epoch = 0
+    _first_batch = 0
 
     def __init__(self, library: PanoramaLibrary, workers: int, augmentation: BatchAugmentation | None) -> None:
         super().__init__()
@@ -173,16 +180,24 @@ class EpochDataModule(LightningDataModule):
         return max(self._first_epoch, self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
 
     def state_dict(self) -> dict[str, Any]:
-        """Give the checkpoint the epoch that comes next."""
-        return {"epoch": self.next_epoch()}
+        """Give the checkpoint the epoch and the batch that come next."""
+        batch = 0
+        if self.trainer is not None:
+            done = self.trainer.fit_loop.epoch_loop.batch_progress.current.processed  # type: ignore[attr-defined]
+            batch = done if done < self.trainer.num_training_batches else 0
+        return {"epoch": self.next_epoch(), "batch": batch}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take over the epoch of a checkpoint."""
-        self._first_epoch = int(state_dict["epoch"])
+        """Take over the epoch and the batch of a checkpoint."""
+        self._first_epoch, self._first_batch = int(state_dict["epoch"]), int(state_dict.get("batch", 0))
 
     def share(self) -> tuple[int, int]:
         """Return the number of this process among those that train together, and how many those are."""
         return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
+
+    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
+        """Return the files of a training batch of this process, by the name that its images have in the batch."""
+        raise NotImplementedError
 
     def augmented(self, images: Tensor, params: dict[str, Tensor]) -> Tensor:
         """Apply the augmentation that was put off until the batch is on the device."""
@@ -194,7 +209,7 @@ class EpochDataModule(LightningDataModule):
         return DataLoader(
             batches,
             batch_size=None,
-            sampler=EpochSampler(batches, epoch),  # type: ignore[arg-type]
+            sampler=EpochSampler(batches, epoch, (self._first_epoch, self._first_batch)),  # type: ignore[arg-type]
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator
@@ -258,6 +273,15 @@ class PairDataModule(EpochDataModule):
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation batches; an empty list where there are no validation frames."""
         return [] if self.validation_sampler is None else self._batches(self.validation_sampler, None, None)
+
+    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
+        """Return the files of the first and the second images of a training batch."""
+        rank, world_size = self.share()
+        mine = len(self.sampler) // world_size
+        rows = slice(batch * self._batch_size, min((batch + 1) * self._batch_size, mine))
+        pairs = self.sampler.epoch(epoch, rank, world_size).take(rows)
+        files = self.sampler.frames.path
+        return {"first": files[pairs.first], "second": files[pairs.second]}
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
         """Apply the augmentation that was put off until the batch is on the device."""

@@ -143,6 +143,8 @@ class Pace(Callback):
 class Curves(Checkpoint):
     """Write a row per epoch of everything that is logged per epoch into a CSV file, and a line to the screen.
 
+    They say which epoch is the best, and whether it is time to stop.
+
     The rows are kept in the checkpoint, so that the file of a resumed run is the file of a run that never stopped. It
     counts as a checkpoint callback because those come last: after the module has logged its epoch.
 
@@ -150,10 +152,11 @@ class Curves(Checkpoint):
         run: of the training.
         monitor: the figure by which the best epoch is chosen; None where nothing is validated.
         pace: of the training.
+        patience: epochs without a better one after which the training stops; it never does if None.
     """
 
-    def __init__(self, run: Run, monitor: str | None, pace: Pace) -> None:
-        self._run, self._monitor, self._pace = run, monitor, pace
+    def __init__(self, run: Run, monitor: str | None, pace: Pace, patience: int | None = None) -> None:
+        self._run, self._monitor, self._pace, self._patience = run, monitor, pace, patience
         self._rows: list[dict[str, float]] = []
         self._start = (0.0, 0)
         self._events_before = set(run.tensorboard.glob("events.*"))
@@ -161,6 +164,7 @@ class Curves(Checkpoint):
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Note when and where the training begins, and which file TensorBoard's logger has opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
+        trainer.should_stop |= self._stale()
         if trainer.is_global_zero:
             self._run.record_written(set(self._run.tensorboard.glob("events.*")) - self._events_before)
 
@@ -170,6 +174,7 @@ class Curves(Checkpoint):
             return
         values = {key: float(value) for key, value in trainer.callback_metrics.items() if "/" in key}
         self._rows.append({"epoch": trainer.current_epoch, "step": trainer.global_step, **values})
+        trainer.should_stop |= self._stale()
         if trainer.is_global_zero:
             self._write()
             self._say(trainer, values)
@@ -178,14 +183,16 @@ class Curves(Checkpoint):
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Sum up, unless the training was stopped before its end."""
-        if not trainer.is_global_zero or trainer.current_epoch < (trainer.max_epochs or 0):
+        early = self._stale() and len(self._rows) < (trainer.max_epochs or 0)
+        if not trainer.is_global_zero or not (early or trainer.current_epoch >= (trainer.max_epochs or 0)):
             return
         parts = [f"trained in {(time.monotonic() - self._start[0]) / 60:.1f} min"]
-        name = self._monitor
-        if name is not None and (found := [(row[name], int(row["epoch"])) for row in self._rows if name in row]):
-            best = max if name in HIGHER_IS_BETTER else min
-            value, epoch = best(found, key=lambda pair: pair[0])  # the first of equals, as the checkpoint
-            parts.append(f"best epoch {epoch + 1} by {name} {value:.4f}")
+        if early:
+            epochs = f"epoch {len(self._rows)} of {trainer.max_epochs}"
+            parts.append(f"stopped early after {epochs}, none of the last {self._patience} was better")
+        if (best := self._best()) is not None:
+            value, epoch = best
+            parts.append(f"best epoch {epoch + 1} by {self._monitor} {value:.4f}")
         if math.isfinite(self._pace.images_per_second):
             parts.append(f"{self._pace.images_per_second:.0f} images/s")
             if pl_module.device.type == "cpu":
@@ -199,6 +206,21 @@ class Curves(Checkpoint):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over the rows of a checkpoint."""
         self._rows = list(state_dict["rows"])
+
+    def _best(self) -> tuple[float, int] | None:
+        """Return the best figure and its epoch, the first of equals, as the checkpoint."""
+        name = self._monitor
+        found = [(row[name], int(row["epoch"])) for row in self._rows if name in row] if name is not None else []
+        if not found:
+            return None
+        return (max if name in HIGHER_IS_BETTER else min)(found, key=lambda pair: pair[0])
+
+    def _stale(self) -> bool:
+        """Say whether as many epochs as the patience have brought nothing better."""
+        best = self._best()
+        if self._patience is None or best is None:
+            return False
+        return int(self._rows[-1]["epoch"]) - best[1] >= self._patience
 
     def _say(self, trainer: Trainer, values: dict[str, float]) -> None:
         start, first = self._start

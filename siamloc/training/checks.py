@@ -107,8 +107,14 @@ def monitored(settings: Training, train: FrameTable, validated: FrameTable | Non
 
     Raises:
         DataError: frames with neither positions nor rooms, by which the validation could be judged.
+        ConfigError: `patience` where nothing is validated.
     """
     if validated is None:
+        if settings.patience is not None:
+            raise ConfigError(
+                f"patience={settings.patience} counts epochs without a better validation, and nothing is validated: "
+                "give validation frames, or leave patience out"
+            )
         return None
     if not isinstance(settings.pairs, PlaceSettings):
         return "val/loss"

@@ -8,7 +8,8 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -30,13 +31,16 @@ from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
-from siamloc.settings import takes
+from siamloc.settings import checked, takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, Pace, checkpoint_callbacks
 from siamloc.training.checks import check_loss, check_network, check_rooms, monitored, usable
+from siamloc.training.debug import Debug, debug_training
+from siamloc.training.guard import FiniteGuard
 from siamloc.training.place_batches import PlaceDataModule
-from siamloc.training.run_folder import check_folder, check_same_training, finished_epochs, open_run
+from siamloc.training.run_folder import KEPT, check_debug, check_folder, check_same_training, open_run, progress
 from siamloc.training.settings import Training
+from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks
 
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
@@ -61,6 +65,7 @@ def fit(
     resume: bool = False,
     overwrite: bool = False,
     protocol: Mapping[str, Any] | None = None,
+    debug: Debug | None = None,
     settings: Training,
 ) -> Run:
     """Train a network on pairs of frames, or on batches of places, in place.
@@ -87,6 +92,10 @@ def fit(
         resume: go on from the last checkpoint of the run; only `epochs`, `workers` and the place of files may differ.
         overwrite: replace a run: what siamloc wrote into the folder is removed, all other files stay.
         protocol: who does what in the data, as plain values for the record; the sequences of the frames if None.
+        debug: look at the training instead, and leave the network as it is: "one_batch" makes a single step, and says
+            what shapes, figures and times it has; "overfit" learns one batch by heart, and says whether the loss goes
+            down as it should; "profile" says where the time of a step goes, and writes a trace into the run. Nothing
+            else is written.
         settings: the fields of `Training` together, instead of one keyword each: epochs, batch_size, seed, workers,
             pairs, optimizer, margin, augment_where.
 
@@ -95,9 +104,11 @@ def fit(
 
     Raises:
         ConfigError: settings that have no meaning or contradict each other, a folder that holds a run or other files,
-            a run of other settings to resume, or a training that diverges.
+            a run of other settings to resume, or a training whose loss or gradient is not finite: its batch is kept in
+            the run as `bad_batch.npz`, see `siamloc.training.guard`.
         DataError: frames that give no pairs, or images that the network cannot take.
-        KeyboardInterrupt: the user stopped it; the checkpoint of the last finished epoch is there.
+        KeyboardInterrupt: the user stopped it. It ended its step and wrote a checkpoint before; a second Ctrl-C stops
+            at once, and leaves the checkpoint that was there.
         StorageError: the disk is full or refuses.
 
     Example:
@@ -117,7 +128,10 @@ def fit(
     """
     run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
     first = process_rank() == 0
-    if first:
+    debug = checked(debug, Debug | None, "debug")
+    if debug is not None:
+        check_debug(run, debug, resume)
+    elif first:
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
@@ -141,6 +155,10 @@ def fit(
         check_same_training(run, plain(used), settings.epochs)
     if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
         network.train()
+    if debug is not None:
+        with _quiet(), _fast_layout(network, used["trainer"]["precision"] == "auto"):
+            debug_training(debug, module, data, run, used, partial(_debug_trainer, trainer))
+        return run
     with _quiet():
         lightning = _trainer(run, settings, trainer, monitor)
         if first:
@@ -243,13 +261,14 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
     """Make the trainer of a run: checkpoints, curves and TensorBoard lie in the run's folder.
 
     Raises:
-        ConfigError: arguments that Lightning refuses.
+        ConfigError: arguments that Lightning refuses, or that are set here.
     """
-    options = {**TRAINER, **(further or {})}
-    if options.get("precision") == "auto":
-        options["precision"] = _fast_precision(str(options["accelerator"]))
+    options = dict(further or {})
     pace = Pace()
-    callbacks = [*_listed(options.pop("callbacks", None)), _Seeds(settings.seed), pace, Curves(run, monitor, pace)]
+    guard = FiniteGuard(run)
+    own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
+    callbacks = [*_listed(options.pop("callbacks", None)), *own_callbacks]
+    steps = StepCheckpoints(run.checkpoints / "last.ckpt", settings.checkpoint_every, guard)
     if settings.average is not None:
         callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:
@@ -258,7 +277,7 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
         "logger": TensorBoardLogger(run.folder, name="tensorboard", version=""),
-        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor)],
+        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor), steps],
         "plugins": [*_listed(options.pop("plugins", None)), AtomicCheckpoints()],
         "num_sanity_val_steps": 0,
         "limit_val_batches": 1.0 if monitor else 0,
@@ -268,6 +287,25 @@ def _trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, mo
     if taken:
         raise ConfigError(f"trainer.{taken[0]} is set by siamloc itself: leave it out")
     options.setdefault("enable_progress_bar", sys.stderr.isatty())
+    return _made(options, own)
+
+
+def _debug_trainer(further: Mapping[str, Any] | None, **own: Any) -> Trainer:
+    """Make a trainer on the device of the training that keeps nothing, with callbacks of its own only."""
+    quiet = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
+    own = {**dict.fromkeys(quiet, False), "num_sanity_val_steps": 0, **own}
+    return _made({name: value for name, value in (further or {}).items() if name not in own}, own)
+
+
+def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
+    """Make a trainer.
+
+    Raises:
+        ConfigError: arguments that Lightning refuses.
+    """
+    options = {**TRAINER, **options}
+    if options.get("precision") == "auto":
+        options["precision"] = _fast_precision(str(options["accelerator"]))
     try:
         return Trainer(**options, **own)
     except (MisconfigurationException, TypeError, ValueError, RuntimeError) as error:
@@ -294,19 +332,24 @@ def _train(
     """
     handler = signal.getsignal(signal.SIGINT)
     try:
-        with torch.random.fork_rng(devices=[]):
+        steps = next(one for one in trainer.checkpoint_callbacks if isinstance(one, StepCheckpoints))
+        # Among several processes one could stop a step before the others, which would wait for it.
+        asking = first_interrupt_asks(steps) if trainer.world_size == 1 else nullcontext()
+        with torch.random.fork_rng(devices=[]), asking:
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
     except SystemExit as error:
         # Lightning ignores further Ctrl-C and leaves the interpreter with status 1.
         if not trainer.interrupted:
             raise
         signal.signal(signal.SIGINT, handler)
-        done = finished_epochs(run)
-        text = f"stopped after {done} of {trainer.max_epochs} epochs: go on with resume=true, run={run.folder}"
+        done, more = progress(run)
+        within = f" and {more} of {trainer.num_training_batches} steps" if more else ""
+        text = f"stopped after {done} of {trainer.max_epochs} epochs{within}: go on with resume=true, run={run.folder}"
         print(text, file=sys.stderr, flush=True)
         raise KeyboardInterrupt(text) from error
     except Exception:
-        if start is None and not any(run.checkpoints.glob("*.ckpt")) and process_rank() == 0:
+        nothing = not any((*run.checkpoints.glob("*.ckpt"), *run.folder.glob(KEPT)))
+        if start is None and nothing and process_rank() == 0:
             run.discard()  # a loss that fails at once must not block the folder for the next call
         raise
     finally:
@@ -314,14 +357,14 @@ def _train(
 
 
 class _Seeds(Callback):
-    """Seed the random generator that layers such as dropout draw from, by the seed and the epoch."""
+    """Seed the random generator that layers such as dropout draw from, by the seed, the epoch and the batch."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
 
-    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         """Seed it."""
-        key = content_key([self._seed, trainer.current_epoch, trainer.global_rank], 15)
+        key = content_key([self._seed, trainer.current_epoch, batch_idx, trainer.global_rank], 15)
         torch.manual_seed(int(key, 16))
 
 
@@ -349,8 +392,15 @@ def _quiet() -> Iterator[None]:
     """Keep what Lightning says about itself off the screen; warnings that concern the user stay."""
     loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
     levels = [logger.level for logger in loggers]
+    unfounded = (
+        "LeafSpec",
+        "many workers",
+        "smaller than the logging interval",
+        "is not empty",
+        "before the epoch ended",
+    )
     with warnings.catch_warnings():
-        for text in ("LeafSpec", "does not have many workers", "smaller than the logging interval", "is not empty"):
+        for text in unfounded:
             warnings.filterwarnings("ignore", message=f".*{text}")
         for logger in loggers:
             logger.setLevel(logging.WARNING)

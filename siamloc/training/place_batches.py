@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
@@ -129,6 +130,11 @@ class PlaceDataModule(EpochDataModule):
             return []
         known, queries = (_evenly(frames) for frames in (self.sampler.frames, self._validation))
         return self.loader(_ValidationBatches(self.library, known, queries), None)
+
+    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
+        """Return the files of the images of a training batch."""
+        rows = self.sampler.batch(epoch, batch, *self.share())
+        return {"images": self.sampler.frames.path[rows]}
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
         """Apply the augmentation that was put off until the batch is on the device."""

@@ -18,8 +18,23 @@ _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
     *("training.epochs", "training.workers", "training.augment_where"),
+    *("training.checkpoint_every", "training.patience"),
 )
 _LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
+
+KEPT = "bad_batch*.npz"
+"""Files of a run that hold a batch which stopped a training."""
+
+
+PROFILE = "profile.json"
+"""Trace of some steps, which `debug=profile` writes."""
+EPOCH_SUMS = "epoch_sums"
+"""Key of a checkpoint within an epoch: what each process has summed up since the epoch began."""
+
+
+def bad_batch(rank: int) -> str:
+    """Name the file that keeps such a batch of a process."""
+    return KEPT.replace("*", f"_{rank}" if rank else "")
 
 
 def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
@@ -27,8 +42,7 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
     if resume and overwrite:
         raise ConfigError("resume=true goes on with a run, overwrite=true throws it away: choose one")
     if run.record.is_file():
-        run.load_record()
-        if not resume and not overwrite:
+        if not resume and not overwrite and not _only_profiled(run):
             raise ConfigError(
                 f"{run.folder} holds a run already: go on with it by resume=true, replace it by overwrite=true, "
                 "or choose another run="
@@ -42,12 +56,26 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
         )
     elif run.folder.exists() and not run.folder.is_dir():
         raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
-    foreign = run.foreign(names_written(validated=True))
+    kept = [path.name for pattern in (KEPT, PROFILE) for path in run.folder.glob(pattern)]
+    foreign = run.foreign([*names_written(validated=True), *kept])
     if foreign:
         raise ConfigError(
             f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "
             "or choose another run="
         )
+
+
+def check_debug(run: Run, debug: str, resume: bool) -> None:
+    """Refuse to look at a training that is resumed, and to write a profile over anything that is not a run."""
+    if resume:
+        raise ConfigError(f"debug={debug} looks at a training from its start: leave out resume=true")
+    if debug == "profile":
+        check_folder(run, resume=False, overwrite=run.record.is_file())
+
+
+def _only_profiled(run: Run) -> bool:
+    """Say whether all that a run holds is the trace of `debug=profile`."""
+    return set(run.load_record()["written"]) == {PROFILE}
 
 
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
@@ -78,10 +106,11 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
                     f"{key}={new.get(key)}: leave it out, or train another run"
                 )
-    done = finished_epochs(run)
-    if done > epochs:
-        raise ConfigError(f"{run.folder} has {done} epochs already, more than epochs={epochs}: ask for more epochs")
-    if done == 0:
+    done, steps = progress(run)
+    if done + (steps > 0) > epochs:
+        has = f"{done} epochs already" if not steps else f"begun epoch {done + 1} already"
+        raise ConfigError(f"{run.folder} has {has}, more than epochs={epochs}: ask for more epochs")
+    if done == steps == 0:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
 
 
@@ -92,10 +121,15 @@ def _whole(model: Mapping[str, Any]) -> dict[str, Any]:
     return {"outputs": None, "circular": False, "normalize": branch_spec(model["branch"]).normalize, **model}
 
 
-def finished_epochs(run: Run) -> int:
-    """Count the epochs that the last checkpoint holds."""
+def progress(run: Run) -> tuple[int, int]:
+    """Count the epochs that the last checkpoint holds, and the steps of the epoch after them."""
     last = run.checkpoints / "last.ckpt"
-    return int(read_checkpoint(last, mmap=True)["epoch"]) + 1 if last.is_file() else 0
+    if not last.is_file():
+        return 0, 0
+    content = read_checkpoint(last, mmap=True)
+    if EPOCH_SUMS not in content:
+        return int(content["epoch"]) + 1, 0
+    return int(content["epoch"]), int(content["loops"]["fit_loop"]["epoch_loop.batch_progress"]["current"]["processed"])
 
 
 def _flat(prefix: str, value: Any) -> dict[str, Any]:
@@ -111,9 +145,12 @@ def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool
         record = run.load_record()
         run.start(used, record["written"])
     else:
-        if run.record.is_file():
+        names = names_written(validated=validated)
+        if run.record.is_file() and _only_profiled(run):
+            names.append(PROFILE)
+        elif run.record.is_file():
             run.clear()
-        run.start(used, names_written(validated=validated))
+        run.start(used, names)
     run.clear_temporaries()
 
 

@@ -28,6 +28,10 @@ class Training(Settings):
         margin: of the contrastive loss; a loss of your own has its own.
         clip: length that the gradient is cut to; not cut if None.
         average: decay of the moving average of the weights, which is what is kept; no average if None.
+        patience: epochs without a better validation after which the training stops early; it never does if None. A
+            one-cycle schedule ends with the last epoch, so that a training which stops before it has hardly settled.
+        checkpoint_every: steps after which the last checkpoint is written within an epoch as well; at the end of each
+            epoch, and when the training is stopped, if None.
         augment_where: "cpu": pictures are changed where batches are gathered; "gpu": after they have come to the
             device.
 
@@ -45,6 +49,8 @@ class Training(Settings):
     margin: Positive = 2.0
     clip: Positive | None = None
     average: Probability | None = None
+    patience: Count | None = None
+    checkpoint_every: Count | None = None
     augment_where: Literal["cpu", "gpu"] = "cpu"
 
     def __post_init__(self) -> None:

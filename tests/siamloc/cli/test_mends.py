@@ -175,3 +175,18 @@ def test_the_help_names_every_key(command, capsys):
     if command in ("train", "evaluate"):
         assert "data=cold|folder|freiburg_sim|manifest" in shown
         assert {"data.manifest", "data.root", "build.omega", "protocol.leave_one_out", "loss.margin"} <= set(shown)
+
+
+def test_a_training_is_looked_at_by_a_key_and_stops_by_one(manifest, tmp_path, capsys):
+    given = ["train", *words(manifest), *TRAIN, f"run={tmp_path / 'run'}"]
+    assert main([*given, "debug=one_batch"]) == 0
+    said = capsys.readouterr()
+    assert "one batch, of which nothing is kept" in said.err
+    assert "checkpoint" not in said.out
+    assert not (tmp_path / "run").exists()
+    assert main([*given, "debug=on"]) == 2
+    assert "debug must be overfit or one_batch or profile, or null" in capsys.readouterr().err
+    assert main([*given, "patience=2"]) == 2
+    assert "patience=2 counts epochs without a better validation" in capsys.readouterr().err
+    assert main([*given, "checkpoint_every=0"]) == 2
+    assert "checkpoint_every must be a whole number from 1" in capsys.readouterr().err

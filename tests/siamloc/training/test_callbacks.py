@@ -13,9 +13,11 @@ from contextlib import contextmanager
 import pytest
 import torch
 
-from siamloc.errors import StorageError
+import siamloc
+from siamloc.errors import ConfigError, StorageError
 from siamloc.runs import Run
 from siamloc.training.callbacks import AtomicCheckpoints
+from tests.siamloc.training.test_place_batches import SETTINGS
 
 # Writes a checkpoint and is stopped for ever where the whole file would get its name.
 KILLED = """
@@ -90,3 +92,35 @@ def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path):
         file.touch()
     run.clear_temporaries()
     assert set(run.checkpoints.iterdir()) == kept
+
+
+class Fixed(torch.nn.Module):
+    """A network whose descriptors, and so the figures of its validation, never change."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.ones(1))
+
+    def forward(self, panorama):
+        return torch.nn.functional.normalize(panorama[:, :, :1].flatten(1) * (1 + 0 * self.weight))
+
+
+def test_a_training_without_progress_stops_early_and_says_so(images, drives, tmp_path, capfd):
+    def fit(**more):
+        options = {"validation": drives[1], "run": tmp_path / "run", "epochs": 9, **SETTINGS, **more}
+        options["pairs"] = {**SETTINGS["pairs"], "epoch_batches": 1}
+        return siamloc.training.fit(Fixed(), images, drives[0], **options)
+
+    assert fit(patience=2).curves()["epoch"].tolist() == [0, 1, 2]
+    said = capfd.readouterr().err
+    assert "stopped early after epoch 3 of 9, none of the last 2 was better, best epoch 1 by val/error" in said
+    # It has said its last word, unless it is given more time.
+    assert len(fit(patience=2, resume=True).curves()["epoch"]) == 3
+    assert len(fit(patience=4, resume=True).curves()["epoch"]) == 5
+    assert "stopped early after epoch 5 of 9" in capfd.readouterr().err
+
+
+def test_patience_needs_a_validation(images, drives, tmp_path):
+    with pytest.raises(ConfigError, match="patience=3 counts epochs without a better validation, and nothing is valid"):
+        siamloc.training.fit(Fixed(), images, drives[0], run=tmp_path / "run", patience=3, **SETTINGS)
+    assert not (tmp_path / "run").exists()

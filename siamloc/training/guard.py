@@ -1,0 +1,145 @@
+"""`FiniteGuard`: stop a training whose loss or gradient is not finite, and keep the batch that did it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import ConfigError, StorageError
+from siamloc.files import atomic_path
+from siamloc.models.module import NetworkModule
+from siamloc.runs import Run
+from siamloc.training.batches import EpochDataModule
+from siamloc.training.run_folder import bad_batch
+
+ensure_torchvision()
+from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
+
+
+@dataclass
+class _Step:
+    """A step whose figures may still be on their way from the device: mean loss, largest gradient."""
+
+    batch: Mapping[str, Any]
+    epoch: int
+    number: int
+    figures: Tensor
+    arrived: torch.cuda.Event | None
+
+
+class FiniteGuard(Callback):
+    """Stop before weights are updated by what is not finite; the checkpoint before stays as it was.
+
+    The batch is kept in the run as `bad_batch.npz` (of further processes as `bad_batch_1.npz` and so on): the images
+    as the network saw them, what the loss got besides, `epoch` and `batch`, both from 0, `loss`, and the paths of the
+    frames as `first_path` and `second_path`, or `images_path`. `numpy.load` reads it.
+
+    On a GPU the figures of a step are read during the next one, so that no step waits for them.
+
+    Args:
+        run: of the training.
+
+    Raises:
+        ConfigError: a loss or a gradient is not finite.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._batch: Mapping[str, Any] = {}
+        self._loss = torch.zeros(())
+        self._pending: list[_Step] = []
+
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
+        """Take down what is learned from."""
+        self._batch = batch
+
+    def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
+        """Take down the loss."""
+        self._loss = loss.detach()
+
+    def on_after_backward(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Look at the loss and at the gradient, of all processes together, so that all of them stop."""
+        grads = [weight.grad for weight in pl_module.parameters() if weight.grad is not None]
+        if not grads or getattr(trainer.precision_plugin, "scaler", None) is not None:
+            largest = torch.zeros_like(self._loss)  # in half precision the scaler deals with a gradient too large
+        else:
+            largest = torch.nn.utils.get_total_norm(grads, norm_type=float("inf"))
+        figures = torch.stack([self._loss.reshape(()).float(), largest.float()])
+        if trainer.world_size > 1:
+            figures = trainer.strategy.reduce(figures, reduce_op="mean")
+        arrived = None
+        if figures.is_cuda:
+            figures = torch.empty(2, pin_memory=True).copy_(figures, non_blocking=True)
+            arrived = torch.cuda.Event()
+            arrived.record()
+        number = trainer.fit_loop.epoch_loop.batch_idx
+        self._pending.append(_Step(self._batch, trainer.current_epoch, number, figures, arrived))
+        self.settle(trainer, pl_module, later=0 if arrived is None else 1)
+
+    def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Look at what is left before a checkpoint is chosen."""
+        self.settle(trainer, pl_module)
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Look at what is left before a checkpoint is written."""
+        self.settle(trainer, pl_module)
+
+    def settle(self, trainer: Trainer, pl_module: LightningModule, later: int = 0) -> None:
+        """Look at all steps but so many of the latest.
+
+        Raises:
+            ConfigError: the loss or the gradient of one is not finite.
+        """
+        while len(self._pending) > later:
+            step = self._pending.pop(0)
+            if step.arrived is not None:
+                step.arrived.synchronize()
+            if not bool(torch.isfinite(step.figures).all()):
+                self._pending.clear()
+                raise self._stopped(trainer, pl_module, step)
+
+    def _stopped(self, trainer: Trainer, pl_module: LightningModule, step: _Step) -> ConfigError:
+        """Keep the batch, and return the error that names its file."""
+        loss = float(step.figures[0])
+        what = f"the loss is {loss}"
+        if np.isfinite(loss):
+            what = f"the gradient is not finite (the loss is {loss:.4g})"
+        sign = f"{what} in epoch {step.epoch + 1}, step {step.number + 1}"
+        try:
+            kept = f"its batch is kept in {self._keep(trainer, step, loss)}"
+        except StorageError as error:
+            kept = f"its batch could not be kept: {error}"
+        if step.epoch == 0 and step.number == 0:
+            return ConfigError(
+                f"{sign}, before anything was learned: look for what the network and the loss make of this batch "
+                f"that is not a number; {kept}"
+            )
+        assert isinstance(pl_module, NetworkModule)
+        return pl_module.diverged(f"{sign}; {kept}")
+
+    def _keep(self, trainer: Trainer, step: _Step, loss: float) -> Path:
+        """Write the batch of this process into the run."""
+        if trainer.is_global_zero:
+            self._run.record_written(bad_batch(rank) for rank in range(trainer.world_size))
+        arrays = {name: _array(value) for name, value in step.batch.items() if isinstance(value, Tensor)}
+        data = getattr(trainer, "datamodule", None)
+        if isinstance(data, EpochDataModule):
+            arrays |= {f"{name}_path": paths for name, paths in data.paths(step.epoch, step.number).items()}
+        path = self._run.folder / bad_batch(trainer.global_rank)
+        with atomic_path(path) as temporary:
+            numbers = {"epoch": step.epoch, "batch": step.number, "loss": loss}
+            np.savez_compressed(temporary, allow_pickle=False, **arrays, **numbers)
+        return path
+
+
+def _array(value: Tensor) -> NDArray[Any]:
+    whole = value.detach().cpu()
+    return (whole.float() if whole.dtype == torch.bfloat16 else whole).numpy()

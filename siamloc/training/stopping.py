@@ -1,0 +1,137 @@
+"""`StepCheckpoints`: checkpoints within an epoch, from which a training goes on with the very next batch."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import ConfigError
+from siamloc.models.module import NetworkModule
+from siamloc.training.guard import FiniteGuard
+from siamloc.training.run_folder import EPOCH_SUMS
+
+ensure_torchvision()
+from lightning.pytorch import LightningModule, Trainer  # noqa: E402
+from lightning.pytorch.callbacks import Checkpoint  # noqa: E402
+
+
+class StepCheckpoints(Checkpoint):
+    """Write the last checkpoint every so many steps, and when the training is to stop.
+
+    A training that goes on from there ends with the same weights, curves and chosen checkpoint, bit by bit, as one
+    that never stopped: batches, their augmentation and dropout follow from the numbers of the epoch and the batch, and
+    the checkpoint holds what was summed up since the epoch began. At the end of an epoch nothing is written here, since
+    the checkpoint of the epoch follows.
+
+    Args:
+        path: of the checkpoint.
+        every: so many steps of the optimizer; only when the training is to stop if None.
+        guard: has its say before anything is written.
+
+    Attributes:
+        asked: whether the training is to stop, at the end of a step.
+    """
+
+    def __init__(self, path: Path, every: int | None, guard: FiniteGuard) -> None:
+        self.asked = False
+        self._path, self._every, self._guard = path, every, guard
+        self._due = self._saving = False
+        self._sums: dict[str, Tensor] = {}
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Go on with the sums of the epoch."""
+        if self._sums and isinstance(pl_module, NetworkModule):
+            pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Write the checkpoint where it is due.
+
+        Raises:
+            KeyboardInterrupt: the training was asked to stop.
+        """
+        self._due |= self._every is not None and trainer.global_step % self._every == 0
+        asked = self.asked or (trainer.received_sigterm and trainer.world_size == 1)
+        loop = trainer.fit_loop.epoch_loop
+        fetcher = trainer.fit_loop._data_fetcher
+        assert fetcher is not None
+        # In the middle of other things the trainer cannot begin again.
+        busy = loop._num_ready_batches_reached() or loop._should_accumulate() or loop._should_check_val_fx(fetcher)
+        if busy or not (self._due or asked):
+            return
+        self._guard.settle(trainer, pl_module)
+        self._saving = True
+        try:
+            trainer.save_checkpoint(self._path)
+        finally:
+            self._saving = self._due = False
+        if self.asked:
+            raise KeyboardInterrupt
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Stop after the checkpoint of the epoch, if the training was asked to and goes on otherwise.
+
+        Raises:
+            KeyboardInterrupt: the training was asked to stop.
+        """
+        self._due = False
+        if self.asked and trainer.current_epoch + 1 < (trainer.max_epochs or 0):
+            raise KeyboardInterrupt
+
+    def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        """Give a checkpoint within an epoch what each process has summed up."""
+        if not self._saving or not isinstance(pl_module, NetworkModule):
+            return
+        mine = {name: value.cpu() for name, value in pl_module.epoch_sums().items()}
+        sums: list[Any] = [mine]
+        if trainer.world_size > 1:
+            sums = [None] * trainer.world_size
+            torch.distributed.all_gather_object(sums, mine)
+        checkpoint[EPOCH_SUMS] = sums
+
+    def on_load_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        """Take over the sums of this process.
+
+        Raises:
+            ConfigError: so many processes cannot go on in the middle of this epoch.
+        """
+        sums = checkpoint.get(EPOCH_SUMS)
+        if sums is None:
+            return
+        if len(sums) != trainer.world_size:
+            raise ConfigError(
+                f"the last checkpoint lies within an epoch of {len(sums)} processes, whose batches are others than "
+                f"those of {trainer.world_size}: resume with trainer.devices={len(sums)}"
+            )
+        self._sums = sums[trainer.global_rank]
+
+
+@contextmanager
+def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
+    """Let the first Ctrl-C end the training after its step, with a checkpoint, and a second one at once."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before is not signal.default_int_handler:
+        yield
+        return
+
+    def ask(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        checkpoints.asked = True
+        with suppress(RuntimeError):  # the signal came while something was printed
+            print("stopping after this step; Ctrl-C again stops at once", file=sys.stderr, flush=True)
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

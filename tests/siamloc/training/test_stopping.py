@@ -1,0 +1,140 @@
+"""A training that is stopped within an epoch ends as one that never was, bit by bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+import siamloc
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import ConfigError
+from siamloc.models.checkpoint import read_checkpoint
+from siamloc.training.run_folder import progress
+from siamloc.training.stopping import StepCheckpoints
+from tests.siamloc.training.test_place_batches import SETTINGS
+
+ensure_torchvision()
+from lightning.pytorch import Callback  # noqa: E402
+
+STEPS = 6
+CASES = {
+    "places": {
+        **SETTINGS,
+        "pairs": {"places": 4, "images": 2, "epoch_batches": STEPS},
+        "optimizer": {"name": "adamw", "schedule": "one_cycle"},
+        "average": 0.9,
+        "clip": 1.0,
+        "augmentation": "lighting",
+    },
+    "pairs": {"batch_size": 5, "pairs": {"epoch_pairs": 28}, "optimizer": {"name": "adam"}, "augmentation": "lighting"},
+}
+
+
+class Own(torch.nn.Module):
+    """A network with dropout."""
+
+    def __init__(self):
+        super().__init__()
+        torch.manual_seed(0)
+        self.layers = torch.nn.Sequential(
+            torch.nn.AdaptiveAvgPool2d((4, 8)), torch.nn.Flatten(), torch.nn.Dropout(), torch.nn.Linear(96, 8)
+        )
+
+    def forward(self, panorama):
+        return torch.nn.functional.normalize(self.layers(panorama))
+
+
+class Stop(Callback):
+    """Does something at the end of a batch, before checkpoints are written."""
+
+    def __init__(self, step, action):
+        self.step, self.action = step, action
+
+    def on_train_batch_start(self, trainer, *_):
+        if trainer.global_step == self.step:
+            self.action()
+
+
+class Killed(BaseException):
+    pass
+
+
+def kill():
+    raise Killed
+
+
+def same(one, other):
+    assert one.metrics.read_text() == other.metrics.read_text()
+    for which in ("best", "last"):
+        a, b = (read_checkpoint(run.checkpoint(which)) for run in (one, other))
+        assert a["epoch"] == b["epoch"]
+        for part in ("state_dict", "current_model_state"):
+            mine, theirs = a.get(part, {}), b.get(part, {})
+            assert mine.keys() == theirs.keys()
+            assert all(torch.equal(mine[name], theirs[name]) for name in mine)
+
+
+@pytest.fixture
+def train(images, drives, tmp_path):
+    def call(name, kind, *callbacks, **more):
+        options = {"validation": drives[1], "epochs": 3, **CASES[kind], **more}
+        trainer = {"accelerator": "cpu", "callbacks": list(callbacks)}
+        return siamloc.training.fit(Own(), images, drives[0], run=tmp_path / name, trainer=trainer, **options)
+
+    return call
+
+
+@pytest.mark.parametrize("kind", CASES)
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_killed_training_goes_on_from_the_checkpoint_within_the_epoch(train, tmp_path, kind, workers):
+    whole = train("whole", kind, workers=workers)
+    options = {"checkpoint_every": 2, "workers": workers}
+    with pytest.raises(Killed):
+        train("cut", kind, Stop(STEPS + 5, kill), **options)
+    run = siamloc.training.Run(tmp_path / "cut")
+    assert progress(run) == (1, 4)
+    same(whole, train("cut", kind, resume=True, **options))
+
+
+@pytest.mark.parametrize(("step", "kept"), [(2, (0, 3)), (STEPS - 1, (1, 0))])
+def test_ctrl_c_ends_the_step_and_the_training_goes_on_there(train, tmp_path, capfd, step, kept):
+    """In the last step of an epoch the validation and the checkpoint of the epoch come first."""
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        whole = train("whole", "places")
+        with pytest.raises(KeyboardInterrupt):
+            train("cut", "places", Stop(step, lambda: os.kill(os.getpid(), signal.SIGINT)))
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    run = siamloc.training.Run(tmp_path / "cut")
+    assert progress(run) == kept
+    said = capfd.readouterr().err
+    assert "stopping after this step; Ctrl-C again stops at once" in said
+    steps = f" and {kept[1]} of {STEPS} steps" if kept[1] else ""
+    assert f"stopped after {kept[0]} of 3 epochs{steps}: go on with resume=true, run={run.folder}" in said
+    with pytest.raises(ConfigError, match="was laid out for 3 epochs"):
+        train("cut", "places", resume=True, epochs=4)
+    same(whole, train("cut", "places", resume=True))
+
+
+def test_sigterm_leaves_a_checkpoint_too(train, tmp_path):
+    whole = train("whole", "pairs")
+    with pytest.raises(KeyboardInterrupt):
+        train("cut", "pairs", Stop(STEPS + 2, lambda: os.kill(os.getpid(), signal.SIGTERM)))
+    assert progress(siamloc.training.Run(tmp_path / "cut")) == (1, 3)
+    with pytest.raises(ConfigError, match="has begun epoch 2 already, more than epochs=1"):
+        train("cut", "pairs", resume=True, epochs=1)
+    same(whole, train("cut", "pairs", resume=True))
+
+
+def test_another_number_of_processes_cannot_go_on_within_an_epoch(tmp_path):
+    checkpoints = StepCheckpoints(tmp_path / "last.ckpt", None, None)
+    trainer = SimpleNamespace(world_size=2)
+    checkpoints.on_load_checkpoint(trainer, None, {})
+    with pytest.raises(ConfigError, match=r"within an epoch of 1 processes.*resume with trainer\.devices=1"):
+        checkpoints.on_load_checkpoint(trainer, None, {"epoch_sums": [{}]})
