@@ -256,7 +256,7 @@ def demo(config: DictConfig) -> None:
     _step("simulate", [*mini, "runs=[cloudy1,night1,sunny1]", "preview=true"])
     here = [f"run={run.folder}"]
     _step("train", ["experiment=demo", f"data.root={data / 'mini'}", f"seed={config.seed}", *overwrite, *here])
-    _step("map", [*here, "heading=hog"])
+    _step("map", here)
     _step("evaluate", [*here, "task.radii=[0.5]", "task.baselines=[hog,thumbnail,untrained]", "task.error_model=true"])
     _step("export", here)
     photograph = image_files(next((data / "mini").glob("part_*/*night2/omni_cam")))[0]

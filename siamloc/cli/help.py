@@ -98,7 +98,8 @@ COMMANDS = {
         protocol.map.every=5            or protocol.map.spacing=0.5
         descriptor=hog|gist|wisurf|...  something else than the trained network
         heading=hog|fs|gist|radon_fourier
-                                        what gives headings for a network; heading.step=4 halves its part of the map
+                                        what gives headings for a network that finds none itself (fourier with
+                                        circular=true does); heading.step=4 halves its part of the map
         build=incremental|spectral|som|sample|rooms
                                         group the frames into nodes as well, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` shows them
@@ -147,7 +148,7 @@ COMMANDS = {
         "write the model file for the robot",
         """
         Writes a bundle: the network as ONNX (any batch size), the map, and how images are prepared; and compares its
-        output with the network's. With a map made with heading=hog the robot knows its heading, and after an
+        output with the network's. With a map that holds headings the robot knows its own, and after an
         evaluation with task.error_model=true its expected error and whether it is lost.
 
         run=FOLDER      the run

@@ -136,7 +136,7 @@ def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
         found["data"] = {**known.made["data"], "unit": known.unit}
     if "role" in known.made:
         found["protocol.map"] = known.made["role"]
-    if known.heading is not None:  # only columns that are a full turn give headings
+    if known.heading is not None and not known.heading.own:  # only columns that are a full turn give headings
         found["heading"] = {key: value for key, value in known.heading.identity.items() if key != "circular"}
     return found
 

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
+from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps.heading import HeadingPart, WithHeading
+from siamloc.maps.heading import HeadingPart, NetworkHeading, WithHeading
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
 
@@ -34,7 +35,8 @@ def build(
         described_by: a network (B, 3, H, W) -> (B, D), or any descriptor, or the name of an analytic one such as "hog".
         images: panoramas of the frames.
         frames: those of the map; the ones whose image cannot be read are left out.
-        heading: what finds headings where `described_by` does not: a descriptor, or the name of an analytic one.
+        heading: what finds headings beside a network: an analytic descriptor, or its name. If None, a network with the
+            head `fourier` that wraps around finds them itself, others find none.
         device: where descriptors are computed, such as "cuda"; where they are if None.
         made: further plain values for the record (`VisualMap.made`).
         progress: whether to show how far the work is.
@@ -65,7 +67,11 @@ def build(
         raise ConfigError(
             f"{turning.name} gives no heading: choose another one, such as hog, gist, fs or radon_fourier"
         )
+    if isinstance(turning, BetweenColumns):
+        raise ConfigError("a network finds headings only in the map that it describes itself: leave heading out")
     both = by if turning is None else WithHeading(by, turning)
+    if turning is None and images.circular and isinstance(by, BetweenColumns) and by.tells_heading:
+        turning = NetworkHeading()
     readable = images.readable(frames)
     if not len(readable):
         raise DataError(f"none of the images of the {len(frames)} map frames could be read")
@@ -82,7 +88,7 @@ def build(
         by.default_distance,
         unit=readable.unit,
         made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **(made or {})},
-        orientation=described.orientation if turning is None else None,
+        orientation=None if turning is not None or isinstance(by, BetweenColumns) else described.orientation,
         heading=part,
         describes=by,
     )

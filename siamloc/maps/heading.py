@@ -1,4 +1,4 @@
-"""Headings in a map whose own descriptor gives none, such as a network: an analytic descriptor adds them."""
+"""Headings in a map of a network: by the orientation parts of the network, or of an analytic descriptor beside it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description, Descriptor, Thumbnail, descriptor
+from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.errors import ConfigError, DataError
 from siamloc.files import plain
 
@@ -19,13 +20,14 @@ _EXPONENT = 14
 
 @dataclass(frozen=True, eq=False)
 class HeadingPart:
-    """What an analytic descriptor keeps of a map's frames to find headings by.
+    """What a network, or an analytic descriptor beside it, keeps of a map's frames to find headings by.
 
     Values are in half precision, those of each frame scaled by a power of two that brings the largest one to
     2^13 ... 2^14: a heading is the turn of the largest correlation, which no scale changes.
 
     Attributes:
-        identity: name and parameters of the descriptor, as plain values.
+        identity: name and parameters of the analytic descriptor, as plain values; {"name": "network"} for what the
+            network that describes the map gives itself.
         values: (n, K, F) float16, or (n, K, F, 2) for complex ones; read-only.
 
     Raises:
@@ -68,6 +70,11 @@ class HeadingPart:
         return len(self.values)
 
     @property
+    def own(self) -> bool:
+        """Whether the descriptor of the map gives it, in one pass with the position part."""
+        return self.identity.get("name") == NetworkHeading.name
+
+    @property
     def orientation(self) -> NDArray[Any]:
         """The orientation parts (n, K, F) up to their scale, float32 or complex64."""
         full = self.values.astype(np.float32)
@@ -79,12 +86,12 @@ class HeadingPart:
 
     @cached_property
     def descriptor(self) -> Descriptor:
-        """The descriptor, on the CPU; it loads torch only when it describes an image.
+        """What compares: the analytic descriptor, on the CPU, which loads torch only when it describes an image.
 
         Raises:
             AnalyticError: a descriptor or a parameter that this version does not know.
         """
-        return descriptor_of(self.identity)
+        return NetworkHeading() if self.own else descriptor_of(self.identity)
 
 
 def descriptor_of(identity: Mapping[str, Any]) -> Descriptor:
@@ -96,6 +103,32 @@ def descriptor_of(identity: Mapping[str, Any]) -> Descriptor:
     options = {key: value for key, value in identity.items() if key != "images"}
     name = options.pop("name", "")
     return Thumbnail(**options) if name == Thumbnail.name else descriptor(name, **options)
+
+
+class NetworkHeading(BetweenColumns):
+    """Headings by the orientation parts that a network made, without the network: it compares them, and needs no torch.
+
+    Example:
+        >>> seen = np.random.default_rng(0).random((1, 16, 8))
+        >>> known, turned = (Description(np.zeros((1, 1)), np.roll(seen, columns, axis=1)) for columns in (0, 4))
+        >>> np.degrees(NetworkHeading().relative_heading(turned, known))
+        array([90.])
+    """
+
+    name: ClassVar[str] = "network"
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The name alone: which network it was stands in the identity of the map."""
+        return {"name": self.name}
+
+    def describe(self, batch: ArrayLike) -> Description:
+        """Refuse: only the network describes images.
+
+        Raises:
+            ConfigError: always.
+        """
+        raise ConfigError("orientation parts by a network come from the network: describe images with known.describer")
 
 
 class WithHeading(Descriptor):

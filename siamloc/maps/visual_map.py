@@ -40,7 +40,8 @@ class VisualMap:
         unit: what x and y count; that of the frames if None is given.
         made: what its frames were read from, as plain values; for the record only.
         orientation: (n, K, F) by which headings are found, read-only; None for a descriptor that has no such part.
-        heading: by what another descriptor finds headings, where this one cannot; None if that is not wanted.
+        heading: by what headings are found where the descriptors do not hold it: what a network gives besides, or
+            another descriptor; None if there is nothing.
         describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which makes an analytic one
             from the identity, and `with_descriptor`.
 
@@ -130,7 +131,9 @@ class VisualMap:
     @cached_property
     def describer(self) -> Descriptor:
         """What describes queries together with what their headings are found by."""
-        return self.descriptor if self.heading is None else WithHeading(self.descriptor, self.heading.descriptor)
+        if self.heading is None or self.heading.own:
+            return self.descriptor
+        return WithHeading(self.descriptor, self.heading.descriptor)
 
     @property
     def aligned(self) -> bool:
@@ -210,13 +213,13 @@ class VisualMap:
         return replace(self, describes=descriptor)
 
     def with_heading(self, heading: Descriptor | None) -> VisualMap:
-        """Return the map that gives headings by this descriptor, or none at all.
+        """Return the map that gives headings by this descriptor; if None, by its own alone, where it has any.
 
         Raises:
             ConfigError: the map holds nothing of this descriptor.
         """
         if heading is None:
-            return replace(self, heading=None)
+            return self if self.heading is None or self.heading.own else replace(self, heading=None)
         held, wanted = None if self.heading is None else self.heading.identity, plain(heading.identity)
         if held == wanted:
             return self

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,16 +12,20 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from analytic.descriptors.base import Description, Descriptor
+from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.losses import ContrastiveLoss
-from siamloc.models.network import state_hash
+from siamloc.models.network import Network, state_hash
 
 CHUNK = 64
 _ROUNDING = 1e-3
 
 
-class NetworkDescriptor(Descriptor):
+class NetworkDescriptor(BetweenColumns):
     """Describe images with a network, in evaluation mode and full precision.
+
+    A network with the head `fourier` that wraps around the azimuth finds headings as well: the phases of its features
+    along the azimuth say how far the robot has turned; see `siamloc.models.orientation`.
 
     Attributes:
         module: the network, (B, 3, H, W) floating point in [0, 1] -> (B, D). Its weights are read at each call, and
@@ -39,8 +43,8 @@ class NetworkDescriptor(Descriptor):
 
     @property
     def tells_heading(self) -> bool:
-        """Always False: a network gives no orientation."""
-        return False
+        """Whether the network finds headings: with the head `fourier` and circular=True."""
+        return _orienting(self.module) is not None
 
     @property
     def margin(self) -> float | None:
@@ -65,7 +69,11 @@ class NetworkDescriptor(Descriptor):
         Raises:
             DataError: another shape, type or range.
         """
-        return Description(position=describe(self.module, batch, chunk))
+        network = _orienting(self.module)
+        if network is None:
+            return Description(describe(self.module, batch, chunk))
+        position, orientation = _described(network, network.with_orientation, batch, chunk)
+        return Description(position, orientation)
 
 
 def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | None = None) -> Descriptor:
@@ -145,11 +153,24 @@ def describe(network: nn.Module, batch: Any, chunk: int = CHUNK) -> NDArray[np.f
     Raises:
         DataError: another shape or type, values that are not finite or outside [0, 1].
     """
+    return _described(network, lambda images: (network(images),), batch, chunk)[0]
+
+
+def _described(
+    network: nn.Module, describes: Callable[[Tensor], tuple[Tensor, ...]], batch: Any, chunk: int
+) -> list[NDArray[np.float32]]:
+    """Return what a network gives for images, chunk by chunk, in evaluation mode and full precision."""
     images = _as_images(batch)
     parameter = next(network.parameters(), torch.empty(0))
     with evaluating(network), torch.autocast(device_type=parameter.device.type, enabled=False):
-        parts = [network(_ready(part, parameter)).float().cpu() for part in images.split(chunk)]
-    return torch.cat(parts).numpy()
+        parts = [[one.float().cpu() for one in describes(_ready(part, parameter))] for part in images.split(chunk)]
+    return [torch.cat(given).numpy() for given in zip(*parts, strict=True)]
+
+
+def _orienting(module: nn.Module) -> Network | None:
+    """Return the network that finds headings in a module that is or holds one; None if it does not."""
+    network = getattr(module, "network", module)
+    return network if isinstance(network, Network) and network.orientation is not None else None
 
 
 def _as_images(batch: Any) -> Tensor:

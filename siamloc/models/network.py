@@ -16,6 +16,7 @@ from siamloc.errors import ConfigError, DataError, hint
 from siamloc.models.circular import circular as around
 from siamloc.models.heads import Fourier, GeneralizedMean, make_head
 from siamloc.models.normalization import by_image, by_surroundings
+from siamloc.models.orientation import Orientation
 from siamloc.models.panoresnet import ResidualBlock, residual_features
 from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
 from siamloc.models.weights import fill, find_weights
@@ -117,6 +118,7 @@ class Network(nn.Module):
         head: the `Head`.
         image_size: (H, W) in pixels.
         grid: rows and columns of the features that the head sees.
+        orientation: what finds headings, where the branch wraps around and the head is `fourier`; else None.
         settings: the arguments of `build` that made it, as plain values.
     """
 
@@ -136,6 +138,9 @@ class Network(nn.Module):
         self.grid = shape[1:]
         self.branch = Branch(branch, circular, normalize)
         self.head = make_head(head, shape, outputs)
+        self.orientation: Orientation | None = None
+        if circular and isinstance(self.head, Fourier) and shape[2] > 1:
+            self.orientation = Orientation(*finer_features(branch, image_size), (2 * shape[1], 2 * shape[2]))
 
     @property
     def outputs(self) -> int:
@@ -174,6 +179,20 @@ class Network(nn.Module):
         if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
             self._check(panorama)
         return self.head(self.branch(panorama))
+
+    def with_orientation(self, panorama: Tensor) -> tuple[Tensor, Tensor]:
+        """Return descriptors (B, D) and orientation parts (B, K, F) of panoramas in one pass; see `Orientation`.
+
+        Raises:
+            ConfigError: a network that finds no headings.
+            DataError: as `forward`.
+        """
+        if self.orientation is None:
+            raise ConfigError("this network finds no headings: build one with the head 'fourier' and circular=True")
+        if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
+            self._check(panorama)
+        finer, features = self.branch.both(panorama, self.orientation.level)
+        return self.head(features), self.orientation(finer)
 
     def _check(self, panorama: Tensor) -> None:
         rows, columns = self.image_size
@@ -229,11 +248,20 @@ class Branch(nn.Module):
 
     def forward(self, panorama: Tensor) -> Tensor:
         """Return the features of panoramas (B, 3, H, W) in [0, 1]."""
+        return self.features(self.normalized(panorama))
+
+    def both(self, panorama: Tensor, level: int) -> tuple[Tensor, Tensor]:
+        """Return what the first layers give, that many of them, and the features, in one pass."""
+        first = self.features[:level](self.normalized(panorama))
+        return first, self.features[level:](first)
+
+    def normalized(self, panorama: Tensor) -> Tensor:
+        """Return panoramas (B, 3, H, W) in [0, 1] as the first layer gets them."""
         if self.normalize == "channels":
-            return self.features((panorama - self.mean) / self.std)
+            return (panorama - self.mean) / self.std
         if self.normalize == "image":
-            return self.features(by_image(panorama))
-        return self.features(by_surroundings(panorama, self.circular, colours=self.normalize == "local"))
+            return by_image(panorama)
+        return by_surroundings(panorama, self.circular, colours=self.normalize == "local")
 
 
 @lru_cache(maxsize=256)
@@ -251,6 +279,23 @@ def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False
             f"it needs at least {rows} x {columns}"
         )
     return shape
+
+
+@lru_cache(maxsize=64)
+def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[int, int, int]]:
+    """Return where a branch that wraps around has features of at least twice as many columns as it gives.
+
+    Returns:
+        How many layers give the last such features, 0 for the image itself; and their channels, rows and columns.
+    """
+    layers = list(_weightless(name, True))
+    with torch.no_grad():
+        found = [torch.empty(1, 3, *image_size, device="meta")]
+        for layer in layers:
+            found.append(layer(found[-1]))
+    level = max(number for number, one in enumerate(found) if one.shape[3] >= 2 * found[-1].shape[3])
+    channels, rows, columns = found[level].shape[1:]
+    return level, (channels, rows, columns)
 
 
 @lru_cache(maxsize=64)
@@ -298,7 +343,7 @@ def _initialize(network: Network, seed: int) -> None:
                     module.weight /= (2 * network.outputs) ** 0.5
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
-        elif isinstance(module, (Fourier, GeneralizedMean)):
+        elif isinstance(module, (Fourier, GeneralizedMean, Orientation)):
             module.reset()
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")

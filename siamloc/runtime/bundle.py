@@ -72,7 +72,7 @@ class Bundle:
 
     @property
     def heading(self) -> Path | None:
-        """What finds headings, as ONNX; None if there is none."""
+        """What finds headings beside the network, as ONNX; None if there is none, or the network finds them."""
         return self._file(_HEADING)
 
     @property
@@ -89,7 +89,7 @@ class Bundle:
         if self.map is None:
             return f"{first}\nthe robot gets descriptors alone: there is no map to locate images in"
         gets = ["position"]
-        if self.heading is not None:
+        if self.about.get("heading") is not None:
             gets.append(f"heading (by {self.about['heading']['identity']['name']})")
         if self.errors is not None:
             lost = self.about["errors"].get("lost_above")
@@ -194,7 +194,9 @@ def export(
             if known is not None:
                 known.save(fresh / _MAP)
                 files.append(_MAP)
-            if known is not None and known.heading is not None:
+            if known is not None and known.heading is not None and known.heading.own:
+                heading = {"identity": known.heading.identity, "parity": exported["parity"]["orientation"]}
+            elif known is not None and known.heading is not None:
                 parity = export_heading(known.heading.descriptor, fresh / _HEADING, image_size)
                 heading = {"identity": known.heading.identity, "parity": parity}
                 files.append(_HEADING)

@@ -134,7 +134,7 @@ class Localizer:
         start = time.perf_counter()
         panorama = self._panorama(image)
         pixels = panorama[None].astype(np.float32) / np.float32(255)
-        descriptor = self._session.run(None, {"panorama": pixels})[0]
+        descriptor, *orientation = self._session.run(None, {"panorama": pixels})
         found = self.map.search(descriptor, max(self._top, self._errors.neighbours if self._errors else 1))
         frames = self.map.frames
         candidates = tuple(
@@ -152,7 +152,7 @@ class Localizer:
         return Location(
             x=best.x,
             y=best.y,
-            theta=self._theta(pixels, descriptor, found),
+            theta=self._theta(pixels, descriptor, orientation, found),
             room=best.room,
             error_m=error,
             lost=lost,
@@ -160,12 +160,19 @@ class Localizer:
             ms=1000 * (time.perf_counter() - start),
         )
 
-    def _theta(self, pixels: NDArray[np.float32], descriptor: NDArray[np.float32], found: Retrieval) -> float:
+    def _theta(
+        self,
+        pixels: NDArray[np.float32],
+        descriptor: NDArray[np.float32],
+        orientation: list[NDArray[np.float32]],
+        found: Retrieval,
+    ) -> float:
         """Return the heading by the nearest map frame, NaN if there is none."""
-        if self._heading is None:
+        if self._heading is not None:
+            orientation = self._heading.run(None, {"panorama": pixels})
+        if self.map.heading is None or not orientation:
             return math.nan
-        seen = Description(descriptor, self._heading.run(None, {"panorama": pixels})[0])
-        return float(headings(self.map, seen, found)[0, 0])
+        return float(headings(self.map, Description(descriptor, orientation[0]), found)[0, 0])
 
     def _expected_error(self, descriptor: NDArray[np.float32], found: Retrieval) -> tuple[float, bool | None]:
         """Return the expected error and whether it means lost, by the map frames that have a position."""

@@ -21,6 +21,7 @@ from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.files import atomic_path, file_hash, storage_errors
 from siamloc.models import SiameseModule
 from siamloc.models.describing import evaluating, identity_of
+from siamloc.models.network import Network
 
 FORMAT, HEADING_FORMAT = "siamloc-network", "siamloc-heading"
 FORMAT_VERSION = 1
@@ -28,6 +29,7 @@ INPUT, OUTPUT, HEADING_OUTPUT = "panorama", "descriptor", "orientation"
 TOLERANCE, HEADING_TOLERANCE = 1e-4, 1e-3
 OPSET = 20
 ONE_FILE_BYTES = 2**31 - 2**24  # protobuf ends at 2 GiB; the graph next to the weights takes a little
+_WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 _HEADING_IMAGES = 4
 _LUMA = (0.299, 0.587, 0.114)
 
@@ -35,11 +37,11 @@ _LUMA = (0.299, 0.587, 0.114)
 def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int]) -> dict[str, Any]:
     """Write a network as an ONNX file.
 
-    The file takes `panorama` (B, 3, H, W) float32 in [0, 1] and gives `descriptor` (B, D); B is free, and whatever
-    normalization the network has is inside. Its metadata hold the format, its version, and the network's identity as
-    JSON. All is in one file, except that weights of 2 GB and more, which ONNX cannot hold, lie next to it in
-    `<name>.data`. The file gets its name only after `parity` has passed, in evaluation mode; the network keeps its
-    mode.
+    The file takes `panorama` (B, 3, H, W) float32 in [0, 1] and gives `descriptor` (B, D), and `orientation` (B, K, F)
+    where the network finds headings; B is free, and whatever normalization the network has is inside. Its metadata hold
+    the format, its version, and the network's identity as JSON. All is in one file, except that weights of 2 GB and
+    more, which ONNX cannot hold, lie next to it in `<name>.data`. The file gets its name only after `parity` has
+    passed, in evaluation mode; the network keeps its mode.
 
     Args:
         network: (B, 3, H, W) -> (B, D), such as `siamloc.models.build` makes; its weights must be float32.
@@ -62,7 +64,8 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
     example = torch.zeros(2, 3, rows, columns)  # an example of 1 would fix the batch to 1
     with evaluating(network):
         network(example)  # a wrong size fails here, in the network's own words
-    program = _program(network, example, OUTPUT, dynamic_shapes=({0: torch.export.Dim("batch")},))
+    graph, outputs = _graph(network)
+    program = _program(graph, example, *outputs, dynamic_shapes=({0: torch.export.Dim("batch")},))
     _label(program, FORMAT, identity)
     size = sum(tensor.nbytes for tensor in network.state_dict().values())
     if size < ONE_FILE_BYTES:
@@ -117,7 +120,8 @@ def parity(
 
     Returns:
         `max_abs_difference`, `max_abs_value`, `max_relative_difference` (the first over the second, or the
-        first itself where the network gives zeros only), `tolerance`, `batches`, `seed`, `onnxruntime` (its version).
+        first itself where the network gives zeros only), `tolerance`, `batches`, `seed`, `onnxruntime` (its version);
+        `orientation`, the first three of the orientation parts, where the network finds headings.
 
     Raises:
         FormatError: a file that onnxruntime cannot run.
@@ -127,34 +131,61 @@ def parity(
 
     network = _on_cpu(network)
     session = _session(path)
+    graph, outputs = _graph(network)
     rows, columns = session.get_inputs()[0].shape[2:]
     generator = np.random.default_rng(seed)
-    difference = value = 0.0
+    difference, value = np.zeros(len(outputs)), np.zeros(len(outputs))
     with evaluating(network):
         for batch in batches:
             images = generator.random((batch, 3, rows, columns), dtype=np.float32)
-            expected = network(torch.from_numpy(images)).numpy()
-            got = session.run([OUTPUT], {INPUT: images})[0]
-            if got.shape != expected.shape:
-                raise SiamlocError(f"{path} gives descriptors of shape {got.shape} for {expected.shape}: do not use it")
+            found = graph(torch.from_numpy(images))
+            expected = [one.numpy() for one in (found if isinstance(found, tuple) else (found,))]
+            got = session.run(None, {INPUT: images})
+            shapes = [[one.shape for one in given] for given in (got, expected)]
+            if shapes[0] != shapes[1]:
+                said = [" and ".join(map(str, given)) for given in shapes]
+                raise SiamlocError(f"{path} gives descriptors of shape {said[0]} for {said[1]}: do not use it")
             # np.maximum carries a NaN on, where the built-in max may drop it.
-            difference = float(np.maximum(difference, np.abs(got - expected).max()))
-            value = float(np.maximum(value, np.abs(expected).max()))
-    relative = difference / value if value > 0 else difference
-    if not difference <= tolerance * max(1.0, value):
-        raise SiamlocError(
-            f"the descriptors of {path} differ by {difference:.3g} from the network's, {relative:.3g} of the largest "
-            f"value {value:.3g} (tolerance {tolerance:g}): do not use the file"
+            apart = [np.abs(one - other).max() for one, other in zip(got, expected, strict=True)]
+            difference = np.maximum(difference, apart)
+            value = np.maximum(value, [np.abs(one).max() for one in expected])
+    reports = []
+    for name, most, largest in zip(outputs, difference.tolist(), value.tolist(), strict=True):
+        relative = most / largest if largest > 0 else most
+        if not most <= tolerance * max(1.0, largest):
+            raise SiamlocError(
+                f"the {_WORDS[name]} of {path} differ by {most:.3g} from the network's, {relative:.3g} of the largest "
+                f"value {largest:.3g} (tolerance {tolerance:g}): do not use the file"
+            )
+        reports.append(
+            {"max_abs_difference": most, "max_abs_value": largest, "max_relative_difference": relative},
         )
     return {
-        "max_abs_difference": difference,
-        "max_abs_value": value,
-        "max_relative_difference": relative,
+        **reports[0],
         "tolerance": tolerance,
         "batches": list(batches),
         "seed": seed,
         "onnxruntime": onnxruntime.__version__,
+        **dict(zip(outputs[1:], reports[1:], strict=True)),
     }
+
+
+class _Both(nn.Module):
+    """Descriptor and orientation part of a network that finds headings, as the graph of an ONNX file."""
+
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, panorama: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.network.with_orientation(panorama)
+
+
+def _graph(network: nn.Module) -> tuple[nn.Module, tuple[str, ...]]:
+    """Return what goes into the file of a network, and the names of what it gives."""
+    if isinstance(network, Network) and network.orientation is not None:
+        return _Both(network), (OUTPUT, HEADING_OUTPUT)
+    return network, (OUTPUT,)
 
 
 class _Orientation(nn.Module):
@@ -273,7 +304,7 @@ def heading_parity(descriptor: Descriptor, path: str | Path, seed: int = 0) -> d
     }
 
 
-def _program(module: nn.Module, example: torch.Tensor, output: str, **options: Any) -> Any:
+def _program(module: nn.Module, example: torch.Tensor, *outputs: str, **options: Any) -> Any:
     """Trace a module in evaluation mode; afterwards every part has the mode it had before."""
     training = [(part, part.training) for part in module.modules()]
     module.eval()
@@ -284,7 +315,7 @@ def _program(module: nn.Module, example: torch.Tensor, output: str, **options: A
                 (example,),
                 dynamo=True,
                 input_names=[INPUT],
-                output_names=[output],
+                output_names=list(outputs),
                 opset_version=OPSET,
                 verbose=False,
                 **options,

@@ -239,3 +239,31 @@ def test_a_heading_that_cannot_be_exported_is_said_at_the_export(finished, tmp_p
     assert "heading=gist with these parameters cannot be exported for the robot" in error
     assert error.count("\n") == 1
     assert (run / "bundle/bundle.json").read_text() == before
+
+
+def test_a_network_that_finds_headings_needs_no_heading_key(flat, tmp_path, capsys):
+    run = tmp_path / "run"
+    siamloc(
+        *["train", "data=manifest", f"data.manifest={flat}", f"data.cache={flat.parent / 'cache'}", f"run={run}"],
+        *["model/branch=panoresnet", "model/head=fourier", "model.circular=true", "data.image_size=[32,128]"],
+        *["pairs=room", "epochs=1", "batch_size=8", "trainer.accelerator=cpu"],
+        *["protocol.train.sequences=[cloudy1]", "protocol.validation.sequences=[night1]"],
+    )
+    siamloc("map", f"run={run}")
+    assert "headings: by network, 2048 bytes a frame" in capsys.readouterr().out
+    siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]")
+    results = json.loads((run / "evaluation/network/results.json").read_text())
+    assert results["heading"] == {"name": "network"}
+    assert results["measures"]["absolute"]["overall"]["heading_error"]["count"] == 24
+    siamloc("export", f"run={run}")
+    assert "heading (by network)" in capsys.readouterr().out
+    siamloc("localize", f"run={run}", f"images=[{flat.parent / 'cloudy2'}]")
+    queries = {Path(row["path"]).name: row for row in table(run / "evaluation/network/queries.csv")}
+    pairs = [(row, queries[Path(row["image"]).name]) for row in table(run / "locations.csv")]
+    same = [(here, there) for here, there in pairs if here["match"] == there["match_path"]]
+    assert len(same) >= 23, "the exported network differs by rounding only"
+    for here, there in same:
+        apart = math.remainder(float(here["theta"]) - float(there["est_theta"]), math.tau)
+        assert abs(apart) <= 1.01 * math.tau / 1024
+    assert main(["evaluate", f"run={run}", *QUICK, "heading=hog"]) == 2
+    assert "the map gives headings by network, not by hog" in capsys.readouterr().err

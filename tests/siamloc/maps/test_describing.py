@@ -14,6 +14,8 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import CoarseLayer, HierarchicalSearch, VisualMap, build, describe, headings, match
+from siamloc.models import as_descriptor
+from siamloc.models import build as build_network
 from tests.drawn import ROOMS, draw_panorama
 
 SIZE = (32, 128)
@@ -121,3 +123,52 @@ def test_ranking_settings_that_make_no_sense(images):
         HierarchicalSearch(known, layer, by="vote", candidates=0)
     with pytest.raises(DataError, match="frames in the same order"):
         HierarchicalSearch(known, layer, coarse=known.take([1, 0, 2, 3, 4, 5]), by="vote")
+
+
+def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
+    frames, library = images
+    network = build_network("panoresnet", "fourier", SIZE, circular=True)
+    known = build(network, library, frames, progress=False)
+    assert known.orientation is None
+    assert known.heading.own
+    assert known.heading.values.dtype == np.float16
+    assert known.describer is known.descriptor
+    seen = Description.concatenate(list(describe(known, library, library.readable(frames))))
+    found = match(known, seen)
+    np.testing.assert_array_equal(found.indices[:, 0], np.arange(6))
+    np.testing.assert_allclose(headings(known, seen, found)[:, 0], known.frames.theta, atol=1e-9)
+
+    known.save(tmp_path / "map.npz")
+    bare = VisualMap.load(tmp_path / "map.npz")
+    np.testing.assert_array_equal(bare.heading.values, known.heading.values)
+    np.testing.assert_array_equal(headings(bare, seen, found), headings(known, seen, found))  # without the network
+    with pytest.raises(ConfigError, match="come from the network: describe images with known"):
+        bare.heading.descriptor.describe(library.batch([0]))
+    assert bare.with_heading(None) is bare
+    with pytest.raises(ConfigError, match="gives headings by network, not by hog: make it again"):
+        bare.with_heading(analytic.descriptor("hog"))
+    loaded = VisualMap.load(tmp_path / "map.npz", as_descriptor(network))
+    np.testing.assert_array_equal(headings(loaded, seen, found), headings(known, seen, found))
+    # What gives headings changes neither the map nor how its frames are grouped.
+    assert known.digest == build(network, library, frames, heading="hog", progress=False).digest
+
+
+def test_another_descriptor_can_be_chosen_for_the_headings_of_a_network(images):
+    frames, library = images
+    network = build_network("panoresnet", "fourier", SIZE, circular=True)
+    known = build(network, library, frames, heading="hog", progress=False)
+    assert known.heading.identity["name"] == "hog"
+    assert not known.heading.own
+    with pytest.raises(ConfigError, match="a network finds headings only in the map that it describes itself"):
+        build("hog", library, frames, heading=as_descriptor(network), progress=False)
+    other = build(build_network("panoresnet", "flat", SIZE, circular=True), library, frames, progress=False)
+    assert other.heading is None
+
+
+def test_columns_that_do_not_wrap_around_give_no_headings(images, tmp_path):
+    frames, _ = images
+    flat = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, circular=False)
+    network = build_network("panoresnet", "fourier", SIZE, circular=True)
+    known = build(network, flat, frames, progress=False)
+    assert known.heading is None
+    assert known.orientation is None

@@ -20,6 +20,7 @@ from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import HeadingPart, VisualMap, WithHeading, headings
 from siamloc.maps.error_model import ErrorModel
+from siamloc.maps.heading import NetworkHeading
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export, write_locations
 from tests.drawn import ROOMS, draw_panorama, draw_sequence
@@ -287,3 +288,24 @@ print(json.dumps([location.x, location.y, location.theta, location.error_m, loca
     assert done.returncode == 0, done.stderr
     here = Localizer(bundle).locate(drive(2)[0][3])
     assert json.loads(done.stdout) == pytest.approx([here.x, here.y, here.theta, here.error_m, here.lost])
+
+
+def test_a_network_that_finds_headings_needs_nothing_beside_it(tmp_path):
+    network = as_descriptor(build("panoresnet", "fourier", SIZE, circular=True))
+    pictures, frames = drive(0)
+    seen = network.describe(pictures.transpose(0, 3, 1, 2))
+    part = HeadingPart.of(NetworkHeading(), seen.orientation)
+    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part, describes=network)
+    bundle = export(network, known, tmp_path / "bundle")
+    assert bundle.heading is None
+    assert bundle.about["heading"]["identity"] == {"name": "network"}
+    assert bundle.about["heading"]["parity"]["max_relative_difference"] <= 1e-4
+    assert "the robot gets: position, heading (by network)" in bundle.summary()
+    queries, _ = drive(1)
+    described = known.describer.describe(queries.transpose(0, 3, 1, 2))
+    found = known.search(described.position)
+    expected = headings(known, described, found)[:, 0]
+    localizer = Localizer(tmp_path / "bundle")
+    step = 2 * np.pi / 1024
+    for picture, theta in zip(queries[:6], expected, strict=False):
+        assert abs(math.remainder(localizer.locate(picture).theta - theta, math.tau)) <= 1.01 * step

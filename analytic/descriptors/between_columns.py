@@ -1,0 +1,66 @@
+"""Headings by orientation parts of few columns, such as a network's: the turn may lie between two of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic.alignment import best_turns, heading
+from analytic.description import Alignment, Description, fft
+from analytic.descriptors.base import Descriptor
+from analytic.errors import AnalyticError
+
+_TURNS = 1024  # at least so many are compared
+_ROWS = 4096  # pairs whose correlations are held at once
+
+
+class BetweenColumns(Descriptor):
+    """Base of descriptors whose orientation part (B, K, F) changes smoothly from column to column.
+
+    The circular correlation of two orientation parts is known between the columns as well: the inverse transform of
+    its K // 2 + 1 frequencies, filled up with zeros, gives it at 1024 turns or a few more, whole columns among them.
+    The relative heading is the turn of the largest one, the aligned distance the Euclidean one at that turn.
+
+    Example:
+        >>> class Columns(BetweenColumns):
+        ...     name = "columns"
+        ...     @property
+        ...     def identity(self):
+        ...         return {"name": self.name}
+        ...     def describe(self, batch):
+        ...         return Description(np.asarray(batch).mean(axis=1), np.asarray(batch), self.identity)
+        >>> azimuth = np.arange(16) * (2 * np.pi / 16)
+        >>> known, turned = (Columns().describe(np.cos(azimuth - turn)[None, :, None]) for turn in (0, 0.5))
+        >>> Columns().relative_heading(turned, known).round(2)
+        array([0.5])
+    """
+
+    def align(self, queries: Description, references: Description) -> Alignment:
+        """Return the relative heading and the aligned distance of every query to every reference; see the class."""
+        self.check(queries, references)
+        columns = self._steps(queries, references)
+        turns = _turns(columns)
+        found = best_turns(queries.spectrum, references.spectrum, turns)
+        product = found.peak * (turns / columns)  # the inverse transform divides by the number of turns
+        squared = queries.squares[:, None] + references.squares[None] - 2 * product
+        return Alignment(heading(found.step, turns), np.sqrt(np.maximum(squared, 0)))
+
+    def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
+        """Return how far the robot of each query has turned left since its reference (B,); see `Descriptor`."""
+        if len(reference) != len(query):
+            return super().relative_heading(query, reference)
+        self.check(query, reference)
+        turns = _turns(self._steps(query, reference))
+        steps = np.zeros(len(query), dtype=np.int64)
+        for start in range(0, len(query), _ROWS):
+            rows = slice(start, start + _ROWS)
+            crossed = (query.spectrum[:, rows] * reference.spectrum[:, rows].conj()).sum(axis=2)
+            steps[rows] = fft().irfft(crossed, n=turns, axis=0).argmax(axis=0)
+        return heading(steps, turns)
+
+
+def _turns(columns: int) -> int:
+    """Return how many turns are compared: some for each column, at least 1024 together."""
+    if columns < 3:
+        raise AnalyticError(f"a turn shows in three columns or more, got {columns}: use wider panoramas")
+    return columns * -(-_TURNS // columns)

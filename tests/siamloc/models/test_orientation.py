@@ -1,0 +1,132 @@
+"""Headings by a network itself: turns come back, and only from networks that wrap around."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import analytic
+from analytic import AnalyticError, Description
+from siamloc.errors import ConfigError
+from siamloc.maps.heading import NetworkHeading
+from siamloc.models import SiameseModule, as_descriptor, build
+from siamloc.models.orientation import VALUES, Orientation
+
+SIZE = (64, 256)
+
+
+def panoramas(count: int = 2, seed: int = 0) -> np.ndarray:
+    """Draw smooth noise that wraps around (count, 3, 64, 256) uint8."""
+    noise = np.random.default_rng(seed).random((count, 3, *SIZE), dtype=np.float32)
+    wide = np.concatenate([noise, noise, noise], axis=3)
+    smooth = np.stack([[cv2.GaussianBlur(one, (0, 0), 4) for one in image] for image in wide])[..., 256:512]
+    low, high = smooth.min(), smooth.max()
+    return ((smooth - low) / (high - low) * 255).astype(np.uint8)
+
+
+def network(branch: str = "panoresnet", head: str = "fourier", circular: bool = True, **options):
+    return build(branch, head, SIZE, circular=circular, seed=1, **options).eval()
+
+
+@pytest.mark.parametrize("branch", ["panoresnet", "simple1", "alexnet", "vgg11", "densenet121"])
+def test_a_turn_by_whole_columns_of_the_features_comes_back_exactly(branch):
+    made = network(branch)
+    descriptor, images = as_descriptor(made), panoramas()
+    column = SIZE[1] // made.grid[1]
+    known = descriptor.describe(images)
+    assert known.orientation.shape == (2, 2 * made.grid[1], VALUES)
+    for columns in (0, 1, -3):
+        turned = descriptor.describe(np.roll(images, columns * column, axis=3))
+        expected = np.full(2, columns * 2 * np.pi / made.grid[1])
+        np.testing.assert_allclose(descriptor.relative_heading(turned, known), expected, atol=1e-9)
+
+
+def test_sign_and_unit_are_those_of_the_analytic_descriptors_and_other_turns_are_near():
+    descriptor, images = as_descriptor(network()), panoramas(3)
+    fs = analytic.descriptor("fs", turns=256)
+    for pixels in (40, -101, 7):
+        turned = np.roll(images, pixels, axis=3)
+        truth = fs.relative_heading(fs.describe(turned), fs.describe(images))
+        np.testing.assert_allclose(truth, pixels * 2 * np.pi / 256)
+        found = descriptor.relative_heading(descriptor.describe(turned), descriptor.describe(images))
+        np.testing.assert_allclose(found, truth, atol=np.radians(3))
+
+
+def test_both_parts_come_from_one_pass_and_the_batch_does_not_matter():
+    made, images = network(), panoramas(5)
+    descriptor = as_descriptor(made)
+    together = descriptor.describe(images)
+    with torch.inference_mode():
+        np.testing.assert_allclose(together.position, made(torch.from_numpy(images) / 255).numpy(), atol=1e-6)
+    alone = Description.concatenate([descriptor.describe(image) for image in images])
+    np.testing.assert_allclose(together.position, alone.position, atol=1e-5)
+    np.testing.assert_allclose(together.orientation, alone.orientation, atol=1e-4)
+    np.testing.assert_allclose(descriptor.describe(images, chunk=2).orientation, together.orientation, atol=1e-4)
+    np.testing.assert_allclose(np.square(together.orientation).mean(axis=(1, 2)), 1, rtol=1e-4)
+    inside = as_descriptor(SiameseModule(made))
+    assert inside.tells_heading
+    np.testing.assert_array_equal(inside.describe(images).orientation, together.orientation)
+
+
+def test_orientation_is_mixed_and_averaged_over_neighbouring_columns():
+    part = Orientation(0, (3, 4, 8), (2, 8))
+    part.reset()
+    features = torch.rand(2, 3, 4, 8, generator=torch.Generator().manual_seed(3))
+    rows = features.numpy().reshape(2, 3, 2, 2, 8).mean(axis=3).reshape(2, 6, 8)
+    assert set(part.signs.unique().tolist()) == {-1.0, 1.0}
+    expected = np.einsum("fc,bck->bkf", part.signs.numpy(), rows)
+    expected = expected + np.roll(expected, 1, axis=1)
+    expected -= expected.mean(axis=1, keepdims=True)
+    expected /= np.sqrt(np.square(expected).mean(axis=(1, 2), keepdims=True))
+    np.testing.assert_allclose(part(features).numpy(), expected, atol=1e-5)
+
+
+def test_the_turn_of_all_pairs_is_that_of_each_pair():
+    descriptor = as_descriptor(network())
+    queries, references = descriptor.describe(panoramas(3, 1)), descriptor.describe(panoramas(3, 2))
+    found = descriptor.align(queries, references)
+    by_rows = descriptor.relative_heading(queries, references)
+    np.testing.assert_array_equal(np.diag(found.heading), by_rows)
+    np.testing.assert_array_equal(found.heading[:, 1], descriptor.relative_heading(queries, references.take([1])))
+    np.testing.assert_array_equal(NetworkHeading().relative_heading(queries, references), by_rows)
+    known = references.orientation
+    direct = [
+        np.linalg.norm(np.roll(queries.orientation[0], -step, axis=0) - known[0]) for step in range(known.shape[1])
+    ]
+    assert found.distance[0, 0] <= min(direct) + 1e-3
+    np.testing.assert_allclose(np.diag(descriptor.align(queries, queries).distance), 0, atol=0.05)
+    with pytest.raises(AnalyticError, match="compared row by row: 3 queries need as many references or one, got 2"):
+        descriptor.relative_heading(queries, references.take([0, 1]))
+
+
+@pytest.mark.parametrize(
+    ("head", "circular"), [("flat", True), ("gem", True), ("fc500_500_5", True), ("fourier", False)]
+)
+def test_other_networks_find_no_headings(head, circular):
+    made = network(head=head, circular=circular)
+    descriptor = as_descriptor(made)
+    assert not descriptor.tells_heading
+    seen = descriptor.describe(panoramas())
+    assert seen.orientation is None
+    with pytest.raises(AnalyticError, match="has no orientation part"):
+        descriptor.relative_heading(seen, seen)
+    with pytest.raises(ConfigError, match="finds no headings: build one with the head 'fourier' and circular=True"):
+        made.with_orientation(torch.zeros(1, 3, *SIZE))
+
+
+def test_nothing_is_added_to_the_weights():
+    made = network()
+    assert not [name for name in made.state_dict() if "orientation" in name]
+    again = network()
+    again.load_state_dict(made.state_dict())
+    images = panoramas()
+    np.testing.assert_array_equal(
+        as_descriptor(made).describe(images).orientation, as_descriptor(again).describe(images).orientation
+    )
+
+
+def test_an_image_without_anything_to_see_gives_finite_values():
+    seen = as_descriptor(network()).describe(np.full((1, 3, *SIZE), 90, np.uint8))
+    assert np.isfinite(seen.orientation).all()
