@@ -44,14 +44,16 @@ def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
     arguments.add_argument("--seeds", type=int, default=3)
+    arguments.add_argument("--runs", type=Path, help="where to keep the networks, for benchmarks.headings")
     arguments.add_argument("--recipes", nargs="+", default=RECIPES, choices=RECIPES)
     options = arguments.parse_args()
     report = Report("recipes", options.out)
     small, large = Building(options.data, RECIPE.image_size), Building(options.data)
     rows: dict[str, list[dict[str, Any]]] = {}
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.runs or Path(temporary)
         for name in options.recipes:
-            rows[name] = [trained(small, name, seed, Path(folder) / f"{name}{seed}") for seed in range(options.seeds)]
+            rows[name] = [trained(small, name, seed, folder / f"{name}{seed}") for seed in range(options.seeds)]
     for name in ANALYTIC:
         rows[name] = [located(large, name)]
     judge(report, rows.get("ours", []))

@@ -28,15 +28,19 @@ import siamloc
 from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, Building, mean_and_range
 from benchmarks.report import Report, hardware, parser
 from siamloc.data import FrameTable
+from siamloc.models.batch_losses import make_loss
 
 RECIPE = siamloc.training.recipe("modern")
-SIGMA = {"positions and rooms": 0.2, "rooms alone": 1.0}
-"""Width of the kernel, in metres and in frames."""
-WAYS: dict[str, dict[str, Any]] = {
-    "positions and rooms": {},
-    "rooms alone": {"pairs": {"by": "sequence", "radius": 1.0, "near": 0.5, "reach": 10.0}},
+WAYS: dict[str, dict[str, dict[str, Any]]] = {
+    "positions and rooms": {"loss": {"room": 0.5}, "pairs": {}},
+    "rooms alone": {
+        "loss": {"room": 0.5, "sigma": 1.0},
+        "pairs": {"by": "sequence", "radius": 1.0, "near": 0.5, "reach": 10.0},
+    },
 }
 LEAST, MOST_COMPARED = 0.99, 0.10
+ALL = "all"
+"""All queries together, and pairs of which each picture may be taken under another light."""
 NODES, CANDIDATES, RATIO = 30, 3, 1.3
 
 
@@ -58,7 +62,7 @@ def main() -> None:
                 print(f"{way}, seed {seed}: {rows[way][-1]}", flush=True)
     for way, found in rows.items():
         for figure in ("rooms", "pairs"):
-            for light in LIGHTINGS:
+            for light in (*LIGHTINGS, ALL):
                 mean = statistics.mean(row[light][figure] for row in found)
                 report.target(f"{way}, {light}: {LEAST:.0%} of the {figure} ({mean:.1%})", mean >= LEAST)
     for number, row in enumerate(row for found in rows.values() for row in found if "layers" in row):
@@ -76,8 +80,8 @@ def trained(building: Building, way: str, seed: int, run: Path) -> Any:
     frames = building.drives(TRAIN)
     if way == "rooms alone":
         frames = FrameTable(path=frames.path, sequence=frames.sequence, room=frames.room, lighting=frames.lighting)
-    loss = siamloc.models.SoftContrastiveLoss(kernel="exponential", sigma=SIGMA[way], room=0.5)
-    RECIPE.fit(network, building.images, frames, run=run, seed=seed, loss=loss, **WAYS[way])
+    loss = make_loss(**{**(RECIPE.loss or {}), **WAYS[way]["loss"]})
+    RECIPE.fit(network, building.images, frames, run=run, seed=seed, loss=loss, pairs=WAYS[way]["pairs"])
     return network
 
 
@@ -86,10 +90,12 @@ def measured(building: Building, network: Any, layers: bool) -> dict[str, Any]:
     known = siamloc.maps.build(network, building.images, building.drives(MAP), progress=False)
     queries = building.drives(QUERIES)
     parts = siamloc.evaluation.rooms(known, building.images, queries).parts
-    rooms, pairs = parts["room_retrieval"]["lighting"], parts["room_pairs"]["lighting"]
+    rooms, pairs = parts["room_retrieval"], parts["room_pairs"]
     found: dict[str, Any] = {
-        light: {"rooms": rooms[light]["accuracy"], "pairs": pairs[light]["overall"]} for light in LIGHTINGS
+        light: {"rooms": rooms["lighting"][light]["accuracy"], "pairs": pairs["lighting"][light]["overall"]}
+        for light in LIGHTINGS
     }
+    found[ALL] = {"rooms": rooms["overall"]["accuracy"], "pairs": pairs["overall"]["overall"]}
     if layers:
         nodes = siamloc.maps.group(known, "spectral", nodes=NODES)
         settings: dict[str, Any] = {"candidates": CANDIDATES, "coarse": {"ratio": RATIO}}
@@ -101,10 +107,10 @@ def measured(building: Building, network: Any, layers: bool) -> dict[str, Any]:
 
 def table(rows: dict[str, list[dict[str, Any]]]) -> str:
     """Return a table of the shares found."""
-    lines = [f"| way | figure | {' | '.join(LIGHTINGS)} |", "|---|---|---|---|---|"]
+    lines = [f"| way | figure | {' | '.join((*LIGHTINGS, ALL))} |", "|---|---|---|---|---|---|"]
     for way, found in rows.items():
         for figure in ("rooms", "pairs"):
-            cells = [mean_and_range([100 * row[light][figure] for row in found], 1) for light in LIGHTINGS]
+            cells = [mean_and_range([100 * row[light][figure] for row in found], 1) for light in (*LIGHTINGS, ALL)]
             lines.append(f"| {way} | {figure} right [%] | {' | '.join(cells)} |")
     return "\n".join(lines)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +42,7 @@ class BetweenColumns(Descriptor):
         self.check(queries, references)
         columns = self._steps(queries, references)
         turns = _turns(columns)
-        found = best_turns(queries.spectrum, references.spectrum, turns)
+        found = best_turns(_filled_up(queries.spectrum, columns, turns), references.spectrum, turns)
         product = found.peak * (turns / columns)  # the inverse transform divides by the number of turns
         squared = queries.squares[:, None] + references.squares[None] - 2 * product
         return Alignment(heading(found.step, turns), np.sqrt(np.maximum(squared, 0)))
@@ -50,13 +52,26 @@ class BetweenColumns(Descriptor):
         if len(reference) != len(query):
             return super().relative_heading(query, reference)
         self.check(query, reference)
-        turns = _turns(self._steps(query, reference))
+        columns = self._steps(query, reference)
+        turns = _turns(columns)
         steps = np.zeros(len(query), dtype=np.int64)
         for start in range(0, len(query), _ROWS):
             rows = slice(start, start + _ROWS)
             crossed = (query.spectrum[:, rows] * reference.spectrum[:, rows].conj()).sum(axis=2)
+            crossed = _filled_up(crossed, columns, turns)
             steps[rows] = fft().irfft(crossed, n=turns, axis=0).argmax(axis=0)
         return heading(steps, turns)
+
+
+def _filled_up(spectrum: NDArray[Any], columns: int, turns: int) -> NDArray[Any]:
+    """Return frequencies (K // 2 + 1, ...) of real signals such that zeros may follow.
+
+    The highest frequency of an even number of columns stands for itself and its negative. Where higher ones follow it
+    has a partner of its own, and each of the two gets half.
+    """
+    if columns % 2 or turns == columns:
+        return spectrum
+    return np.concatenate([spectrum[:-1], spectrum[-1:] / 2])
 
 
 def _turns(columns: int) -> int:

@@ -237,7 +237,8 @@ def further_steps(run: Run, known: VisualMap | None, errors: ErrorModel | None, 
     """Return what the robot could get besides what was exported, and what to do next, in words."""
     lines = []
     if known is not None and known.heading is None:
-        lines.append(f"for a heading as well: siamloc map run={run.folder} heading=hog, then export again")
+        which = "" if known.descriptor.tells_heading else " heading=hog"
+        lines.append(f"for a heading as well: siamloc map run={run.folder}{which}, then export again")
     if known is not None and errors is None:
         if (run.evaluation(label) / "error_model.json").is_file():
             lines.append("error_model.json left out, it was learned on another map")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
 from siamloc.evaluation import absolute
 from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, neighbours
 from siamloc.evaluation.columns import missing_rooms
@@ -25,7 +25,7 @@ from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, rank_by_position
 from siamloc.results import Columns, rows_by_label
-from siamloc.settings import Count, NotNegative, Settings, takes
+from siamloc.settings import Count, NotNegative, Rule, Settings, takes
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,7 @@ class CoarseRanking(Settings):
 
     by: Literal["representatives", "vote"] = "representatives"
     neighbours: Count = 10
-    ratio: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.ratio is not None and (self.ratio < 1 or self.by != "representatives"):
-            raise ConfigError(
-                f"task.coarse.ratio is 1 or more and goes with task.coarse.by=representatives, got {self.ratio} and "
-                f"{self.by}"
-            )
+    ratio: Annotated[float, Rule("a number from 1", lambda value: value >= 1)] | None = None
 
 
 @dataclass(frozen=True)

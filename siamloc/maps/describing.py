@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
-from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.heading import HeadingPart, NetworkHeading, WithHeading
@@ -67,10 +66,11 @@ def build(
         raise ConfigError(
             f"{turning.name} gives no heading: choose another one, such as hog, gist, fs or radon_fourier"
         )
-    if isinstance(turning, BetweenColumns):
+    if turning is not None and turning.name == NetworkHeading.name:
         raise ConfigError("a network finds headings only in the map that it describes itself: leave heading out")
     both = by if turning is None else WithHeading(by, turning)
-    if turning is None and images.circular and isinstance(by, BetweenColumns) and by.tells_heading:
+    by_network = by.name == NetworkHeading.name
+    if turning is None and images.circular and by_network and by.tells_heading:
         turning = NetworkHeading()
     readable = images.readable(frames)
     if not len(readable):
@@ -88,7 +88,7 @@ def build(
         by.default_distance,
         unit=readable.unit,
         made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **(made or {})},
-        orientation=None if turning is not None or isinstance(by, BetweenColumns) else described.orientation,
+        orientation=None if turning is not None or by_network else described.orientation,
         heading=part,
         describes=by,
     )

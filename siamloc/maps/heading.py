@@ -119,8 +119,8 @@ class NetworkHeading(BetweenColumns):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The name alone: which network it was stands in the identity of the map."""
-        return {"name": self.name}
+        """Name and version of how the parts are made: which network it was stands in the identity of the map."""
+        return {"name": self.name, "version": 1}
 
     def describe(self, batch: ArrayLike) -> Description:
         """Refuse: only the network describes images.

@@ -24,8 +24,8 @@ _ROUNDING = 1e-3
 class NetworkDescriptor(BetweenColumns):
     """Describe images with a network, in evaluation mode and full precision.
 
-    A network with the head `fourier` that wraps around the azimuth finds headings as well: the phases of its features
-    along the azimuth say how far the robot has turned; see `siamloc.models.orientation`.
+    A network of `siamloc.models.build` with the head `fourier` and circular=True finds headings as well: its features
+    move along the azimuth as the robot turns, and are compared at all turns; see `siamloc.models.orientation`.
 
     Attributes:
         module: the network, (B, 3, H, W) floating point in [0, 1] -> (B, D). Its weights are read at each call, and
@@ -44,7 +44,7 @@ class NetworkDescriptor(BetweenColumns):
     @property
     def tells_heading(self) -> bool:
         """Whether the network finds headings: with the head `fourier` and circular=True."""
-        return _orienting(self.module) is not None
+        return orienting(self.module) is not None
 
     @property
     def margin(self) -> float | None:
@@ -69,7 +69,7 @@ class NetworkDescriptor(BetweenColumns):
         Raises:
             DataError: another shape, type or range.
         """
-        network = _orienting(self.module)
+        network = orienting(self.module)
         if network is None:
             return Description(describe(self.module, batch, chunk))
         position, orientation = _described(network, network.with_orientation, batch, chunk)
@@ -108,6 +108,20 @@ def identity_of(network: nn.Module) -> dict[str, Any]:
     if isinstance(own, dict):
         return own
     return {"name": "siamese", "class": type(network).__qualname__, "weights": state_hash(network.state_dict())}
+
+
+def network_of(module: nn.Module) -> nn.Module:
+    """Return the network that one of our training modules trains; any other module as it is."""
+    return getattr(module, "trained_network", module)
+
+
+def orienting(module: nn.Module) -> Network | None:
+    """Return the network of a module if it finds headings by itself.
+
+    A subclass of `Network` may describe otherwise than by branch and head, and is none.
+    """
+    network = network_of(module)
+    return network if type(network) is Network and network.orientation is not None else None
 
 
 def margin_of(loss: object) -> float | None:
@@ -165,12 +179,6 @@ def _described(
     with evaluating(network), torch.autocast(device_type=parameter.device.type, enabled=False):
         parts = [[one.float().cpu() for one in describes(_ready(part, parameter))] for part in images.split(chunk)]
     return [torch.cat(given).numpy() for given in zip(*parts, strict=True)]
-
-
-def _orienting(module: nn.Module) -> Network | None:
-    """Return the network that finds headings in a module that is or holds one; None if it does not."""
-    network = getattr(module, "network", module)
-    return network if isinstance(network, Network) and network.orientation is not None else None
 
 
 def _as_images(batch: Any) -> Tensor:

@@ -52,6 +52,11 @@ class NetworkModule(LightningModule):
             )
 
     @property
+    def trained_network(self) -> nn.Module:
+        """The network alone, which describes and is exported in place of the module."""
+        return self.network
+
+    @property
     def identity(self) -> dict[str, Any]:
         """That of the network: see `NetworkDescriptor`."""
         return identity_of(self.network)

@@ -139,8 +139,9 @@ class Network(nn.Module):
         self.branch = Branch(branch, circular, normalize)
         self.head = make_head(head, shape, outputs)
         self.orientation: Orientation | None = None
-        if circular and isinstance(self.head, Fourier) and shape[2] > 1:
-            self.orientation = Orientation(*finer_features(branch, image_size), (2 * shape[1], 2 * shape[2]))
+        finer = finer_features(branch, image_size) if circular and isinstance(self.head, Fourier) else None
+        if finer is not None and shape[2] > 1:
+            self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]))
 
     @property
     def outputs(self) -> int:
@@ -282,18 +283,22 @@ def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False
 
 
 @lru_cache(maxsize=64)
-def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[int, int, int]]:
+def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[int, int, int]] | None:
     """Return where a branch that wraps around has features of at least twice as many columns as it gives.
 
     Returns:
         How many layers give the last such features, 0 for the image itself; and their channels, rows and columns.
+        None where not even the image has so many columns.
     """
     layers = list(_weightless(name, True))
     with torch.no_grad():
         found = [torch.empty(1, 3, *image_size, device="meta")]
         for layer in layers:
             found.append(layer(found[-1]))
-    level = max(number for number, one in enumerate(found) if one.shape[3] >= 2 * found[-1].shape[3])
+    finer = [number for number, one in enumerate(found) if one.shape[3] >= 2 * found[-1].shape[3]]
+    if not finer:
+        return None
+    level = finer[-1]
     channels, rows, columns = found[level].shape[1:]
     return level, (channels, rows, columns)
 

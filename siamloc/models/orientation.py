@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -42,8 +43,9 @@ class Orientation(nn.Module):
     def reset(self) -> None:
         """Fill in the signs."""
         with torch.no_grad():
-            generator = torch.Generator().manual_seed(0)
-            self.signs.copy_(torch.randint(2, tuple(self.signs.shape), generator=generator, device="cpu") * 2.0 - 1)
+            # Raw bits, because their order is promised for all versions of NumPy: maps keep what they make.
+            bits = np.random.PCG64(0).random_raw(self.signs.numel()) >> np.uint64(63)
+            self.signs.copy_(torch.from_numpy(bits.astype(np.float32) * 2 - 1).view(self.signs.shape))
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the orientation parts (B, columns, 64) of features (B, C, h, w)."""

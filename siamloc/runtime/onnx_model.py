@@ -19,8 +19,7 @@ from torch import nn
 from analytic import Description, Descriptor, ImageDescriptor
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.files import atomic_path, file_hash, storage_errors
-from siamloc.models import SiameseModule
-from siamloc.models.describing import evaluating, identity_of
+from siamloc.models.describing import evaluating, identity_of, network_of, orienting
 from siamloc.models.network import Network
 
 FORMAT, HEADING_FORMAT = "siamloc-network", "siamloc-heading"
@@ -183,8 +182,8 @@ class _Both(nn.Module):
 
 def _graph(network: nn.Module) -> tuple[nn.Module, tuple[str, ...]]:
     """Return what goes into the file of a network, and the names of what it gives."""
-    if isinstance(network, Network) and network.orientation is not None:
-        return _Both(network), (OUTPUT, HEADING_OUTPUT)
+    if (oriented := orienting(network)) is not None:
+        return _Both(oriented), (OUTPUT, HEADING_OUTPUT)
     return network, (OUTPUT,)
 
 
@@ -337,7 +336,7 @@ def _label(program: Any, kind: str, identity: dict[str, Any]) -> None:
 
 
 def _on_cpu(network: nn.Module) -> nn.Module:
-    network = network.network if isinstance(network, SiameseModule) else network
+    network = network_of(network)
     types = {tensor.dtype for tensor in network.parameters()}
     if not types <= {torch.float32}:
         found = ", ".join(sorted(str(kind) for kind in types))

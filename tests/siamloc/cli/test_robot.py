@@ -253,7 +253,7 @@ def test_a_network_that_finds_headings_needs_no_heading_key(flat, tmp_path, caps
     assert "headings: by network, 2048 bytes a frame" in capsys.readouterr().out
     siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]")
     results = json.loads((run / "evaluation/network/results.json").read_text())
-    assert results["heading"] == {"name": "network"}
+    assert results["heading"] == {"name": "network", "version": 1}
     assert results["measures"]["absolute"]["overall"]["heading_error"]["count"] == 24
     siamloc("export", f"run={run}")
     assert "heading (by network)" in capsys.readouterr().out

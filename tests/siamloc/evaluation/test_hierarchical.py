@@ -196,9 +196,8 @@ def test_a_ratio_of_distances_saves_comparisons_and_one_without_limit_changes_no
     alone = HierarchicalSearch(known, layer, candidates=1)
     np.testing.assert_array_equal(one[1], alone.search(described, alone.rank(described)).found.indices)
     assert one[0].mean() < few[0].mean() < every[0].mean()
-    with pytest.raises(ConfigError, match=r"task\.coarse\.ratio is 1 or more and goes with"):
-        CoarseRanking(ratio=0.5)
-    with pytest.raises(ConfigError, match=r"by=representatives, got 1.2 and vote"):
-        CoarseRanking(ratio=1.2, by="vote")
+    for wrong in (0.5, math.nan):
+        with pytest.raises(ConfigError, match=r"task\.coarse\.ratio"):
+            CoarseRanking(ratio=wrong)
     with pytest.raises(ConfigError, match="compares distances of representatives"):
         HierarchicalSearch(known, layer, by="vote", ratio=1.2)

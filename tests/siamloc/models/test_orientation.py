@@ -11,10 +11,12 @@ import analytic
 from analytic import AnalyticError, Description
 from siamloc.errors import ConfigError
 from siamloc.maps.heading import NetworkHeading
-from siamloc.models import SiameseModule, as_descriptor, build
+from siamloc.models import PlaceModule, SiameseModule, as_descriptor, build
+from siamloc.models.network import Network
 from siamloc.models.orientation import VALUES, Orientation
 
 SIZE = (64, 256)
+SIGNS = [1, -1, -1, -1, 1, 1, 1, 1, 1, 1, 1, -1, 1, -1, 1, -1]
 
 
 def panoramas(count: int = 2, seed: int = 0) -> np.ndarray:
@@ -130,3 +132,55 @@ def test_nothing_is_added_to_the_weights():
 def test_an_image_without_anything_to_see_gives_finite_values():
     seen = as_descriptor(network()).describe(np.full((1, 3, *SIZE), 90, np.uint8))
     assert np.isfinite(seen.orientation).all()
+
+
+def test_a_module_of_ones_own_around_a_network_is_described_by_its_own_forward():
+    class Shortened(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.network = network()
+
+        def forward(self, panorama):
+            return self.network(panorama)[:, :5]
+
+    class Turned(Network):
+        def forward(self, panorama):
+            return -super().forward(panorama)
+
+    images, turned = panoramas(), network()
+    turned.__class__ = Turned
+    for module, expected in (
+        (Shortened(), as_descriptor(network()).describe(images).position[:, :5]),
+        (turned, -as_descriptor(network()).describe(images).position),
+    ):
+        seen = as_descriptor(module).describe(images)
+        assert seen.orientation is None
+        np.testing.assert_allclose(seen.position, expected, atol=1e-5)
+
+
+def test_the_module_that_trained_a_network_finds_its_headings():
+    images = panoramas()
+    alone, inside = as_descriptor(network()).describe(images), as_descriptor(PlaceModule(network())).describe(images)
+    np.testing.assert_array_equal(alone.orientation, inside.orientation)
+
+
+def test_an_image_too_narrow_for_finer_features_is_only_described():
+    made = build("simple1", "fourier", (32, 24), circular=True)
+    assert made.orientation is None
+    assert made(torch.zeros(1, 3, 32, 24)).shape == (1, 256)
+
+
+def test_the_signs_are_those_of_every_map_that_was_made():
+    signs = network().orientation.signs
+    assert signs[0, :16].tolist() == SIGNS
+    assert abs(float(signs.mean())) < 0.02
+
+
+def test_a_description_compares_with_a_map_that_keeps_its_headings_apart():
+    """As when a map's own descriptor compares a live image with the map."""
+    descriptor, images = as_descriptor(network()), panoramas()
+    seen = descriptor.describe(images)
+    bare = Description(seen.position, None, seen.identity)
+    assert (descriptor.pairwise(seen, bare).argmin(axis=1) == [0, 1]).all()
+    with pytest.raises(AnalyticError, match="no orientation part"):
+        descriptor.relative_heading(seen, bare)

@@ -298,7 +298,7 @@ def test_a_network_that_finds_headings_needs_nothing_beside_it(tmp_path):
     known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part, describes=network)
     bundle = export(network, known, tmp_path / "bundle")
     assert bundle.heading is None
-    assert bundle.about["heading"]["identity"] == {"name": "network"}
+    assert bundle.about["heading"]["identity"] == {"name": "network", "version": 1}
     assert bundle.about["heading"]["parity"]["max_relative_difference"] <= 1e-4
     assert "the robot gets: position, heading (by network)" in bundle.summary()
     queries, _ = drive(1)
