@@ -284,3 +284,13 @@ def newest_run(folder: Path = DEFAULT_FOLDER) -> Run:
     if not records:
         raise ConfigError(f"there is no run under {folder}/: train one first, or name it with run=FOLDER")
     return Run(records[-1].parent)
+
+
+def higher_is_better(figure: str) -> bool:
+    """Say whether the highest value of a figure of the curves is the best; of all others it is the lowest.
+
+    Example:
+        >>> higher_is_better("val/room"), higher_is_better("val/error")
+        (True, False)
+    """
+    return figure.rpartition("/")[2].startswith(("accuracy", "room", "spread", "distance_different"))

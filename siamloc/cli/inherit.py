@@ -12,6 +12,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from siamloc.cli.schema import OF_TRAINING
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.models.registry import Optimizer
@@ -22,7 +23,7 @@ _CHOOSES = {
     "data": ("data", "unwrap", "protocol"),
     "experiment": (
         *("data", "unwrap", "protocol", "protocol.map", "model", "pairs", "optimizer", "loss"),
-        *("augment", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every", "seed"),
+        *("augment", *OF_TRAINING),
     ),
     "protocol": ("protocol", "protocol.map"),
 }
@@ -103,9 +104,9 @@ def _kept(
             "loss": _of_loss(record.get("loss", {})),
             "augment": {**(record.get("augment") or {"name": "none"}), "where": training["augment_where"]},
             "trainer.precision": record.get("trainer", {}).get("precision", "32-true"),
-            **{key: training[key] for key in ("pairs", "epochs", "batch_size")},
+            "pairs": training["pairs"],
             "optimizer": Optimizer.of(training["optimizer"]).plain(),
-            **{key: training.get(key) for key in ("clip", "average", "patience", "checkpoint_every")},
+            **{key: training.get(key) for key in OF_TRAINING},
         }
     return kept
 

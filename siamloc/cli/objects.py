@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
 from siamloc.cli.compose import config_folder, plain, sweep_suffix
 from siamloc.cli.inherit import check_named, label_of, suggestion
+from siamloc.cli.schema import OF_TRAINING
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
@@ -100,8 +101,7 @@ def bundle_of(config: DictConfig) -> Path:
 
 def training_of(config: DictConfig) -> Training:
     """Return the settings of a training; those that the command line calls otherwise are checked by its names."""
-    named = ("seed", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every", "pairs", "optimizer")
-    values = {key: plain(config)[key] for key in named}
+    values = {key: plain(config)[key] for key in (*OF_TRAINING, "pairs", "optimizer")}
     others = {"workers": "loader.workers", "augment_where": "augment.where"}
     if OmegaConf.select(config, "loss.name") == "contrastive":  # others have their own margins
         others["margin"] = "loss.margin"

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+OF_TRAINING = ("seed", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every")
+"""Settings of a training that the command line calls by the same name."""
+
 
 def register(name: str) -> None:
     """Make the defaults that a configuration file names known to Hydra."""
@@ -59,7 +62,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
             "places": defaults_of(PlaceSettings),
             "optimizer": defaults_of(Optimizer),
             "training": {
-                **{key: training[key] for key in _OF_TRAINING},
+                **{key: training[key] for key in OF_TRAINING},
                 "loader": {"workers": training["workers"]},
                 "augment": {"where": training["augment_where"]},
             },
@@ -76,8 +79,6 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     }
 
 
-# Settings of a training that the command line calls by the same name.
-_OF_TRAINING = ("seed", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every")
 _BY_GROUP = ("pairs", "loss", "optimizer")
 
 

@@ -27,8 +27,8 @@ class PairStatistics(Metric):
     - `accuracy`, `accuracy_same`, `accuracy_different`: share of correct decisions when a pair counts as the same
       room if min(d / margin, 1) < 0.5 ([T] 5.3.4). `accuracy`, of all pairs, needs both kinds: where all pairs are
       of one kind, a network that tells nothing apart has 0 or 1;
-    - `active`: share of pairs that cost anything under the contrastive loss, all but dissimilar ones beyond the margin
-      and similar ones at distance 0. The lower, the less is left to learn from such pairs;
+    - `active`: share of the pairs with label 1 that are nearer than the margin: the others cost nothing under the
+      contrastive loss. The lower, the less is left to learn from such pairs;
     - `spread`: standard deviation of the descriptors' values, averaged over the D dimensions. Near 0 the network
       gives every image the same descriptor.
 
@@ -50,10 +50,9 @@ class PairStatistics(Metric):
     def __init__(self, margin: float | None) -> None:
         super().__init__()
         self.margin = margin
-        for name in ("count", "distance", "correct"):
+        for name in ("count", "distance", "correct", "active"):
             self.add_state(name, torch.zeros(2, dtype=torch.float64), dist_reduce_fx="sum")
-        for name in ("loss", "active"):
-            self.add_state(name, torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("loss", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         for name in ("values", "squares"):  # the first batch gives them the length D of a descriptor
             self.add_state(name, torch.zeros(1, dtype=torch.float64), dist_reduce_fx="sum")
 
@@ -74,8 +73,8 @@ class PairStatistics(Metric):
         if self.margin is not None:
             decided_same = distance / self.margin < SAME_BELOW
             self.correct += groups @ (decided_same == same).double()
-            costs = ((label < 1) & (distance > 0)) | ((label > 0) & (distance < self.margin))
-            self.active += costs.sum()
+            apart = label == 1
+            self.active += torch.stack([(apart & (distance < self.margin)).sum(), apart.sum()])
         self.loss += loss.double() * len(distance)
         values = descriptors.double()
         self.values = self.values + values.sum(0)
@@ -97,8 +96,8 @@ class PairStatistics(Metric):
         if total == 0:
             return {}
         result = {"loss": self.loss / total}
-        if self.margin is not None:
-            result["active"] = self.active / total
+        if self.margin is not None and self.active[1] > 0:
+            result["active"] = self.active[0] / self.active[1]
         if self.margin is not None and (count > 0).all():
             result["accuracy"] = self.correct.sum() / total
         for index, group in enumerate(_GROUPS):

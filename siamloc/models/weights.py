@@ -63,6 +63,10 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
         return read_weights(Run(path).checkpoint())
     if isinstance(weights, PathLike) or path.suffix in _SUFFIXES or path.is_file():
         return read_weights(path)
+    if len(path.parts) > 1:
+        raise ConfigError(
+            f"there is no file and no run at {weights}, from which weights were asked for: check the path"
+        )
     return _imagenet(branch, weights)
 
 

@@ -17,19 +17,16 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import StorageError
 from siamloc.files import atomic_path, write_text
 from siamloc.models.places import PlaceModule
-from siamloc.runs import Run
+from siamloc.runs import Run, higher_is_better
 
 ensure_torchvision()
 from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
-from lightning.pytorch.callbacks import Checkpoint, EMAWeightAveraging, ModelCheckpoint  # noqa: E402
+from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, WeightAveraging  # noqa: E402
 
 _SAID = ("train/loss", "train/accuracy", "val/loss", "val/accuracy", "val/error", "val/room")
 _COLLAPSED = 0.01  # spread below which descriptors tell nothing apart
 _SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter failed")
-
-HIGHER_IS_BETTER = ("val/room",)
-"""Figures of which the highest is the best; of all others it is the lowest."""
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
@@ -69,7 +66,7 @@ def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
         dirpath=folder,
         filename="best",
         monitor=monitor,
-        mode="max" if monitor in HIGHER_IS_BETTER else "min",
+        mode="max" if higher_is_better(monitor) else "min",
         save_top_k=1,
         save_on_train_epoch_end=False,
         enable_version_counter=False,
@@ -77,8 +74,21 @@ def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
     return [best, last]
 
 
-class MovingAverage(EMAWeightAveraging):
-    """Keep a moving average of the weights, on the device where they are trained."""
+class MovingAverage(WeightAveraging):
+    """Keep a moving average of the weights, on the device where they are trained.
+
+    After each step a <- a + (1 - decay) (w - a), in this form because it leaves what does not change exactly as it is:
+    frozen stages, and constants among the buffers.
+
+    Args:
+        decay: of the average a, from step to step.
+    """
+
+    def __init__(self, decay: float) -> None:
+        def moved(average: Tensor, now: Tensor, _: Any) -> Tensor:
+            return average + (1 - decay) * (now - average) if average.is_floating_point() else now
+
+        super().__init__(use_buffers=True, avg_fn=moved)
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Choose the device before the weights have moved there."""
@@ -210,10 +220,12 @@ class Curves(Checkpoint):
     def _best(self) -> tuple[float, int] | None:
         """Return the best figure and its epoch, the first of equals, as the checkpoint."""
         name = self._monitor
-        found = [(row[name], int(row["epoch"])) for row in self._rows if name in row] if name is not None else []
+        if name is None:
+            return None
+        found = [(row[name], int(row["epoch"])) for row in self._rows if name in row]
         if not found:
             return None
-        return (max if name in HIGHER_IS_BETTER else min)(found, key=lambda pair: pair[0])
+        return (max if higher_is_better(name) else min)(found, key=lambda pair: pair[0])
 
     def _stale(self) -> bool:
         """Say whether as many epochs as the patience have brought nothing better."""

@@ -7,16 +7,15 @@ import io
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from siamloc.errors import ConfigError, hint
 from siamloc.files import write_text
-from siamloc.runs import Run
+from siamloc.runs import Run, higher_is_better
 
-_CHOSEN_BY = ("val/error", "val/room", "val/loss", "train/loss")
-_MEASURED = ("epoch", "epochs", "minutes", "run")
+_CHOSEN_BY = ("val/error", "val/room", "val/loss")
+_MEASURED = ("epoch", "finished", "run")
 # What only says where things lie, or follows from the rest.
 _LEFT_OUT = ("frames", "data.cache", "data.name", "model.image_size")
 
@@ -29,8 +28,8 @@ class Comparison:
         by: the figure that the rows are ordered by, such as "val/error".
         differing: the settings in which the runs differ, such as "model.branch" and "seed".
         rows: for each run the settings that differ, under `by` its best figure, `epoch` (from 1) in which it was
-            reached, `epochs` finished, `minutes` from the start of the training to its last epoch, and `run`, the
-            folder. A run without the figure has NaN, and comes last.
+            reached, `finished`, the number of epochs, and `run`, the folder. A run without the figure has NaN, and
+            comes last.
     """
 
     by: str
@@ -66,7 +65,7 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
     Args:
         runs: a folder with runs in it, such as that of a sweep; or the folders of runs.
         by: the figure of the curves that counts, such as "val/error"; what checkpoints are chosen by if None. Of
-            accuracies and `val/room` the highest is the best, of all others the lowest.
+            accuracies, rooms, spreads and distances of two rooms the highest is the best, of all others the lowest.
 
     Raises:
         ConfigError: no runs, none that has finished an epoch, or no such figure.
@@ -74,9 +73,9 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
 
     Example:
         >>> print(siamloc.training.compare("runs/sweep"))  # doctest: +SKIP
-        model.branch  seed  val/error  epoch  epochs  minutes  run
-        panoresnet    0     0.2411     6      6       4.1      runs/sweep/model-branch-panoresnet_seed-0
-        alexnet       0     0.2633     5      6       6.3      runs/sweep/model-branch-alexnet_seed-0
+        model.branch  seed  val/error  epoch  finished  run
+        panoresnet    0     0.2411     6      6         runs/sweep/model-branch-panoresnet_seed-0
+        alexnet       0     0.2633     5      6         runs/sweep/model-branch-alexnet_seed-0
     """
     found = _opened(runs)
     curves = {run.folder: run.curves() for run in found if run.metrics.is_file()}
@@ -87,7 +86,11 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
         by = next((name for name in _CHOSEN_BY if name in figures), None)
     known = sorted({name for figure in curves.values() for name in figure if "/" in name})
     if by is None or by not in known:
-        asked = "the runs have no figure in common" if by is None else f"no run has the figure {by!r}"
+        asked = (
+            "the runs have no figure in common by which checkpoints are chosen"
+            if by is None
+            else f"no run has the figure {by!r}"
+        )
         raise ConfigError(f"{asked}: {hint(by or '', known)}")
     settings = [_flat(run.settings) for run in found]
     keys = {key: None for values in settings for key in values}
@@ -98,7 +101,7 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
         {**{key: values.get(key) for key in differing}, **_measured(run, curves.get(run.folder, {}), by)}
         for run, values in zip(found, settings, strict=True)
     ]
-    sign = -1 if _higher_is_better(by) else 1
+    sign = -1 if higher_is_better(by) else 1
     rows.sort(key=lambda row: (math.isnan(row[by]), 0.0 if math.isnan(row[by]) else sign * row[by]))
     return Comparison(by, tuple(differing), tuple(rows))
 
@@ -120,26 +123,13 @@ def _opened(runs: str | Path | Iterable[str | Path | Run]) -> list[Run]:
 def _measured(run: Run, curves: Mapping[str, Any], by: str) -> dict[str, Any]:
     values = curves.get(by, [])
     usable = [(value, row) for row, value in enumerate(values) if math.isfinite(value)]
-    best, row = (max if _higher_is_better(by) else min)(usable, key=lambda pair: pair[0], default=(math.nan, None))
+    best, row = (max if higher_is_better(by) else min)(usable, key=lambda pair: pair[0], default=(math.nan, None))
     return {
         by: float(best),
         "epoch": None if row is None else int(curves["epoch"][row]) + 1,
-        "epochs": len(curves.get("epoch", [])),
-        "minutes": _minutes(run),
+        "finished": len(curves.get("epoch", [])),
         "run": run.folder.as_posix(),
     }
-
-
-def _minutes(run: Run) -> float:
-    """Return how long the training took, by what the record and the file of the curves say of when."""
-    if not run.metrics.is_file():
-        return math.nan
-    begun = datetime.strptime(str(run.load_record()["created"]), "%Y-%m-%dT%H:%M:%S%z")
-    return max(run.metrics.stat().st_mtime - begun.timestamp(), 0.0) / 60
-
-
-def _higher_is_better(name: str) -> bool:
-    return name.rpartition("/")[2].startswith(("accuracy", "room"))
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

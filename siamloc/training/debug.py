@@ -26,6 +26,7 @@ from siamloc.models.module import NetworkModule
 from siamloc.models.places import PlaceModule
 from siamloc.runs import Run
 from siamloc.training.batches import EpochDataModule
+from siamloc.training.guard import unscaled
 from siamloc.training.run_folder import PROFILE
 
 ensure_torchvision()
@@ -72,6 +73,7 @@ def debug_training(
         ConfigError: the loss is not finite.
     """
     before = copy.deepcopy(module.state_dict())
+    sigma = getattr(module.loss, "sigma", None)
     try:
         with torch.random.fork_rng(devices=[]):
             if debug == "profile":
@@ -81,6 +83,9 @@ def debug_training(
     finally:
         module.teardown("fit")  # which Lightning leaves out where something fails
         module.load_state_dict(before)
+        module.zero_grad(set_to_none=True)
+        if sigma is not None:  # which may have been on its way
+            module.loss.sigma = sigma
 
 
 def _say(text: str) -> None:
@@ -130,7 +135,7 @@ class _Look(Callback):
         self._begin("training", pl_module, batch)
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
-        self.loss = float(loss.detach())
+        self.loss = float(unscaled(trainer, loss))
 
     def on_after_backward(self, trainer: Trainer, pl_module: LightningModule) -> None:
         grads = [weight.grad for weight in pl_module.parameters() if weight.grad is not None]
@@ -212,7 +217,7 @@ class _Losses(Callback):
         self.losses: list[float] = []
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
-        self.losses.append(float(loss.detach()))
+        self.losses.append(float(unscaled(trainer, loss)))
 
     def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
         step = len(self.losses)
@@ -270,6 +275,8 @@ def verdict(losses: list[float], lowest: float, learning_rate: float) -> str:
             if bad > 1
             else "the loss is not finite from the start: look at what the network and the loss make of the batch"
         )
+    if min(losses) < lowest - 1e-3 * max(1.0, abs(first)):  # a loss of one's own, which may go below 0
+        return f"the loss went from {first:.4g} to {last:.4g} in {steps} steps; what it should reach is not known"
     lowest = min(lowest, *losses)
     room = first - lowest
     if room <= 1e-6 * max(1.0, abs(first)):

@@ -157,7 +157,13 @@ def fit(
         network.train()
     if debug is not None:
         with _quiet(), _fast_layout(network, used["trainer"]["precision"] == "auto"):
-            debug_training(debug, module, data, run, used, partial(_debug_trainer, trainer))
+            clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
+            handler = signal.getsignal(signal.SIGINT)
+            try:
+                debug_training(debug, module, data, run, used, partial(_debug_trainer, {**clip, **(trainer or {})}))
+            except SystemExit as error:  # Lightning's answer to Ctrl-C, see `_train`
+                signal.signal(signal.SIGINT, handler)
+                raise KeyboardInterrupt from error
         return run
     with _quiet():
         lightning = _trainer(run, settings, trainer, monitor)
@@ -337,6 +343,8 @@ def _train(
         asking = first_interrupt_asks(steps) if trainer.world_size == 1 else nullcontext()
         with torch.random.fork_rng(devices=[]), asking:
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
+        if steps.asked:  # in the last epoch, after which nothing was left to stop
+            raise KeyboardInterrupt(f"the training came to its end before it stopped: {run.folder}")
     except SystemExit as error:
         # Lightning ignores further Ctrl-C and leaves the interpreter with status 1.
         if not trainer.interrupted:

@@ -35,6 +35,12 @@ class _Step:
     arrived: torch.cuda.Event | None
 
 
+def unscaled(trainer: Trainer, loss: Tensor) -> Tensor:
+    """Return a loss as the network has it, where training in half precision has scaled it for the gradient."""
+    scaler = getattr(trainer.precision_plugin, "scaler", None)
+    return loss.detach() if scaler is None else loss.detach() / scaler.get_scale()
+
+
 class FiniteGuard(Callback):
     """Stop before weights are updated by what is not finite; the checkpoint before stays as it was.
 
@@ -42,7 +48,8 @@ class FiniteGuard(Callback):
     as the network saw them, what the loss got besides, `epoch` and `batch`, both from 0, `loss`, and the paths of the
     frames as `first_path` and `second_path`, or `images_path`. `numpy.load` reads it.
 
-    On a GPU the figures of a step are read during the next one, so that no step waits for them.
+    On a GPU the figures of a step are read during the next one, so that no step waits for them: by then the weights in
+    memory have taken the bad step, those of the checkpoints have not.
 
     Args:
         run: of the training.
@@ -63,7 +70,7 @@ class FiniteGuard(Callback):
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
         """Take down the loss."""
-        self._loss = loss.detach()
+        self._loss = unscaled(trainer, loss)
 
     def on_after_backward(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Look at the loss and at the gradient, of all processes together, so that all of them stop."""

@@ -141,9 +141,8 @@ def _flat(prefix: str, value: Any) -> dict[str, Any]:
 def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
     """Make the folder ready: remove what an earlier training left, and write down the settings."""
     if resume:
-        run.record_written(names_written(validated=validated))
-        record = run.load_record()
-        run.start(used, record["written"])
+        written = run.load_record()["written"]
+        run.start(used, [*written, *(name for name in names_written(validated=validated) if name not in written)])
     else:
         names = names_written(validated=validated)
         if run.record.is_file() and _only_profiled(run):

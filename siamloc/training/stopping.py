@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -45,10 +46,12 @@ class StepCheckpoints(Checkpoint):
         self.asked = False
         self._path, self._every, self._guard = path, every, guard
         self._due = self._saving = False
+        self._step = 0
         self._sums: dict[str, Tensor] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Go on with the sums of the epoch."""
+        self._step = trainer.global_step
         if self._sums and isinstance(pl_module, NetworkModule):
             pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
 
@@ -60,14 +63,16 @@ class StepCheckpoints(Checkpoint):
         Raises:
             KeyboardInterrupt: the training was asked to stop.
         """
-        self._due |= self._every is not None and trainer.global_step % self._every == 0
-        asked = self.asked or (trainer.received_sigterm and trainer.world_size == 1)
+        if trainer.global_step != self._step:  # else gradients are still gathered
+            self._step = trainer.global_step
+            self._due |= self._every is not None and self._step % self._every == 0
+        self._heed_sigterm(trainer)
         loop = trainer.fit_loop.epoch_loop
         fetcher = trainer.fit_loop._data_fetcher
         assert fetcher is not None
         # In the middle of other things the trainer cannot begin again.
         busy = loop._num_ready_batches_reached() or loop._should_accumulate() or loop._should_check_val_fx(fetcher)
-        if busy or not (self._due or asked):
+        if busy or not (self._due or self.asked):
             return
         self._guard.settle(trainer, pl_module)
         self._saving = True
@@ -77,6 +82,16 @@ class StepCheckpoints(Checkpoint):
             self._saving = self._due = False
         if self.asked:
             raise KeyboardInterrupt
+
+    def on_validation_batch_end(self, trainer: Trainer, *_: Any) -> None:
+        """Let a validation come to its end, and the checkpoint of the epoch after it."""
+        self._heed_sigterm(trainer)
+
+    def _heed_sigterm(self, trainer: Trainer) -> None:
+        """Take SIGTERM for Ctrl-C, before Lightning ends the training wherever it is."""
+        if trainer.received_sigterm and trainer.world_size == 1:
+            trainer._signal_connector.received_sigterm = False
+            self.asked = True
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Stop after the checkpoint of the epoch, if the training was asked to and goes on otherwise.
@@ -124,11 +139,15 @@ def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
         yield
         return
 
+    owner = os.getpid()
+
     def ask(*_: object) -> None:
+        if os.getpid() != owner:  # a worker, which is told as well
+            return
         signal.signal(signal.SIGINT, before)
         checkpoints.asked = True
         with suppress(RuntimeError):  # the signal came while something was printed
-            print("stopping after this step; Ctrl-C again stops at once", file=sys.stderr, flush=True)
+            print("stopping at the next checkpoint; Ctrl-C again stops at once", file=sys.stderr, flush=True)
 
     signal.signal(signal.SIGINT, ask)
     try:

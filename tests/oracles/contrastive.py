@@ -33,8 +33,9 @@ def pair_statistics(
         told_same = min(d / margin, 1) < 0.5
         groups["same" if is_same else "different"].append((d, told_same == is_same))
     result = {"loss": contrastive_loss(d0, d1, labels, margin)}
-    costs = [contrastive_loss([a], [b], [y], margin) for a, b, y in zip(d0, d1, labels, strict=True)]
-    result["active"] = sum(cost > 0 for cost in costs) / len(costs)
+    apart = [contrastive_loss([a], [b], [y], margin) for a, b, y in zip(d0, d1, labels, strict=True) if y == 1]
+    if apart:
+        result["active"] = sum(cost > 0 for cost in apart) / len(apart)
     everything = groups["same"] + groups["different"]
     if groups["same"] and groups["different"]:
         result["accuracy"] = sum(right for _, right in everything) / len(everything)

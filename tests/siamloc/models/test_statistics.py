@@ -87,10 +87,10 @@ def test_a_collapsed_network_has_no_spread_even_far_from_zero():
 
 def test_dissimilar_pairs_beyond_the_margin_cost_nothing():
     statistics = PairStatistics(MARGIN)
-    d1 = torch.tensor([[1.9], [2.1], [2.1], [0.3], [0.0]])
-    label = torch.tensor([1.0, 1.0, 0.9, 0.0, 0.0])
+    d1 = torch.tensor([[1.9], [2.1], [1.8], [0.3], [2.1]])
+    label = torch.tensor([1.0, 1.0, 0.9, 0.0, 1.0])
     add(statistics, torch.zeros(5, 1), d1, label, label < 1)
-    assert statistics.compute()["active"] == pytest.approx(3 / 5)
+    assert statistics.compute()["active"] == pytest.approx(1 / 3)
 
 
 def test_reset_forgets_everything():

@@ -124,3 +124,14 @@ def test_patience_needs_a_validation(images, drives, tmp_path):
     with pytest.raises(ConfigError, match="patience=3 counts epochs without a better validation, and nothing is valid"):
         siamloc.training.fit(Fixed(), images, drives[0], run=tmp_path / "run", patience=3, **SETTINGS)
     assert not (tmp_path / "run").exists()
+
+
+def test_an_average_leaves_what_does_not_change_exactly_as_it_is(images, drives, tmp_path):
+    """Frozen stages stay as they were, to the last bit, also where the weights that are kept are an average."""
+    settings = {**SETTINGS, "optimizer": {"name": "adamw", "learning_rate": 0.01, "frozen_stages": 1}}
+    net = siamloc.models.build("simple1", "flat", (16, 64), outputs=16, seed=0)
+    before = {name: value.clone() for name, value in net.state_dict().items()}
+    siamloc.training.fit(net, images, drives[0], run=tmp_path / "run", epochs=3, average=0.98, **settings)
+    after = net.state_dict()
+    assert all(torch.equal(after[name], before[name]) for name in before if name.startswith("branch."))
+    assert not torch.equal(after["head.layer.weight"], before["head.layer.weight"])

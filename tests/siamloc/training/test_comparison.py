@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
-from datetime import datetime
 
 import pytest
 
@@ -20,7 +18,7 @@ SETTINGS = {
 
 
 def make(folder, curves, **changes):
-    """Write a run with these curves, a list over the epochs for each figure, that took two minutes."""
+    """Write a run with these curves, a list over the epochs for each figure."""
     run = Run(folder)
     seed = changes.get("seed", 0)
     model = {**SETTINGS["model"], "branch": changes.get("branch", "alexnet"), "seed": seed}
@@ -31,8 +29,6 @@ def make(folder, curves, **changes):
             writer = csv.DictWriter(file, ["epoch", *curves])
             writer.writeheader()
             writer.writerows({"epoch": number, **row} for number, row in enumerate(rows))
-        begun = datetime.strptime(run.load_record()["created"], "%Y-%m-%dT%H:%M:%S%z").timestamp()
-        os.utime(run.metrics, (begun + 120, begun + 120))
     return run
 
 
@@ -48,8 +44,7 @@ def test_rows_hold_what_differs_and_the_best_epoch_and_the_best_run_comes_first(
             "seed": seed,
             "val/error": error,
             "epoch": epoch,
-            "epochs": 3,
-            "minutes": 2.0,
+            "finished": 3,
             "run": (tmp_path / name).as_posix(),
         }
         for branch, seed, error, epoch, name in [("vgg16", 1, 0.3, 3, "b"), ("alexnet", 0, 0.5, 2, "a")]
@@ -70,11 +65,11 @@ def test_of_rooms_and_accuracies_the_highest_is_the_best(tmp_path):
 def test_a_run_without_a_figure_comes_last(tmp_path):
     runs = [make(tmp_path / "a", {}), make(tmp_path / "b", {"val/loss": ["", 0.5]}, seed=1)]
     found = compare(runs)
-    assert [(row["seed"], row["epoch"], row["epochs"]) for row in found.rows] == [(1, 2, 2), (0, None, 0)]
+    assert [(row["seed"], row["epoch"], row["finished"]) for row in found.rows] == [(1, 2, 2), (0, None, 0)]
     saved = found.save(tmp_path / "table.csv").read_text().splitlines()
-    assert saved[0] == "seed,val/loss,epoch,epochs,minutes,run"
-    assert saved[1:] == [f"1,0.5,2,2,2.0,{runs[1].folder.as_posix()}", f"0,,,0,,{runs[0].folder.as_posix()}"]
-    assert [line.split() for line in found.table().splitlines()][1][:5] == ["1", "0.5", "2", "2", "2"]
+    assert saved[0] == "seed,val/loss,epoch,finished,run"
+    assert saved[1:] == [f"1,0.5,2,2,{runs[1].folder.as_posix()}", f"0,,,0,{runs[0].folder.as_posix()}"]
+    assert [line.split() for line in found.table().splitlines()][1][:4] == ["1", "0.5", "2", "2"]
 
 
 def test_mistakes_are_named(tmp_path):
@@ -87,6 +82,10 @@ def test_mistakes_are_named(tmp_path):
     make(tmp_path / "b", {"val/error": [1, 2]}, seed=1)
     with pytest.raises(ConfigError, match="did you mean 'val/error'"):
         compare(tmp_path, by="val/eror")
+    only_trained = [make(tmp_path / f"t{seed}", {"train/loss": [2, 1]}, seed=seed) for seed in (0, 1)]
+    with pytest.raises(ConfigError, match="no figure in common by which checkpoints are chosen"):
+        compare(only_trained)
+    assert [row["train/loss"] for row in compare(only_trained, by="train/loss").rows] == [1, 1]
     make(tmp_path / "c", {"val/loss": [1, 2]}, seed=2)
     with pytest.raises(ConfigError, match="no figure in common"):
         compare(tmp_path)

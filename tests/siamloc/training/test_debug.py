@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 
 import pytest
 import torch
@@ -17,6 +18,7 @@ from siamloc.training.debug import verdict
 from tests.siamloc.training.test_place_batches import SETTINGS, network
 
 PLACES = {**SETTINGS, "optimizer": {"name": "adamw", "learning_rate": 0.01}}
+CPU = {"accelerator": "cpu"}
 PAIRS = {"batch_size": 4, "optimizer": {"name": "adamw", "learning_rate": 0.01}}
 
 
@@ -74,7 +76,7 @@ def test_what_does_not_learn_is_said(look):
         ([2.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0], 0.0, r"it does not learn: .* from 2 to 3"),
         ([0.0] * 7, 0.0, r"nothing to learn in this batch: its loss is 0"),
         ([float("nan")] * 3, 0.0, r"not finite from the start: look at what"),
-        ([-1.0, *[-5.0] * 6], 0.0, r"it learns: .* 100 % of the way to -5"),
+        ([-1.0, *[-5.0] * 6], 0.0, r"from -1 to -5 in 7 steps; what it should reach is not known"),
     ],
 )
 def test_the_verdict(losses, lowest, says):
@@ -120,3 +122,36 @@ def test_what_makes_no_sense_is_refused(look):
         look("fast", **PAIRS)
     with pytest.raises(ConfigError, match="debug=overfit looks at a training from its start: leave out resume=true"):
         look("overfit", resume=True, **PAIRS)
+
+
+def test_the_gradient_is_cut_as_in_the_training(images, drives, tmp_path, monkeypatch):
+    """A batch that is learned only with a short gradient is learned here, too."""
+    seen = []
+    monkeypatch.setattr(torch.nn.utils, "clip_grad_norm_", lambda weights, most, **_: seen.append(most))
+    siamloc.training.fit(
+        network(), images, drives[0], run=tmp_path / "run", debug="one_batch", clip=0.25, trainer=CPU, **PAIRS
+    )
+    assert seen == [0.25]
+
+
+def test_ctrl_c_while_looking_is_an_interrupt_and_can_come_again(images, drives, tmp_path):
+    class Interrupted(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.network, self.calls = network(), 0
+
+        def forward(self, panorama):
+            self.calls += 1
+            if self.calls == 3:  # the first call comes before the training
+                raise KeyboardInterrupt
+            return self.network(panorama)
+
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            siamloc.training.fit(
+                Interrupted(), images, drives[0], run=tmp_path / "run", debug="overfit", trainer=CPU, **PAIRS
+            )
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, handler)

@@ -80,9 +80,9 @@ def same(one, other):
 
 @pytest.fixture
 def train(images, drives, tmp_path):
-    def call(name, kind, *callbacks, **more):
+    def call(name, kind, *callbacks, gathered=1, **more):
         options = {"validation": drives[1], "epochs": 3, **CASES[kind], **more}
-        trainer = {"accelerator": "cpu", "callbacks": list(callbacks)}
+        trainer = {"accelerator": "cpu", "callbacks": list(callbacks), "accumulate_grad_batches": gathered}
         return siamloc.training.fit(Own(), images, drives[0], run=tmp_path / name, trainer=trainer, **options)
 
     return call
@@ -114,7 +114,7 @@ def test_ctrl_c_ends_the_step_and_the_training_goes_on_there(train, tmp_path, ca
     run = siamloc.training.Run(tmp_path / "cut")
     assert progress(run) == kept
     said = capfd.readouterr().err
-    assert "stopping after this step; Ctrl-C again stops at once" in said
+    assert "stopping at the next checkpoint; Ctrl-C again stops at once" in said
     steps = f" and {kept[1]} of {STEPS} steps" if kept[1] else ""
     assert f"stopped after {kept[0]} of 3 epochs{steps}: go on with resume=true, run={run.folder}" in said
     with pytest.raises(ConfigError, match="was laid out for 3 epochs"):
@@ -130,6 +130,46 @@ def test_sigterm_leaves_a_checkpoint_too(train, tmp_path):
     with pytest.raises(ConfigError, match="has begun epoch 2 already, more than epochs=1"):
         train("cut", "pairs", resume=True, epochs=1)
     same(whole, train("cut", "pairs", resume=True))
+
+
+class StopValidation(Callback):
+    """Sends a signal before some batch of a validation."""
+
+    def __init__(self, epoch, sent):
+        self.epoch, self.sent = epoch, sent
+
+    def on_validation_batch_start(self, trainer, module, batch, number, *_):
+        if trainer.current_epoch == self.epoch and number == 0:
+            os.kill(os.getpid(), self.sent)
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_during_the_validation_leaves_the_checkpoint_of_the_epoch(train, tmp_path, sent):
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        whole = train("whole", "pairs")
+        with pytest.raises(KeyboardInterrupt):
+            train("cut", "pairs", StopValidation(1, sent))
+        assert progress(siamloc.training.Run(tmp_path / "cut")) == (2, 0)
+        same(whole, train("cut", "pairs", resume=True))
+        with pytest.raises(KeyboardInterrupt, match="came to its end before it stopped"):
+            train("last", "pairs", StopValidation(2, sent))
+        same(whole, siamloc.training.Run(tmp_path / "last"))
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+def test_gathered_gradients_write_no_checkpoint_of_their_own(train, tmp_path, monkeypatch):
+    written = []
+
+    def note(self, trainer, module, checkpoint):
+        if self._saving:
+            written.append(trainer.global_step)
+
+    monkeypatch.setattr(StepCheckpoints, "on_save_checkpoint", note)
+    pairs = {"batch_size": 2, "pairs": {"epoch_pairs": 28}, "epochs": 2}
+    train("run", "pairs", gathered=2, checkpoint_every=3, **pairs)
+    assert written == [3, 6, 9, 12]
 
 
 def test_another_number_of_processes_cannot_go_on_within_an_epoch(tmp_path):
