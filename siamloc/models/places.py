@@ -47,9 +47,7 @@ class PlaceModule(NetworkModule):
 
     def __init__(self, network: nn.Module, loss: BatchLoss | None = None, optimizer: Optimizer | None = None) -> None:
         super().__init__(network, SoftContrastiveLoss() if loss is None else loss, optimizer)
-        self._losses: list[Tensor] = []
-        self._spreads: list[Tensor] = []
-        self._active: list[Tensor] = []
+        self._figures: dict[str, list[Tensor]] = {}  # of the steps of the epoch
         self._described: list[dict[str, Tensor]] = []
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
@@ -61,32 +59,31 @@ class PlaceModule(NetworkModule):
         loss = checked_loss(self.loss(descriptors, origins), self.loss)
         seen = descriptors.detach()
         apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)
-        self._losses.append(loss.detach())  # read at the end of the epoch: no step waits for the device
-        self._spreads.append(apart.mean())
+        figures = {
+            "loss": loss.detach(),
+            "spread": apart.mean(),
+        }  # read at the end of the epoch: no step waits for them
         if hasattr(self.loss, "active"):
-            self._active.append(self.loss.active(seen, origins))
+            figures["active"] = self.loss.active(seen, origins)
+        for name, figure in figures.items():  # read at the end of the epoch: no step waits for the device
+            self._figures.setdefault(name, []).append(figure)
         if self._trainer is not None:
             self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=True, batch_size=1)
         return loss
 
     def on_train_epoch_end(self) -> None:
         """Log the figures of the training epoch."""
-        losses, self._losses = self._losses, []
-        spreads, self._spreads = self._spreads, []
-        active, self._active = self._active, []
-        figures = {"loss": losses, "spread": spreads, "active": active}
-        if losses:
-            self.log_epoch("train", {name: torch.stack(each).mean() for name, each in figures.items() if each})
+        figures, self._figures = self.epoch_sums(), {}
+        if figures:
+            self.log_epoch("train", {name: each.mean() for name, each in figures.items()})
 
     def epoch_sums(self) -> dict[str, Tensor]:
         """Return the figures of the steps."""
-        found = {"losses": self._losses, "spreads": self._spreads, "active": self._active}
-        return {name: torch.stack(each) for name, each in found.items() if each}
+        return {name: torch.stack(each) for name, each in self._figures.items()}
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
         """Go on with those of a checkpoint."""
-        found = (list(sums.get(name, ())) for name in ("losses", "spreads", "active"))
-        self._losses, self._spreads, self._active = found
+        self._figures = {name: list(each) for name, each in sums.items()}
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
         """Describe a batch of map frames and queries."""
