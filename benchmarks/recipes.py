@@ -46,6 +46,7 @@ def main() -> None:
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--runs", type=Path, help="where to keep the networks, for benchmarks.headings")
     arguments.add_argument("--recipes", nargs="+", default=RECIPES, choices=RECIPES)
+    arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
     options = arguments.parse_args()
     report = Report("recipes", options.out)
     small, large = Building(options.data, RECIPE.image_size), Building(options.data)
@@ -54,7 +55,7 @@ def main() -> None:
         folder = options.runs or Path(temporary)
         for name in options.recipes:
             rows[name] = [trained(small, name, seed, folder / f"{name}{seed}") for seed in range(options.seeds)]
-    for name in ANALYTIC:
+    for name in options.analytic:
         rows[name] = [located(large, name)]
     judge(report, rows.get("ours", []))
     print(f"{options.seeds} seeds: mean (lowest to highest); {hardware()['cpu']}")

@@ -88,8 +88,8 @@ RECIPES: dict[str, Recipe] = {
         loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.2},
         augmentation={"name": "modern", "policy": "any_light", "rotate": 1.0},
         training={
-            "epochs": 6,
-            "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 100},
+            "epochs": 5,
+            "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 140},
             "optimizer": {"name": "adamw", "learning_rate": 0.002, "weight_decay": 0.01, "schedule": "one_cycle"},
             "clip": 1.0,
             "average": 0.98,
