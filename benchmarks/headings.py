@@ -71,6 +71,9 @@ def main() -> None:
 def trained(building: Building, seed: int, run: Path) -> Any:
     """Return the network of a run, which is trained where there is none yet."""
     if run.is_dir():
+        finished, asked = len(siamloc.training.Run(run).curves()["epoch"]), RECIPE.training["epochs"]
+        if finished != asked:
+            raise SystemExit(f"{run} has {finished} of {asked} epochs: remove it, or finish it")
         return siamloc.models.load(run)
     network, validation = RECIPE.build(seed=seed), building.drives(VALIDATION)
     RECIPE.fit(network, building.images, building.drives(TRAIN), run=run, validation=validation, seed=seed)
