@@ -177,15 +177,12 @@ def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[N
 def check_alike(first: Description, second: Description) -> None:
     """Raise AnalyticError unless two descriptions have one identity and one size.
 
-    Equal parameters on images of different sizes give orientation parts that cannot be compared. One of the two may
-    have no orientation part: what needs it says so.
+    Equal parameters on images of different sizes give orientation parts that cannot be compared.
     """
     if first.identity is not None and second.identity is not None and first.identity != second.identity:
         raise AnalyticError(other_parameters(first.identity, second.identity))
-    both = first.orientation is not None and second.orientation is not None
     shapes = [
-        (d.position.shape[1:], d.orientation.shape[1:] if both and d.orientation is not None else None)
-        for d in (first, second)
+        (d.position.shape[1:], None if d.orientation is None else d.orientation.shape[1:]) for d in (first, second)
     ]
     if shapes[0] != shapes[1]:
         raise AnalyticError(

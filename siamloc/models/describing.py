@@ -75,6 +75,14 @@ class NetworkDescriptor(BetweenColumns):
         position, orientation = _described(network, network.with_orientation, batch, chunk)
         return Description(position, orientation)
 
+    def pairwise(
+        self, queries: Description, references: Description, distance: str | None = None
+    ) -> NDArray[np.float64]:
+        """Return the distances (n, m) between position parts; a map keeps the orientation parts elsewhere."""
+        if (queries.orientation is None) != (references.orientation is None):
+            queries, references = (Description(one.position, None, one.identity) for one in (queries, references))
+        return super().pairwise(queries, references, distance)
+
 
 def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | None = None) -> Descriptor:
     """Make a descriptor of whatever describes images: of a network, or of a descriptor as it is.

@@ -202,10 +202,10 @@ def test_a_sweep_gives_each_job_a_folder_of_its_own(train_words, tmp_path, monke
     found = sorted(path.parent.name for path in tmp_path.glob("runs/sweep/*/run.json"))
     assert found == ["seed-0", "seed-1"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs"]
-    siamloc("compare", "runs=runs/sweep", "out=sweep.csv")
+    siamloc("compare", "runs=runs/sweep", "by=train/loss", "out=sweep.csv")
     with (tmp_path / "sweep.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
-    assert list(table[0]) == ["seed", "train/loss", "epoch", "epochs", "minutes", "run"]
+    assert list(table[0]) == ["seed", "train/loss", "epoch", "finished", "run"]
     assert sorted((row["seed"], row["run"]) for row in table) == [
         ("0", "runs/sweep/seed-0"),
         ("1", "runs/sweep/seed-1"),

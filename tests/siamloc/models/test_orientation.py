@@ -184,3 +184,5 @@ def test_a_description_compares_with_a_map_that_keeps_its_headings_apart():
     assert (descriptor.pairwise(seen, bare).argmin(axis=1) == [0, 1]).all()
     with pytest.raises(AnalyticError, match="no orientation part"):
         descriptor.relative_heading(seen, bare)
+    with pytest.raises(AnalyticError, match="no orientation part"):
+        Description.concatenate([seen, bare])
