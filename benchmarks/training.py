@@ -29,8 +29,9 @@ from torch.utils.data import DataLoader, Dataset
 
 import siamloc
 from benchmarks.report import Report, hardware, parser
-from siamloc.data import FrameTable, PairSampler, PairSettings, PanoramaLibrary
+from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.models import ContrastiveLoss
+from siamloc.training import PairSampler, PairSettings
 from siamloc.training.callbacks import Pace
 
 SIZE = (128, 512)
@@ -52,7 +53,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="siamloc-training-") as temporary:
         frames = draw_files(Path(temporary), options.images)
         images = PanoramaLibrary(frames, Path(temporary) / "cache", image_size=SIZE)
-        images.prepare()
         found: dict[str, list[dict[str, float]]] = {"published style": [], "ours": []}
         for number in range(options.repeats):
             found["published style"].append(published_style(frames, options.steps))
