@@ -192,7 +192,7 @@ COMMANDS = {
         "a table of the runs of a sweep, the best first",
         """
         Prints a row for each run: the settings in which the runs differ, the best figure of validation and its epoch,
-        and how long the training took.
+        and how many epochs are finished.
 
         runs=FOLDER      the folder of a sweep, or any folder with runs in it
         runs=[a,b,c]     several runs

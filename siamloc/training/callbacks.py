@@ -7,6 +7,7 @@ import io
 import math
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,11 @@ class MovingAverage(WeightAveraging):
         super().setup(trainer, pl_module, stage)
 
 
+def images_in(batch: Mapping[str, Any]) -> int:
+    """Count the images of a batch, those of all its parts."""
+    return sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
+
+
 class Pace(Callback):
     """Measure how fast a training goes, without the first steps of each epoch, which start things up.
 
@@ -143,8 +149,7 @@ class Pace(Callback):
             torch.cuda.synchronize(pl_module.device)
         now = time.monotonic()
         if self._ended is not None and batch_idx >= self._FIRST:
-            images = sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
-            self._images += images * trainer.world_size
+            self._images += images_in(batch) * trainer.world_size
             self._seconds += now - self._ended
             self._waited += self._waited_now
         self._ended = now

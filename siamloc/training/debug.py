@@ -26,6 +26,7 @@ from siamloc.models.module import NetworkModule
 from siamloc.models.places import PlaceModule
 from siamloc.runs import Run
 from siamloc.training.batches import EpochDataModule
+from siamloc.training.callbacks import images_in
 from siamloc.training.guard import unscaled
 from siamloc.training.run_folder import PROFILE
 
@@ -348,7 +349,7 @@ class _Phases(Callback):
         self._since = None  # what lies between epochs is no part of a step
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        self.images = sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
+        self.images = images_in(batch)
         self._next(_PHASES[0], "forward")
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
