@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -40,7 +39,7 @@ from siamloc.training.guard import FiniteGuard
 from siamloc.training.place_batches import PlaceDataModule
 from siamloc.training.run_folder import KEPT, check_debug, check_folder, check_same_training, open_run, progress
 from siamloc.training.settings import Training
-from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks
+from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
 
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
@@ -156,14 +155,9 @@ def fit(
     if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
         network.train()
     if debug is not None:
-        with _quiet(), _fast_layout(network, used["trainer"]["precision"] == "auto"):
+        with _quiet(), _fast_layout(network, used["trainer"]["precision"] == "auto"), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
-            handler = signal.getsignal(signal.SIGINT)
-            try:
-                debug_training(debug, module, data, run, used, partial(_debug_trainer, {**clip, **(trainer or {})}))
-            except SystemExit as error:  # Lightning's answer to Ctrl-C, see `_train`
-                signal.signal(signal.SIGINT, handler)
-                raise KeyboardInterrupt from error
+            debug_training(debug, module, data, run, used, partial(_debug_trainer, {**clip, **(trainer or {})}))
         return run
     with _quiet():
         lightning = _trainer(run, settings, trainer, monitor)
@@ -336,20 +330,17 @@ def _train(
     Raises:
         KeyboardInterrupt: the user stopped it.
     """
-    handler = signal.getsignal(signal.SIGINT)
     try:
         steps = next(one for one in trainer.checkpoint_callbacks if isinstance(one, StepCheckpoints))
         # Among several processes one could stop a step before the others, which would wait for it.
         asking = first_interrupt_asks(steps) if trainer.world_size == 1 else nullcontext()
-        with torch.random.fork_rng(devices=[]), asking:
+        with interrupts_raised(), torch.random.fork_rng(devices=[]), asking:
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
         if steps.asked:  # in the last epoch, after which nothing was left to stop
             raise KeyboardInterrupt(f"the training came to its end before it stopped: {run.folder}")
-    except SystemExit as error:
-        # Lightning ignores further Ctrl-C and leaves the interpreter with status 1.
+    except KeyboardInterrupt as error:
         if not trainer.interrupted:
             raise
-        signal.signal(signal.SIGINT, handler)
         done, more = progress(run)
         within = f" and {more} of {trainer.num_training_batches} steps" if more else ""
         text = f"stopped after {done} of {trainer.max_epochs} epochs{within}: go on with resume=true, run={run.folder}"

@@ -154,3 +154,14 @@ def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def interrupts_raised() -> Iterator[None]:
+    """Raise KeyboardInterrupt where Lightning, after Ctrl-C, would ignore further ones and leave the interpreter."""
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    except SystemExit as error:
+        signal.signal(signal.SIGINT, before)
+        raise KeyboardInterrupt from error

@@ -14,7 +14,7 @@ from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.files import read_json
 from siamloc.models.batch_losses import Origins
-from siamloc.training.debug import verdict
+from siamloc.training.debug.overfit import verdict
 from tests.siamloc.training.test_place_batches import SETTINGS, network
 
 PLACES = {**SETTINGS, "optimizer": {"name": "adamw", "learning_rate": 0.01}}

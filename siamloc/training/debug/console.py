@@ -1,0 +1,32 @@
+"""What the ways of looking at a training have in common: a line of text, and the time once the device is done."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, field
+
+import torch
+
+
+def say(text: str) -> None:
+    """Print a line where the user reads what goes on."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def milliseconds(seconds: float) -> str:
+    """Return a time as text."""
+    return f"{1000 * seconds:.1f} ms"
+
+
+@dataclass
+class Clock:
+    """The time, once the device has done its work."""
+
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
+
+    def __call__(self) -> float:
+        """Return the time in seconds."""
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        return time.perf_counter()
