@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from math import prod
+from typing import ClassVar
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -103,8 +106,11 @@ class GeneralizedMean(UnitHead):
         outputs: length D of a descriptor.
     """
 
+    over: ClassVar[tuple[int, ...]] = (2, 3)
+    """The dimensions that the mean goes over."""
+
     def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
-        super().__init__(name, shape[0], outputs)
+        super().__init__(name, prod(size for at, size in enumerate(shape, 1) if at not in self.over), outputs)
         self.power = nn.Parameter(torch.empty(1))
 
     def reset(self) -> None:
@@ -114,7 +120,17 @@ class GeneralizedMean(UnitHead):
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
         powers = features.clamp(min=_SMALLEST) ** self.power
-        return self.unit(powers.mean(dim=(2, 3)) ** (1 / self.power))
+        return self.unit((powers.mean(dim=self.over) ** (1 / self.power)).flatten(1))
+
+
+class Bands(GeneralizedMean):
+    """The generalized mean of each channel over each row of the features, then one layer, scaled to unit length.
+
+    As `gem`, but of each horizontal band by itself: it forgets in which direction something is, and keeps how high. For
+    cameras that stay level and turn, also where the columns of a picture do not wrap around.
+    """
+
+    over = (3,)
 
 
 class Fourier(UnitHead):
@@ -160,6 +176,7 @@ class Fourier(UnitHead):
 _KINDS: dict[str, type[Flat] | type[GeneralizedMean] | type[Fourier]] = {
     "flat": Flat,
     "gem": GeneralizedMean,
+    "bands": Bands,
     "fourier": Fourier,
 }
 

@@ -51,6 +51,7 @@ HEADS: dict[str, tuple[int, ...]] = {
     "fc4096_4096_1000": (4096, 4096, 1000),
     "flat": (256,),
     "gem": (256,),
+    "bands": (256,),
     "fourier": (256,),
 }
 """Neurons of the fully connected layers: three in versions 1 to 4 of [T] table 5.2; one in the heads that give

@@ -17,7 +17,7 @@ def images(count=2, seed=0):
     return torch.rand(count, 3, *SIZE, generator=torch.Generator().manual_seed(seed))
 
 
-@pytest.mark.parametrize("head", ["flat", "gem", "fourier"])
+@pytest.mark.parametrize("head", ["flat", "gem", "bands", "fourier"])
 def test_descriptors_have_unit_length_and_as_many_numbers_as_asked_for(head):
     network = build("simple1", head, SIZE, outputs=7).eval()
     with torch.inference_mode():
@@ -40,7 +40,7 @@ def test_fourier_is_the_magnitude_of_the_transform_along_the_azimuth():
 
 
 @pytest.mark.parametrize("branch", BRANCHES)
-@pytest.mark.parametrize("head", ["gem", "fourier"])
+@pytest.mark.parametrize("head", ["gem", "bands", "fourier"])
 def test_turning_the_robot_by_a_column_of_the_features_leaves_the_descriptor(branch, head):
     network = build(branch, head, SIZE, circular=True, seed=1).eval()
     panorama, other = images(1, seed=2), images(1, seed=5)
@@ -61,20 +61,22 @@ def test_without_wrapping_around_the_sides_of_the_image_show():
         assert (network(panorama.roll(32, dims=3)) - network(panorama)).norm() > 1e-3
 
 
-def test_generalized_mean_is_the_average_and_the_maximum_at_its_ends():
-    head = make_head("gem", (3, 4, 8), outputs=3)
+@pytest.mark.parametrize(("head", "outputs", "over"), [("gem", 3, (2, 3)), ("bands", 12, 3)])
+def test_generalized_mean_is_the_average_and_the_maximum_at_its_ends(head, outputs, over):
+    pooling = make_head(head, (3, 4, 8), outputs=outputs)
     features = torch.rand(2, 3, 4, 8)
     with torch.no_grad():
-        head.layer.weight.copy_(torch.eye(3))
-        head.layer.bias.zero_()
-        for power, pooled in ((1.0, features.mean(dim=(2, 3))), (200.0, features.amax(dim=(2, 3)))):
-            head.power.fill_(power)
-            expected = torch.nn.functional.normalize(pooled)
-            assert torch.allclose(head(features), expected, atol=2e-2)
+        pooling.layer.weight.copy_(torch.eye(outputs))
+        pooling.layer.bias.zero_()
+        for power, pooled in ((1.0, features.mean(dim=over)), (200.0, features.amax(dim=over))):
+            pooling.power.fill_(power)
+            expected = torch.nn.functional.normalize(pooled.flatten(1))
+            # The power of 200 is the maximum but for the number of places it is a mean of: 32 ** (1 / 200) = 1.02.
+            assert torch.allclose(pooling(features), expected, atol=2e-2)
 
 
 def test_gradients_reach_every_weight():
-    for head in ("flat", "gem", "fourier"):
+    for head in ("flat", "gem", "bands", "fourier"):
         network = build("panoresnet", head, SIZE, circular=True, outputs=5)
         network(images(4)).square().sum().backward()
         assert all(weight.grad is not None for weight in network.parameters())
