@@ -6,6 +6,11 @@ Networks are trained on the simulated building, three drives under three lightin
 - `rooms alone`: the same without positions, from room labels and the order of the frames (`pairs.by=sequence`, with
   `loss.sigma=1`, counted in frames).
 
+A third row, `photographs`, is `siamloc.training.recipe("rooms")` on pictures as an ordinary camera takes them: cut out
+of the same panoramas, 81 to 90 degrees wide, in a direction that wanders as the robot drives, with an exposure and a
+white balance of their own. It learns from three drives with their room labels; beside it stand the analytic descriptors
+`hsv` and `hog`.
+
 Pairs of queries are judged by the distance of their descriptors, the limit learned from the map; the room of a query is
 that of the map frame that looks most like it. The first network is also searched in two layers, nodes and frames, both
 by its own descriptors.
@@ -24,10 +29,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+
 import siamloc
 from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, Building, mean_and_range
 from benchmarks.report import Report, hardware, parser
-from siamloc.data import FrameTable
+from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.models.batch_losses import make_loss
 
 RECIPE = siamloc.training.recipe("modern")
@@ -42,6 +50,12 @@ LEAST, MOST_COMPARED = 0.99, 0.10
 ALL = "all"
 """All queries together, and pairs of which each picture may be taken under another light."""
 NODES, CANDIDATES, RATIO = 30, 3, 1.3
+PHOTOGRAPHS = "photographs"
+ANALYTIC = ("hsv", "hog")
+WIDE, ROWS, COLUMNS = 0.25, 120, 160
+"""A photograph: the share of a turn that it shows at most, and its size in pixels."""
+STEADY, JERK = 0.9, 4.0
+"""How the camera turns: share of the last turn that it keeps from frame to frame, and degrees that come by chance."""
 
 
 def main() -> None:
@@ -49,18 +63,21 @@ def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
     arguments.add_argument("--seeds", type=int, default=3)
-    arguments.add_argument("--ways", nargs="+", default=list(WAYS), choices=list(WAYS))
+    arguments.add_argument("--ways", nargs="+", default=[*WAYS, PHOTOGRAPHS], choices=[*WAYS, PHOTOGRAPHS])
     options = arguments.parse_args()
     report = Report("rooms", options.out)
     building = Building(options.data, RECIPE.image_size)
     rows: dict[str, list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for way in options.ways:
+            if way == PHOTOGRAPHS:
+                rows.update(photographed(building, options.seeds, Path(folder)))
+                continue
             for seed in range(options.seeds):
                 network = trained(building, way, seed, Path(folder) / f"{way}{seed}")
                 rows.setdefault(way, []).append(measured(building, network, layers=way == "positions and rooms"))
                 print(f"{way}, seed {seed}: {rows[way][-1]}", flush=True)
-    for way, found in rows.items():
+    for way, found in ((way, rows[way]) for way in WAYS if way in rows):
         for figure in ("rooms", "pairs"):
             for light in (*LIGHTINGS, ALL):
                 mean = statistics.mean(row[light][figure] for row in found)
@@ -70,6 +87,10 @@ def main() -> None:
         share, loss = layers["share"], layers["loss"]
         report.target(f"two layers, {number}: {MOST_COMPARED:.0%} compared ({share:.1%})", share <= MOST_COMPARED)
         report.target(f"two layers, {number}: no larger error ({loss:+.1%})", loss <= 0)
+    for light in LIGHTINGS if PHOTOGRAPHS in rows else ():
+        ours = statistics.mean(row[light]["rooms"] for row in rows[PHOTOGRAPHS])
+        best, name = max((rows[name][0][light]["rooms"], name) for name in ANALYTIC)
+        report.target(f"photographs, {light}: {ours:.1%} of the rooms, more than {name} ({best:.1%})", ours > best)
     print(f"{options.seeds} seeds: mean (lowest to highest); {hardware()['cpu']}\n\n{table(rows)}")
     report.write({"seeds": options.seeds, "rows": rows})
 
@@ -85,18 +106,59 @@ def trained(building: Building, way: str, seed: int, run: Path) -> Any:
     return network
 
 
+def photographed(building: Building, seeds: int, folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """Train on photographs with room labels, and return the shares of rooms and pairs found, ours and analytic."""
+    frames = photographs(building, folder / PHOTOGRAPHS)
+    recipe = siamloc.training.recipe("rooms")
+    small = PanoramaLibrary(frames, folder / "cache", image_size=recipe.image_size, circular=False)
+    large = PanoramaLibrary(frames, folder / "cache", image_size=(128, 160), circular=False)
+    found: dict[str, list[dict[str, Any]]] = {PHOTOGRAPHS: []}
+    for seed in range(seeds):
+        network = recipe.build(seed=seed)
+        drives = frames.select(sequence=list(TRAIN))
+        recipe.fit(network, small, drives, run=folder / f"{PHOTOGRAPHS}{seed}", seed=seed)
+        found[PHOTOGRAPHS].append(shares(small, network))
+        print(f"{PHOTOGRAPHS}, seed {seed}: {found[PHOTOGRAPHS][-1]}", flush=True)
+    return found | {name: [shares(large, name)] for name in ANALYTIC}
+
+
+def photographs(building: Building, folder: Path) -> FrameTable:
+    """Cut a photograph out of every panorama, in a direction that wanders along each drive; return their table."""
+    frames = building.drives([*TRAIN, *MAP, *QUERIES])
+    paths = []
+    for sequence in sorted(set(frames.sequence.tolist())):
+        generator = np.random.default_rng([*sequence.encode()])
+        heading, turn = generator.uniform(0, 360), 0.0
+        for path in frames.select(sequence=sequence).path.tolist():
+            panorama = cv2.imread(path)
+            rows, columns = panorama.shape[:2]
+            turn = STEADY * turn + generator.normal(0, JERK)
+            heading += turn
+            zoom = generator.uniform(0.9, 1)
+            top = generator.integers(0, rows - int(zoom * rows) + 1)
+            ahead = np.roll(panorama, round(heading / 360 * columns), axis=1)
+            view = ahead[top : top + int(zoom * rows), : int(WIDE * zoom * columns)]
+            light = generator.uniform(0.8, 1.2) * generator.normal(1, 0.03, 3)
+            picture = np.clip(cv2.resize(view, (COLUMNS, ROWS)) * light, 0, 255).astype(np.uint8)
+            target = folder / sequence / f"{Path(path).stem}.png"
+            target.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(target), picture)
+            paths.append((path, str(target)))
+    taken = dict(paths)
+    return FrameTable(
+        path=[taken[path] for path in frames.path.tolist()],
+        sequence=frames.sequence,
+        room=frames.room,
+        lighting=frames.lighting,
+    )
+
+
 def measured(building: Building, network: Any, layers: bool) -> dict[str, Any]:
     """Return the shares of rooms and pairs found under each light, and what two layers cost and lose."""
-    known = siamloc.maps.build(network, building.images, building.drives(MAP), progress=False)
-    queries = building.drives(QUERIES)
-    parts = siamloc.evaluation.rooms(known, building.images, queries).parts
-    rooms, pairs = parts["room_retrieval"], parts["room_pairs"]
-    found: dict[str, Any] = {
-        light: {"rooms": rooms["lighting"][light]["accuracy"], "pairs": pairs["lighting"][light]["overall"]}
-        for light in LIGHTINGS
-    }
-    found[ALL] = {"rooms": rooms["overall"]["accuracy"], "pairs": pairs["overall"]["overall"]}
+    found = shares(building.images, network)
     if layers:
+        known = siamloc.maps.build(network, building.images, building.drives(MAP), progress=False)
+        queries = building.drives(QUERIES)
         nodes = siamloc.maps.group(known, "spectral", nodes=NODES)
         settings: dict[str, Any] = {"candidates": CANDIDATES, "coarse": {"ratio": RATIO}}
         result = siamloc.evaluation.hierarchical(known, building.images, queries, nodes, **settings)
@@ -105,10 +167,23 @@ def measured(building: Building, network: Any, layers: bool) -> dict[str, Any]:
     return found
 
 
+def shares(images: PanoramaLibrary, descriptor: Any) -> dict[str, Any]:
+    """Return the shares of rooms and pairs found under each light, by the nearest frame of the map."""
+    known = siamloc.maps.build(descriptor, images, images.frames.select(sequence=list(MAP)), progress=False)
+    parts = siamloc.evaluation.rooms(known, images, images.frames.select(sequence=list(QUERIES))).parts
+    rooms, pairs = parts["room_retrieval"], parts["room_pairs"]
+    found: dict[str, Any] = {
+        light: {"rooms": rooms["lighting"][light]["accuracy"], "pairs": pairs["lighting"][light]["overall"]}
+        for light in LIGHTINGS
+    }
+    found[ALL] = {"rooms": rooms["overall"]["accuracy"], "pairs": pairs["overall"]["overall"]}
+    return found
+
+
 def table(rows: dict[str, list[dict[str, Any]]]) -> str:
     """Return a table of the shares found."""
     lines = [f"| way | figure | {' | '.join((*LIGHTINGS, ALL))} |", "|---|---|---|---|---|---|"]
-    for way, found in rows.items():
+    for way, found in ((way, rows[way]) for way in WAYS if way in rows):
         for figure in ("rooms", "pairs"):
             cells = [mean_and_range([100 * row[light][figure] for row in found], 1) for light in (*LIGHTINGS, ALL)]
             lines.append(f"| {way} | {figure} right [%] | {' | '.join(cells)} |")

@@ -66,10 +66,11 @@ COMMANDS = {
         run=FOLDER                        where the run is written
         protocol.train.sequences=[...]    what it learns from; names or patterns
         protocol.validation.sequences=[...]  what the best checkpoint is chosen on
-        experiment=modern|photographs     our recipes: network, batches, loss, augmentation; keys still change them
+        experiment=modern|photographs|rooms
+                                          our recipes: network, batches, loss, augmentation; keys still change them
         model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
                                           panoresnet
-        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, fourier
+        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, bands, fourier
         model.circular=true               the network wraps around the azimuth
         model.branch.weights=imagenet     start from pretrained weights, or from the path of a state dict
         model.normalize=local             takes the light out of the picture first; or channels, image, local_brightness

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,6 +81,30 @@ class Recipe:
         return fit(network, images, frames, run=run, validation=validation, **options)
 
 
+_PHOTOGRAPHS = Recipe(
+    image_size=(96, 128),
+    model={"branch": "panoresnet", "head": "flat", "normalize": "local_brightness"},
+    loss={"name": "soft_contrastive", "sigma": 1.0},
+    augmentation={
+        "name": "photographs",
+        "all_of": [  # colours are left nearly as they are: walls and doors are told apart by them
+            {"one_of": [{"effect": "bulb"}, {"effect": "shadow"}], "probability": 0.4},
+            {"effect": "exposure", "probability": 0.6},
+            {"effect": "gamma", "probability": 0.3},
+            {"effect": "white_balance", "temperature": [-0.2, 0.2], "tint": [-0.05, 0.05], "probability": 0.5},
+            {"effect": "view"},
+        ],
+    },
+    training={
+        "epochs": 6,
+        "pairs": {"by": "sequence", "radius": 1.0, "near": 0.5, "reach": 10.0, "epoch_batches": 50},
+        "optimizer": {"name": "adamw", "learning_rate": 0.001, "weight_decay": 0.01, "schedule": "one_cycle"},
+        "clip": 1.0,
+        "average": 0.98,
+    },
+    trainer={"precision": "auto"},
+)
+
 RECIPES: dict[str, Recipe] = {
     "modern": Recipe(
         image_size=(64, 256),
@@ -96,28 +120,12 @@ RECIPES: dict[str, Recipe] = {
         },
         trainer={"precision": "auto"},
     ),
-    "photographs": Recipe(
-        image_size=(96, 128),
-        model={"branch": "panoresnet", "head": "flat", "normalize": "local_brightness"},
-        loss={"name": "soft_contrastive", "sigma": 1.0},
-        augmentation={
-            "name": "photographs",
-            "all_of": [  # colours are left nearly as they are: walls and doors are told apart by them
-                {"one_of": [{"effect": "bulb"}, {"effect": "shadow"}], "probability": 0.4},
-                {"effect": "exposure", "probability": 0.6},
-                {"effect": "gamma", "probability": 0.3},
-                {"effect": "white_balance", "temperature": [-0.2, 0.2], "tint": [-0.05, 0.05], "probability": 0.5},
-                {"effect": "view"},
-            ],
-        },
-        training={
-            "epochs": 6,
-            "pairs": {"by": "sequence", "radius": 1.0, "near": 0.5, "reach": 10.0, "epoch_batches": 50},
-            "optimizer": {"name": "adamw", "learning_rate": 0.001, "weight_decay": 0.01, "schedule": "one_cycle"},
-            "clip": 1.0,
-            "average": 0.98,
-        },
-        trainer={"precision": "auto"},
+    "photographs": _PHOTOGRAPHS,
+    "rooms": replace(
+        _PHOTOGRAPHS,
+        model={**_PHOTOGRAPHS.model, "head": "bands"},
+        loss={**(_PHOTOGRAPHS.loss or {}), "room": 0.8},
+        training={**_PHOTOGRAPHS.training, "pairs": {**_PHOTOGRAPHS.training["pairs"], "near": 0.0}},
     ),
 }
 """Our recipes, by the names of the files in conf/experiment.
@@ -127,7 +135,11 @@ random weights on batches of places, some five minutes on two processor cores.
 
 `photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
 nor rooms are needed for one drive, in which no place comes twice. The same network without the wrapping, half as long.
-Where drives share places, give rooms and `loss.room` above 0, or positions and `pairs.by="position"`.
+Where drives share places, take `rooms`, or give positions and `pairs.by="position"`.
+
+`rooms`: such pictures with room labels, of one drive or several, from which only the room is asked. A room looks
+otherwise from each place and in each direction, so the network learns to know it by what hangs and stands in it: most
+of what is wanted comes from the labels (`loss.room`), and the head forgets in which direction something was seen.
 """
 
 
