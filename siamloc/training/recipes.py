@@ -125,7 +125,10 @@ RECIPES: dict[str, Recipe] = {
         _PHOTOGRAPHS,
         model={**_PHOTOGRAPHS.model, "head": "bands"},
         loss={**(_PHOTOGRAPHS.loss or {}), "room": 0.8},
-        training={**_PHOTOGRAPHS.training, "pairs": {**_PHOTOGRAPHS.training["pairs"], "near": 0.0}},
+        training={
+            **_PHOTOGRAPHS.training,
+            "pairs": {**_PHOTOGRAPHS.training["pairs"], "near": 0.0, "epoch_batches": 100},
+        },
     ),
 }
 """Our recipes, by the names of the files in conf/experiment.
