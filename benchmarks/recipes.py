@@ -11,6 +11,9 @@ cores.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.recipes --data data/freiburg_like
+
+Another building, `siamloc simulate camera=panorama building=annex` or `building=random seed=11`, gives a file of its
+own, named after it.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ PUBLISHED: dict[str, Any] = {
 """The settings of conf/experiment/freiburg_sim.yaml."""
 ANALYTIC = ("fs", "hog", "gist", "wisurf", "briefgist", "radon_fourier", "hsv")
 EVERY = (5, 1)
+USUAL = "freiburg_like"
 RECIPES = ("published", "augmented", "ours")
 FIGURES = ("mean", "excess", "p95")
 MOST_EXCESS, MOST_P95, MOST_MEAN, MOST_MINUTES = 0.02, 0.48, 0.13, 6.0
@@ -42,13 +46,14 @@ MOST_EXCESS, MOST_P95, MOST_MEAN, MOST_MINUTES = 0.02, 0.48, 0.13, 6.0
 def main() -> None:
     """Train, evaluate, print tables and write the file."""
     arguments = parser(__doc__)
-    arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
+    arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--runs", type=Path, help="where to keep the networks, for benchmarks.headings")
     arguments.add_argument("--recipes", nargs="+", default=RECIPES, choices=RECIPES)
     arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
     options = arguments.parse_args()
-    report = Report("recipes", options.out)
+    building = options.data.name
+    report = Report("recipes" if building == USUAL else f"recipes_{building}", options.out)
     small, large = Building(options.data, RECIPE.image_size), Building(options.data)
     rows: dict[str, list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as temporary:
