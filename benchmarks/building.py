@@ -14,6 +14,7 @@ import siamloc
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
 
+USUAL = "freiburg_like"
 LIGHTINGS = ("cloudy", "night", "sunny")
 TRAIN = ("*seq2_cloudy3", "*seq2_night1", "*seq2_sunny3")
 VALIDATION = ("*seq2_cloudy1", "*seq2_sunny1")
@@ -36,6 +37,12 @@ class Building:
     def drives(self, names: Sequence[str], every: int = 1) -> FrameTable:
         """Return every k-th frame of some drives."""
         return self.frames.select(sequence=list(names)).every(every)
+
+
+def report_name(name: str, folder: Path) -> str:
+    """Return the name of a benchmark's file: with the building in it where that is not the usual one."""
+    building = folder.resolve().name
+    return name if building == USUAL else f"{name}_{building}"
 
 
 def mean_and_range(values: Sequence[float], digits: int = 2) -> str:

@@ -12,8 +12,8 @@ cores.
     siamloc simulate camera=panorama out=data
     python -m benchmarks.recipes --data data/freiburg_like
 
-Another building, `siamloc simulate camera=panorama building=annex` or `building=random seed=11`, gives a file of its
-own, named after it.
+Another building, `building=annex out=data` with `--data data/annex` or `building=random seed=11 out=data` with
+`--data data/random_11`, gives a file of its own, named after it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import siamloc
-from benchmarks.building import LIGHTINGS, TRAIN, VALIDATION, Building, located, mean_and_range
+from benchmarks.building import LIGHTINGS, TRAIN, VALIDATION, Building, located, mean_and_range, report_name
 from benchmarks.report import Report, hardware, parser
 
 RECIPE = siamloc.training.recipe("modern")
@@ -37,7 +37,6 @@ PUBLISHED: dict[str, Any] = {
 """The settings of conf/experiment/freiburg_sim.yaml."""
 ANALYTIC = ("fs", "hog", "gist", "wisurf", "briefgist", "radon_fourier", "hsv")
 EVERY = (5, 1)
-USUAL = "freiburg_like"
 RECIPES = ("published", "augmented", "ours")
 FIGURES = ("mean", "excess", "p95")
 MOST_EXCESS, MOST_P95, MOST_MEAN, MOST_MINUTES = 0.02, 0.48, 0.13, 6.0
@@ -52,8 +51,7 @@ def main() -> None:
     arguments.add_argument("--recipes", nargs="+", default=RECIPES, choices=RECIPES)
     arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
     options = arguments.parse_args()
-    building = options.data.name
-    report = Report("recipes" if building == USUAL else f"recipes_{building}", options.out)
+    report = Report(report_name("recipes", options.data), options.out)
     small, large = Building(options.data, RECIPE.image_size), Building(options.data)
     rows: dict[str, list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as temporary:

@@ -67,7 +67,8 @@ COMMANDS = {
         protocol.train.sequences=[...]    what it learns from; names or patterns
         protocol.validation.sequences=[...]  what the best checkpoint is chosen on
         experiment=modern|photographs|rooms
-                                          our recipes: network, batches, loss, augmentation; keys still change them
+                                          our recipes, for panoramas with positions, for pictures of an ordinary
+                                          camera, and for such pictures with room labels; keys still change them
         model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
                                           panoresnet
         model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, bands, fourier

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import prod
 from typing import ClassVar
 
 import torch
@@ -106,12 +105,16 @@ class GeneralizedMean(UnitHead):
         outputs: length D of a descriptor.
     """
 
-    over: ClassVar[tuple[int, ...]] = (2, 3)
-    """The dimensions that the mean goes over."""
+    _over: ClassVar[tuple[int, ...]] = (2, 3)  # the dimensions that the mean goes over
 
     def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
-        super().__init__(name, prod(size for at, size in enumerate(shape, 1) if at not in self.over), outputs)
+        super().__init__(name, self._means(shape), outputs)
         self.power = nn.Parameter(torch.empty(1))
+
+    @staticmethod
+    def _means(shape: tuple[int, int, int]) -> int:
+        """Return how many means there are of features of a shape (C, h, w)."""
+        return shape[0]
 
     def reset(self) -> None:
         """Let the power begin with 3."""
@@ -120,17 +123,26 @@ class GeneralizedMean(UnitHead):
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
         powers = features.clamp(min=_SMALLEST) ** self.power
-        return self.unit((powers.mean(dim=self.over) ** (1 / self.power)).flatten(1))
+        return self.unit((powers.mean(dim=self._over) ** (1 / self.power)).flatten(1))
 
 
 class Bands(GeneralizedMean):
     """The generalized mean of each channel over each row of the features, then one layer, scaled to unit length.
 
-    As `gem`, but of each horizontal band by itself: it forgets in which direction something is, and keeps how high. For
-    cameras that stay level and turn, also where the columns of a picture do not wrap around.
+    Like `gem`, but for each row of the features separately: it forgets the direction of things and keeps their height.
+    For cameras that stay level and turn, also where the columns of a picture do not wrap around.
+
+    Args:
+        name: what the head is called.
+        shape: (C, h, w) of the features.
+        outputs: length D of a descriptor.
     """
 
-    over = (3,)
+    _over = (3,)
+
+    @staticmethod
+    def _means(shape: tuple[int, int, int]) -> int:
+        return shape[0] * shape[1]
 
 
 class Fourier(UnitHead):

@@ -56,7 +56,7 @@ def build(
             of a torchvision network with this branch; or a run, its folder or a checkpoint: of a run the best one is
             taken, all of it where head and image size agree, else the branch alone, as a printed note says.
         seed: of the random weights; any integer from 0 to 2**63 - 1.
-        outputs: length D of a descriptor, for the heads "flat", "gem" and "fourier"; 256 if None.
+        outputs: length D of a descriptor, for the heads "flat", "gem", "bands" and "fourier"; 256 if None.
         circular: let convolutions and pools wrap around the azimuth: for panoramas, whose columns are a full turn.
         normalize: "channels": subtract a mean and divide by a standard deviation for each channel, ImageNet's unless
             the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.

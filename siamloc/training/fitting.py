@@ -184,7 +184,8 @@ def _note(settings: Training, train: FrameTable, loss: object) -> None:
     if by_order and drives > 1 and not getattr(loss, "room", 0):
         print(
             f"note: {drives} drives are learned from by the order of their frames alone, so that one place in two of "
-            "them counts as two: if they share places, give positions (pairs.by=position), or rooms (experiment=rooms)",
+            "them counts as two: if they share places, give positions (pairs.by=position), or learn from rooms, too "
+            "(loss.room=0.5)",
             file=sys.stderr,
         )
 

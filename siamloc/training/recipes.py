@@ -69,7 +69,7 @@ class Recipe:
             raise ConfigError(
                 f"this recipe is for {'panoramas, whose' if wraps else 'pictures whose'} columns "
                 f"{'wrap' if wraps else 'do not wrap'} around, and the library has circular={images.circular}: make it "
-                f"with circular={wraps}, or take the recipe {'photographs' if wraps else 'modern'}"
+                f"with circular={wraps}, or take the recipe {'photographs or rooms' if wraps else 'modern'}"
             )
 
         options = {"augmentation": dict(self.augmentation), "trainer": dict(self.trainer), **self.training}
@@ -124,9 +124,10 @@ RECIPES: dict[str, Recipe] = {
     "rooms": replace(
         _PHOTOGRAPHS,
         model={**_PHOTOGRAPHS.model, "head": "bands"},
-        loss={**(_PHOTOGRAPHS.loss or {}), "room": 0.8},
+        loss={"name": "soft_contrastive", "sigma": 1.0, "room": 0.8},
         training={
             **_PHOTOGRAPHS.training,
+            # Places from all over: neighbours in the drive are of the same room, and need not be told apart.
             "pairs": {**_PHOTOGRAPHS.training["pairs"], "near": 0.0, "epoch_batches": 100},
         },
     ),
@@ -138,11 +139,11 @@ random weights on batches of places, some five minutes on two processor cores.
 
 `photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
 nor rooms are needed for one drive, in which no place comes twice. The same network without the wrapping, half as long.
-Where drives share places, take `rooms`, or give positions and `pairs.by="position"`.
+Where drives share places, give positions and `pairs.by="position"`, or rooms and `loss.room` above 0.
 
-`rooms`: such pictures with room labels, of one drive or several, from which only the room is asked. A room looks
-otherwise from each place and in each direction, so the network learns to know it by what hangs and stands in it: most
-of what is wanted comes from the labels (`loss.room`), and the head forgets in which direction something was seen.
+`rooms`: such pictures with room labels, of one drive or several, when only the room is wanted. A room looks different
+from every place and in every direction, so the network learns to know it by what hangs and stands in it: most of the
+target comes from the labels (`loss.room`), and the head ignores the direction in which something was seen.
 """
 
 

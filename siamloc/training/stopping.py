@@ -23,6 +23,7 @@ from siamloc.training.run_folder import EPOCH_SUMS
 ensure_torchvision()
 from lightning.pytorch import LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.callbacks import Checkpoint  # noqa: E402
+from lightning.pytorch.utilities.exceptions import SIGTERMException  # noqa: E402
 
 
 class StepCheckpoints(Checkpoint):
@@ -158,10 +159,17 @@ def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
 
 @contextmanager
 def interrupts_raised() -> Iterator[None]:
-    """Raise KeyboardInterrupt where Lightning, after Ctrl-C, would ignore further ones and leave the interpreter."""
+    """Raise KeyboardInterrupt where Lightning answers Ctrl-C or SIGTERM by leaving the interpreter.
+
+    After Ctrl-C it ignores further ones: they are heard again. A `sys.exit` of the user's own goes through.
+    """
     before = signal.getsignal(signal.SIGINT)
     try:
         yield
     except SystemExit as error:
-        signal.signal(signal.SIGINT, before)
+        pressed = isinstance(error.__context__, KeyboardInterrupt)
+        if not pressed and not isinstance(error, SIGTERMException):
+            raise
+        if pressed:
+            signal.signal(signal.SIGINT, before)
         raise KeyboardInterrupt from error

@@ -1,4 +1,4 @@
-"""What the ways of looking at a training have in common: a line of text, and the time once the device is done."""
+"""Printing and timing for the ways of looking at a training."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 
 def say(text: str) -> None:
-    """Print a line where the user reads what goes on."""
+    """Print a line to stderr."""
     print(text, file=sys.stderr, flush=True)
 
 

@@ -23,7 +23,7 @@ from siamloc.training.guard import unscaled
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
-STEPS = 100
+_STEPS = 100
 LEARNED, SLOW = 0.5, 0.05  # of what may go away of a loss: it learns from the first, not at all below the second
 _LINES = 10
 _AT_THE_END = 5  # steps whose mean loss is the last
@@ -55,7 +55,7 @@ class _Losses(Callback):
 
     def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
         step = len(self.losses)
-        if trainer.is_global_zero and (step == 1 or step % (STEPS // _LINES) == 0):
+        if trainer.is_global_zero and (step == 1 or step % (_STEPS // _LINES) == 0):
             say(f"  step {step:3}   loss {self.losses[-1]:.4g}")
         latest = self.losses[-_AT_THE_END:]
         nothing_left = max(latest) - self.lowest <= (1 - _ENOUGH) * (self.losses[0] - self.lowest)
@@ -70,8 +70,8 @@ def overfit(module: NetworkModule, data: EpochDataModule, make_trainer: Callable
     losses = _Losses(_lowest(module, batch))
     trainer = make_trainer(callbacks=[losses], max_epochs=1, limit_val_batches=0)
     if trainer.is_global_zero:
-        say(f"one batch learned by heart, without augmentation, at most {STEPS} steps; nothing is kept:")
-    loader = DataLoader(_Same(batch, STEPS), batch_size=None, generator=torch.Generator().manual_seed(0))
+        say(f"one batch learned by heart, without augmentation, at most {_STEPS} steps; nothing is kept:")
+    loader = DataLoader(_Same(batch, _STEPS), batch_size=None, generator=torch.Generator().manual_seed(0))
     try:
         trainer.fit(module, train_dataloaders=loader, val_dataloaders=[])
     except ConfigError:  # the module's, at the end of an epoch

@@ -196,7 +196,9 @@ def test_what_the_checkpoint_is_chosen_by_must_be_known_of_both_sides(images, dr
 def test_several_drives_by_their_order_alone_are_said(images, frames, tmp_path, capfd):
     settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "epoch_batches": 1}, "epochs": 1}
     siamloc.training.fit(network(), images, frames, run=tmp_path / "run", **settings)
-    assert "note: 2 drives are learned from by the order of their frames alone" in capfd.readouterr().err
+    said = capfd.readouterr().err
+    assert "note: 2 drives are learned from by the order of their frames alone" in said
+    assert "or learn from rooms, too (loss.room=0.5)" in said
 
 
 def test_the_pace_counts_images_and_the_time_without_work(monkeypatch):
@@ -261,7 +263,7 @@ def test_a_loss_that_does_not_go_with_the_batches_is_refused_before_anything_is_
         with pytest.raises(ConfigError, match="a loss of batches of places takes"):
             siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **settings)
     plain = build("simple1", "fc500_500_5", SIZE)
-    with pytest.raises(ConfigError, match=r"needs descriptors of length 1.*flat, gem or fourier"):
+    with pytest.raises(ConfigError, match=r"needs descriptors of length 1.*flat, gem, bands or fourier"):
         siamloc.training.fit(plain, images, drives[0], run=tmp_path / "run", epochs=1, **SETTINGS)
     assert not (tmp_path / "run").exists()
 
