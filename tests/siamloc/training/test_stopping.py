@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -130,6 +131,12 @@ def test_sigterm_leaves_a_checkpoint_too(train, tmp_path):
     with pytest.raises(ConfigError, match="has begun epoch 2 already, more than epochs=1"):
         train("cut", "pairs", resume=True, epochs=1)
     same(whole, train("cut", "pairs", resume=True))
+
+
+def test_an_exit_of_the_users_own_goes_through(train):
+    with pytest.raises(SystemExit) as raised:
+        train("cut", "pairs", Stop(2, lambda: sys.exit(3)))
+    assert raised.value.code == 3
 
 
 class StopValidation(Callback):
