@@ -35,6 +35,7 @@ import siamloc
 from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, Building, mean_and_range, report_name
 from benchmarks.report import Report, hardware, parser
 from siamloc.data import FrameTable, PanoramaLibrary
+from siamloc.maps import VisualMap
 from siamloc.models.batch_losses import make_loss
 
 RECIPE = siamloc.training.recipe("modern")
@@ -116,9 +117,9 @@ def photographed(building: Building, seeds: int, folder: Path) -> dict[str, list
         network = recipe.build(seed=seed)
         drives = frames.select(sequence=list(TRAIN))
         recipe.fit(network, small, drives, run=folder / f"{PHOTOGRAPHS}{seed}", seed=seed)
-        found[PHOTOGRAPHS].append(shares(small, network))
+        found[PHOTOGRAPHS].append(shares(small, mapped(small, network)))
         print(f"{PHOTOGRAPHS}, seed {seed}: {found[PHOTOGRAPHS][-1]}", flush=True)
-    return found | {name: [shares(large, name)] for name in ANALYTIC}
+    return found | {name: [shares(large, mapped(large, name))] for name in ANALYTIC}
 
 
 def photographs(building: Building, folder: Path) -> FrameTable:
@@ -153,9 +154,9 @@ def photographs(building: Building, folder: Path) -> FrameTable:
 
 def measured(building: Building, network: Any, layers: bool) -> dict[str, Any]:
     """Return the shares of rooms and pairs found under each light, and what two layers cost and lose."""
-    found = shares(building.images, network)
+    known = mapped(building.images, network)
+    found = shares(building.images, known)
     if layers:
-        known = siamloc.maps.build(network, building.images, building.drives(MAP), progress=False)
         queries = building.drives(QUERIES)
         nodes = siamloc.maps.group(known, "spectral", nodes=NODES)
         settings: dict[str, Any] = {"candidates": CANDIDATES, "coarse": {"ratio": RATIO}}
@@ -165,18 +166,21 @@ def measured(building: Building, network: Any, layers: bool) -> dict[str, Any]:
     return found
 
 
-def shares(images: PanoramaLibrary, descriptor: Any) -> dict[str, Any]:
+def mapped(images: PanoramaLibrary, descriptor: Any) -> VisualMap:
+    """Return the map of one drive."""
+    return siamloc.maps.build(descriptor, images, images.frames.select(sequence=list(MAP)), progress=False)
+
+
+def shares(images: PanoramaLibrary, known: VisualMap) -> dict[str, Any]:
     """Return the shares of rooms and pairs found under each light, by the nearest frame of the map."""
-    known = siamloc.maps.build(descriptor, images, images.frames.select(sequence=list(MAP)), progress=False)
     parts = siamloc.evaluation.rooms(known, images, images.frames.select(sequence=list(QUERIES))).parts
     rooms = parts["room_retrieval"]
     found: dict[str, Any] = {light: {"rooms": rooms["lighting"][light]["accuracy"]} for light in LIGHTINGS}
     found[ALL] = {"rooms": rooms["overall"]["accuracy"]}
     if "room_pairs" in parts:  # which networks alone are asked for
-        pairs = parts["room_pairs"]
-        for light, shares_found in {**pairs["lighting"], ALL: pairs["overall"]}.items():
-            if light in found:
-                found[light]["pairs"] = shares_found["overall"]
+        pairs = {**parts["room_pairs"]["lighting"], ALL: parts["room_pairs"]["overall"]}
+        for light, figures in found.items():
+            figures["pairs"] = pairs[light]["overall"]
     return found
 
 

@@ -108,13 +108,9 @@ class GeneralizedMean(UnitHead):
     _over: ClassVar[tuple[int, ...]] = (2, 3)  # the dimensions that the mean goes over
 
     def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
-        super().__init__(name, self._means(shape), outputs)
+        channels, rows, _ = shape
+        super().__init__(name, channels if 2 in self._over else channels * rows, outputs)
         self.power = nn.Parameter(torch.empty(1))
-
-    @staticmethod
-    def _means(shape: tuple[int, int, int]) -> int:
-        """Return how many means there are of features of a shape (C, h, w)."""
-        return shape[0]
 
     def reset(self) -> None:
         """Let the power begin with 3."""
@@ -139,10 +135,6 @@ class Bands(GeneralizedMean):
     """
 
     _over = (3,)
-
-    @staticmethod
-    def _means(shape: tuple[int, int, int]) -> int:
-        return shape[0] * shape[1]
 
 
 class Fourier(UnitHead):
