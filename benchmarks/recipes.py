@@ -44,7 +44,7 @@ MOST_EXCESS, MOST_P95, MOST_MEAN, MOST_MINUTES = 0.02, 0.48, 0.13, 6.0
 
 def main() -> None:
     """Train, evaluate, print tables and write the file."""
-    arguments = parser(__doc__)
+    arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--runs", type=Path, help="where to keep the networks, for benchmarks.headings")
@@ -60,6 +60,7 @@ def main() -> None:
             rows[name] = [trained(small, name, seed, folder / f"{name}{seed}") for seed in range(options.seeds)]
     for name in options.analytic:
         rows[name] = [located(large, name)]
+    rows = report.kept(rows, (*RECIPES, *ANALYTIC)) if options.keep else rows
     judge(report, rows.get("ours", []))
     print(f"{options.seeds} seeds: mean (lowest to highest); {hardware()['cpu']}")
     for every in EVERY:

@@ -17,7 +17,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from siamloc.files import write_json
+from siamloc.files import read_json, write_json
 from siamloc.results import versions
 
 RESULTS = Path(__file__).parent / "results"
@@ -40,11 +40,24 @@ class Report:
         self._hardware = hardware()  # here, since the load is of interest before the work begins
         self._packages = packages
         self._targets: list[dict[str, Any]] = []
+        self._kept: dict[str, Any] = {}
 
     def target(self, text: str, met: bool) -> None:
         """Say whether a target was met, and take it down."""
         self._targets.append({"target": text, "met": bool(met)})
         print(f"target {text}: {'met' if met else 'NOT met'}")
+
+    def kept(self, rows: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
+        """Return the rows of the file as it stands, with those of this run in place of theirs, in the order given.
+
+        The new file says from which day, and from which processor, each row is that this run did not measure.
+        """
+        former = read_json(self.path) if self.path.is_file() else {"rows": {}}
+        old = {name: row for name, row in former["rows"].items() if name not in rows}
+        whence = {"date": former.get("date"), "cpu": former.get("hardware", {}).get("cpu")}
+        self._kept = {name: former.get("kept", {}).get(name, whence) for name in old}
+        merged = {**old, **rows}
+        return {name: merged[name] for name in order if name in merged}
 
     def write(self, figures: Mapping[str, Any]) -> None:
         """Write the figures with all that they rest on."""
@@ -55,14 +68,17 @@ class Report:
             "hardware": self._hardware,
             "versions": {**versions(), **{package: _version(package) for package in self._packages}},
         }
-        write_json(self.path, {**about, **figures, "targets": self._targets})
+        kept = {"kept": self._kept} if self._kept else {}
+        write_json(self.path, {**about, **figures, **kept, "targets": self._targets})
         print(f"written to {self.path}")
 
 
-def parser(doc: str | None) -> argparse.ArgumentParser:
-    """Return a parser that shows the module's text and knows `--out`."""
+def parser(doc: str | None, keeps: bool = False) -> argparse.ArgumentParser:
+    """Return a parser that shows the module's text and knows `--out`, and `--keep` where rows can be kept."""
     made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--out", type=Path, default=RESULTS, metavar="FOLDER", help="folder of the JSON file")
+    if keeps:
+        made.add_argument("--keep", action="store_true", help="keep the rows of the file that this run leaves out")
     return made
 
 

@@ -60,7 +60,7 @@ STEADY, JERK = 0.9, 4.0
 
 def main() -> None:
     """Train, evaluate, print a table and write the file."""
-    arguments = parser(__doc__)
+    arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--ways", nargs="+", default=[*WAYS, PHOTOGRAPHS], choices=[*WAYS, PHOTOGRAPHS])
@@ -77,6 +77,7 @@ def main() -> None:
                 network = trained(building, way, seed, Path(folder) / f"{way}{seed}")
                 rows.setdefault(way, []).append(measured(building, network, layers=way == "positions and rooms"))
                 print(f"{way}, seed {seed}: {rows[way][-1]}", flush=True)
+    rows = report.kept(rows, (*WAYS, PHOTOGRAPHS, *ANALYTIC)) if options.keep else rows
     for way, found in ((way, rows[way]) for way in WAYS if way in rows):
         for figure in ("rooms", "pairs"):
             for light in (*LIGHTINGS, ALL):
