@@ -32,7 +32,7 @@ class PairSettings(Settings):
     """
 
     WHERE = "pairs"
-    needs_positions: ClassVar[str] = "distance labels"
+    needs_positions: ClassVar[str] = "distance labels need (pairs.label=room does without)"
 
     label: Literal["auto", "room", "distance"] = "auto"
     same_room_share: Share | None = None

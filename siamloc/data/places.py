@@ -30,7 +30,9 @@ class PlaceSettings(Settings):
     """
 
     WHERE = "pairs"
-    needs_positions: ClassVar[str] = "places"
+    needs_positions: ClassVar[str] = (
+        "places need (the order of the frames does without: experiment=photographs, or rooms where they are labelled)"
+    )
 
     by: Literal["position", "sequence"] = "position"
     places: Count = 16

@@ -40,7 +40,7 @@ def usable(
             distance = len(set(readable.place.tolist())) == 1
         if distance:
             missing = readable.path[~readable.has_position].tolist()
-            what = f"{name} frames have no position, which {pairs.needs_positions} need"
+            what = f"{name} frames have no position, which {pairs.needs_positions}"
             leave_out(missing, len(readable), what, str(images.settings()["on_error"]))
             readable = readable.take(readable.has_position)
         found.append(readable)

@@ -148,7 +148,7 @@ def test_frames_without_positions_are_left_out_and_too_few_are_refused(images, d
         )
     assert not (tmp_path / "many").exists()
     nowhere = FrameTable(path=drives[0].path, sequence=drives[0].sequence)
-    with pytest.raises(DataError, match="have no position, which places need"):
+    with pytest.raises(DataError, match="have no position, which places need .*experiment=photographs"):
         siamloc.training.fit(network(), images, nowhere, run=tmp_path / "nowhere", epochs=1, **SETTINGS)
 
 
@@ -198,7 +198,7 @@ def test_several_drives_by_their_order_alone_are_said(images, frames, tmp_path, 
     siamloc.training.fit(network(), images, frames, run=tmp_path / "run", **settings)
     said = capfd.readouterr().err
     assert "note: 2 drives are learned from by the order of their frames alone" in said
-    assert "or learn from rooms, too (loss.room=0.5)" in said
+    assert "or learn from rooms, too (experiment=rooms" in said
 
 
 def test_the_pace_counts_images_and_the_time_without_work(monkeypatch):

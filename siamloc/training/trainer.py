@@ -1,0 +1,154 @@
+"""The trainers of Lightning: that of a run, with its checkpoints and curves, and one that keeps nothing."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import nn
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import ConfigError
+from siamloc.files import content_key
+from siamloc.models.network import Network
+from siamloc.runs import Run
+from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, Pace, checkpoint_callbacks
+from siamloc.training.guard import FiniteGuard
+from siamloc.training.settings import Training
+from siamloc.training.stopping import StepCheckpoints
+
+ensure_torchvision()
+from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
+from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
+from lightning.pytorch.utilities.exceptions import MisconfigurationException  # noqa: E402
+
+TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
+"""Arguments of `lightning.Trainer` that `fit` begins with."""
+
+
+def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, monitor: str | None) -> Trainer:
+    """Make the trainer of a run: checkpoints, curves and TensorBoard lie in the run's folder.
+
+    Raises:
+        ConfigError: arguments that Lightning refuses, or that are set here.
+    """
+    options = dict(further or {})
+    pace = Pace()
+    guard = FiniteGuard(run)
+    own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
+    callbacks = [*_listed(options.pop("callbacks", None)), *own_callbacks]
+    steps = StepCheckpoints(run.checkpoints / "last.ckpt", settings.checkpoint_every, guard)
+    if settings.average is not None:
+        callbacks.append(MovingAverage(decay=settings.average))
+    if settings.clip is not None:
+        options.setdefault("gradient_clip_val", settings.clip)
+    own: dict[str, Any] = {
+        "max_epochs": settings.epochs,
+        "default_root_dir": run.folder,
+        "logger": TensorBoardLogger(run.folder, name="tensorboard", version=""),
+        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor), steps],
+        "plugins": [*_listed(options.pop("plugins", None)), AtomicCheckpoints()],
+        "num_sanity_val_steps": 0,
+        "limit_val_batches": 1.0 if monitor else 0,
+        "enable_model_summary": False,
+    }
+    taken = sorted(set(options) & set(own))
+    if taken:
+        raise ConfigError(f"trainer.{taken[0]} is set by siamloc itself: leave it out")
+    options.setdefault("enable_progress_bar", sys.stderr.isatty())
+    return _made(options, own)
+
+
+def debug_trainer(further: Mapping[str, Any] | None, **own: Any) -> Trainer:
+    """Make a trainer on the device of the training that keeps nothing, with callbacks of its own only."""
+    quiet = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
+    own = {**dict.fromkeys(quiet, False), "num_sanity_val_steps": 0, **own}
+    return _made({name: value for name, value in (further or {}).items() if name not in own}, own)
+
+
+def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
+    """Make a trainer.
+
+    Raises:
+        ConfigError: arguments that Lightning refuses.
+    """
+    options = {**TRAINER, **options}
+    if options.get("precision") == "auto":
+        options["precision"] = _fast_precision(str(options["accelerator"]))
+    try:
+        return Trainer(**options, **own)
+    except (MisconfigurationException, TypeError, ValueError, RuntimeError) as error:
+        first_line = str(error).strip().splitlines()[0]
+        raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
+
+
+def _fast_precision(accelerator: str) -> str:
+    """Return bfloat16 for most of the network where the device has instructions for it, else full precision."""
+    if accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available():
+        fast = torch.cuda.is_bf16_supported(including_emulation=False)
+    else:
+        fast = torch.cpu._is_amx_tile_supported()
+    return "bf16-mixed" if fast else "32-true"
+
+
+@contextmanager
+def fast_layout(network: nn.Module, wanted: bool) -> Iterator[None]:
+    """Let the channels of a pixel lie together, with which convolutions are faster, in a network of `build`.
+
+    A module of one's own may rely on its layout.
+    """
+    if not (wanted and isinstance(network, Network)):
+        yield
+        return
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    try:
+        yield
+    finally:
+        network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep what Lightning says about itself off the screen; warnings that concern the user stay."""
+    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
+    levels = [logger.level for logger in loggers]
+    unfounded = (
+        "LeafSpec",
+        "many workers",
+        "smaller than the logging interval",
+        "is not empty",
+        "before the epoch ended",
+    )
+    with warnings.catch_warnings():
+        for text in unfounded:
+            warnings.filterwarnings("ignore", message=f".*{text}")
+        for logger in loggers:
+            logger.setLevel(logging.WARNING)
+        try:
+            yield
+        finally:
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
+
+
+class _Seeds(Callback):
+    """Seed the random generator that layers such as dropout draw from, by the seed, the epoch and the batch."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
+        """Seed it."""
+        key = content_key([self._seed, trainer.current_epoch, batch_idx, trainer.global_rank], 15)
+        torch.manual_seed(int(key, 16))
+
+
+def _listed(value: Any) -> list[Any]:
+    if value is None:
+        return []
+    return list(value) if isinstance(value, list | tuple) else [value]
