@@ -49,7 +49,7 @@ LAYERS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "40 clusters of HOG": ({"way": "spectral", "nodes": 40}, "hog_mapping", {"candidates": 3}),
     "nodes of HOG": ({"way": "incremental", **SPARSE}, "hog_mapping", {"candidates": 3}),
     "nodes of HOG, published thresholds": ({"way": "incremental"}, "hog_mapping", {"candidates": 3}),
-    OWN: ({"way": "spectral", "nodes": 30}, "network", {"candidates": 3, "coarse": {"ratio": 1.3}}),
+    OWN: ({"way": "spectral", "nodes": 30}, "network", {"candidates": 4, "coarse": {"ratio": 1.3}}),
     "the room network's room": ({"way": "rooms"}, "rooms", {"candidates": 1}),
     "the room network's vote": ({"way": "rooms"}, "rooms", {"candidates": 1, "coarse": {"by": "vote"}}),
 }
@@ -144,14 +144,12 @@ class Bench:
         return self._small if small else self._large
 
     def _trained(self, name: str) -> Any:
-        """Return a trained network; it is trained unless its run is there."""
-        run = siamloc.training.Run(self._runs / name)
-        if run.record.is_file():
-            return siamloc.models.load(run)
+        """Return a trained network; where its run is there, it goes on from it."""
         network, building = RECIPE.build(seed=0), self._small
         train, validation = building.drives(TRAIN), building.drives(VALIDATION)
         loss = make_loss(**{**(RECIPE.loss or {}), **TRAINED[name]})
-        RECIPE.fit(network, building.images, train, run=run, validation=validation, seed=0, loss=loss)
+        run = self._runs / name
+        RECIPE.fit(network, building.images, train, run=run, validation=validation, seed=0, loss=loss, resume=True)
         return network
 
     def _map(self, name: str, every: int, small: bool) -> VisualMap:

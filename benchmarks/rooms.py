@@ -49,7 +49,8 @@ WAYS: dict[str, dict[str, dict[str, Any]]] = {
 LEAST, MOST_COMPARED = 0.99, 0.10
 ALL = "all"
 """All queries together, and pairs of which each picture may be taken under another light."""
-NODES, CANDIDATES, RATIO = 30, 3, 1.3
+NODES, CANDIDATES, RATIO = 30, 4, 1.3
+"""Chosen on the validation drives."""
 PHOTOGRAPHS = "photographs"
 ANALYTIC = ("hsv", "hog")
 WIDE, ROWS, COLUMNS = 0.25, 120, 160
@@ -63,18 +64,20 @@ def main() -> None:
     arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, default=3)
+    arguments.add_argument("--runs", type=Path, help="folder of the runs: to keep them, and to go on with them")
     arguments.add_argument("--ways", nargs="+", default=[*WAYS, PHOTOGRAPHS], choices=[*WAYS, PHOTOGRAPHS])
     options = arguments.parse_args()
     report = Report(report_name("rooms", options.data), options.out)
     building = Building(options.data, RECIPE.image_size)
     rows: dict[str, list[dict[str, Any]]] = {}
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.runs or Path(temporary)
         for way in options.ways:
             if way == PHOTOGRAPHS:
-                rows.update(photographed(building, options.seeds, Path(folder)))
+                rows.update(photographed(building, options.seeds, folder))
                 continue
             for seed in range(options.seeds):
-                network = trained(building, way, seed, Path(folder) / f"{way}{seed}")
+                network = trained(building, way, seed, folder / f"{way}{seed}")
                 rows.setdefault(way, []).append(measured(building, network, layers=way == "positions and rooms"))
                 print(f"{way}, seed {seed}: {rows[way][-1]}", flush=True)
     rows = report.kept(rows, (*WAYS, PHOTOGRAPHS, *ANALYTIC)) if options.keep else rows
@@ -103,7 +106,7 @@ def trained(building: Building, way: str, seed: int, run: Path) -> Any:
     if way == "rooms alone":
         frames = FrameTable(path=frames.path, sequence=frames.sequence, room=frames.room, lighting=frames.lighting)
     loss = make_loss(**{**(RECIPE.loss or {}), **WAYS[way]["loss"]})
-    RECIPE.fit(network, building.images, frames, run=run, seed=seed, loss=loss, pairs=WAYS[way]["pairs"])
+    RECIPE.fit(network, building.images, frames, run=run, seed=seed, loss=loss, pairs=WAYS[way]["pairs"], resume=True)
     return network
 
 
@@ -117,7 +120,7 @@ def photographed(building: Building, seeds: int, folder: Path) -> dict[str, list
     for seed in range(seeds):
         network = recipe.build(seed=seed)
         drives = frames.select(sequence=list(TRAIN))
-        recipe.fit(network, small, drives, run=folder / f"{PHOTOGRAPHS}{seed}", seed=seed)
+        recipe.fit(network, small, drives, run=folder / f"{PHOTOGRAPHS}{seed}", seed=seed, resume=True)
         found[PHOTOGRAPHS].append(shares(small, mapped(small, network)))
         print(f"{PHOTOGRAPHS}, seed {seed}: {found[PHOTOGRAPHS][-1]}", flush=True)
     return found | {name: [shares(large, mapped(large, name))] for name in ANALYTIC}
