@@ -49,7 +49,7 @@ LAYERS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "40 clusters of HOG": ({"way": "spectral", "nodes": 40}, "hog_mapping", {"candidates": 3}),
     "nodes of HOG": ({"way": "incremental", **SPARSE}, "hog_mapping", {"candidates": 3}),
     "nodes of HOG, published thresholds": ({"way": "incremental"}, "hog_mapping", {"candidates": 3}),
-    OWN: ({"way": "spectral", "nodes": 30}, "network", {"candidates": 4, "coarse": {"ratio": 1.3}}),
+    OWN: ({"way": "spectral", "nodes": 30}, "network", {"candidates": 4, "coarse": {"ratio": 1.3}, "along": 2}),
     "the room network's room": ({"way": "rooms"}, "rooms", {"candidates": 1}),
     "the room network's vote": ({"way": "rooms"}, "rooms", {"candidates": 1, "coarse": {"by": "vote"}}),
 }

@@ -134,7 +134,8 @@ COMMANDS = {
         task=hierarchical build=incremental|spectral|som|sample|rooms
                                           search the nodes of a map first, then the frames inside the nearest
         task.candidates=3                 that many nodes; task.coarse.ratio=1.3 leaves out those much farther than
-                                          the nearest
+                                          the nearest, task.along=2 adds two frames of the drive on either side of
+                                          the nearest, where they lie in another node
         task.coarse.descriptor=hog_mapping task.coarse.by=representatives|vote
                                           how nodes are ranked
         task=mapping build=incremental    measure the nodes of a map instead: see `siamloc map --help`

@@ -25,7 +25,7 @@ from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, rank_by_position
 from siamloc.results import Columns, rows_by_label
-from siamloc.settings import Count, NotNegative, Rule, Settings, takes
+from siamloc.settings import Count, Natural, NotNegative, Rule, Settings, takes
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,8 @@ class Hierarchical(Settings):
     Attributes:
         candidates: nodes searched for each query.
         coarse: how they are ranked.
+        along: so many frames before and after the nearest one, in its drive, are searched as well where they lie in
+            another node.
         radii: recall: a map frame this near counts as found, in the unit of the positions.
         ks: recall: numbers of retrieved frames.
     """
@@ -61,6 +63,7 @@ class Hierarchical(Settings):
 
     candidates: Count = 3
     coarse: CoarseRanking = field(default_factory=CoarseRanking)
+    along: Natural = 0
     radii: tuple[NotNegative, ...] = (0.25, 0.5, 1.0)
     ks: tuple[Count, ...] = (1, 5, 10, 20)
 
@@ -121,6 +124,7 @@ def hierarchical(
         candidates=settings.candidates,
         neighbours=settings.coarse.neighbours,
         ratio=settings.coarse.ratio,
+        along=settings.along,
     )
     placed, scored = known.frames.has_position, session.queries.has_position
     if text := session.lacking(placed, "map frames have no position"):

@@ -130,6 +130,8 @@ class HierarchicalSearch:
         neighbours: map frames that vote.
         ratio: candidates whose representative is farther than so many times the nearest one are not searched, at
             least 1: most queries then search one node, those between two nodes both; None searches all candidates.
+        along: so many frames before and after the nearest one, in its drive, are searched as well where they lie in
+            another node: for queries at the border of a node. The map then holds each drive's frames in their order.
 
     Attributes:
         known: the map.
@@ -137,8 +139,8 @@ class HierarchicalSearch:
         coarse: the map that ranks the nodes.
 
     Raises:
-        ConfigError: numbers below 1, an unknown way to rank, a ratio without representatives, or representatives of
-            descriptors that are compared only after turning: their means have no meaning.
+        ConfigError: numbers below 1, or below 0 for `along`, an unknown way to rank, a ratio without representatives,
+            or representatives of descriptors that are compared only after turning: their means have no meaning.
         DataError: a layer or a coarse map of other frames.
 
     Example:
@@ -161,6 +163,7 @@ class HierarchicalSearch:
         candidates: int = 3,
         neighbours: int = 10,
         ratio: float | None = None,
+        along: int = 0,
     ) -> None:
         self.known, self.layer, self.coarse = known, layer, known if coarse is None else coarse
         if len(layer.labels) != len(known):
@@ -181,6 +184,9 @@ class HierarchicalSearch:
             raise ConfigError("a ratio compares distances of representatives: leave it out, or rank by representatives")
         self._ratio = _check_ratio(ratio)
         self._by, self._candidates, self._neighbours = by, _check_candidates(candidates), check_neighbours(neighbours)
+        if along != int(along) or along < 0:
+            raise ConfigError(f"frames along the drive are a whole number from 0, got along={along}")
+        self._steps = np.array([step for step in range(-int(along), int(along) + 1) if step], dtype=np.int64)
         self._order = np.argsort(layer.labels, kind="stable")
         # Block b holds node b - 1: the frames in no node come first.
         self._bounds = np.searchsorted(layer.labels[self._order], np.arange(UNASSIGNED, len(layer) + 1))
@@ -226,7 +232,7 @@ class HierarchicalSearch:
         return _nearest_nodes(self._representatives, queries.position, self._candidates, self._ratio)
 
     def search(self, queries: Description | ArrayLike, ranking: NodeRanking, k: int = 1) -> HierarchicalRetrieval:
-        """Return the k nearest frames of each query among those of its candidate nodes, exactly.
+        """Return the k nearest frames of each query among those of its candidate nodes, and `along` them, exactly.
 
         Of equally near frames the smaller row of the map comes first. The answer does not depend on the other queries.
 
@@ -255,6 +261,8 @@ class HierarchicalSearch:
         for start in range(0, n, step):
             part = slice(start, min(start + step, n))
             self._fill(Retrieval(best.indices[part], best.distances[part]), described.take(part), nodes[part])
+        if len(self._steps):
+            searched = searched + self._fill_along(best, described, nodes)
         empty = np.isinf(best.distances)
         best.indices[empty] = np.broadcast_to(best.indices[:, :1], empty.shape)[empty]
         node = self.layer.labels[best.indices[:, 0]]
@@ -268,7 +276,9 @@ class HierarchicalSearch:
             if not len(rows):
                 continue
             everyone = np.arange(len(nodes)) if node == UNASSIGNED else np.flatnonzero((nodes == node).any(axis=1))
-            found = self._inside(node, rows, queries.take(everyone), k)
+            if self.known.aligned and node not in self._aligned_parts:  # kept with its spectrum, for the next queries
+                self._aligned_parts[node] = self.known.description.take(rows)
+            found = self._inside(rows, self._aligned_parts.get(node), queries.take(everyone), k)
             hits.append((np.repeat(everyone, found.indices.shape[1]), found.indices.ravel(), found.distances.ravel()))
         query, frame, apart = (np.concatenate(column) for column in zip(*hits, strict=True))
         order = np.lexsort((frame, apart, query))
@@ -279,17 +289,35 @@ class HierarchicalSearch:
         best.indices[query[near], rank[near]] = frame[order][near]
         best.distances[query[near], rank[near]] = apart[order][near]
 
-    def _inside(self, node: int, rows: NDArray[np.int64], queries: Description, k: int) -> Retrieval:
-        """Return the nearest of some rows of the map."""
-        if not self.known.aligned:
+    def _fill_along(self, best: Retrieval, queries: Description, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Search beside the nearest frame of each query, in place, and return how many frames were compared (n,)."""
+        nearest = best.indices[:, :1]
+        beside = nearest + self._steps
+        inside = (beside >= 0) & (beside < len(self))
+        beside = np.where(inside, beside, nearest)
+        drive, node = self.known.frames.sequence, self.layer.labels[beside]
+        known = (node == UNASSIGNED) | (node[:, :, None] == nodes[:, None, :]).any(axis=2)
+        further = inside & ~known & (drive[beside] == drive[nearest])
+        k = best.indices.shape[1]
+        for row in np.flatnonzero(further.any(axis=1)).tolist():
+            rows = beside[row][further[row]]
+            part = self.known.description.take(rows) if self.known.aligned else None
+            found = self._inside(rows, part, queries.take(slice(row, row + 1)), min(k, len(rows)))
+            frame = np.concatenate([best.indices[row], found.indices[0]])
+            apart = np.concatenate([best.distances[row], found.distances[0]])
+            order = np.lexsort((frame, apart))[:k]
+            best.indices[row], best.distances[row] = frame[order], apart[order]
+        return further.sum(axis=1)
+
+    def _inside(self, rows: NDArray[np.int64], part: Description | None, queries: Description, k: int) -> Retrieval:
+        """Return the nearest of some rows of the map, described by `part` where descriptors are aligned."""
+        if part is None:
             return self.known.index.search(queries.position, k, within=rows)
-        if node not in self._aligned_parts:  # kept with its spectrum, for the next queries
-            self._aligned_parts[node] = self.known.description.take(rows)
         step = max(1, _ALIGNED_PAIRS // len(rows))
         parts = []
         for start in range(0, len(queries), step):
             some = queries.take(slice(start, start + step))
-            apart = self.known.descriptor.pairwise(some, self._aligned_parts[node], self.known.distance)
+            apart = self.known.descriptor.pairwise(some, part, self.known.distance)
             parts.append(nearest_in_rows(apart, k))
         found = Retrieval.concatenate(parts)
         return Retrieval(rows[found.indices], found.distances)

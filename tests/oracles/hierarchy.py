@@ -30,3 +30,14 @@ def search(query, descriptors, labels, nodes, k: int, distance: str) -> tuple[li
     inside = [frame for frame, node in enumerate(labels) if node == -1 or node in nodes]
     ranked = sorted((between(query, descriptors[frame], distance), frame) for frame in inside)
     return [frame for _, frame in ranked[:k]], [apart for apart, _ in ranked[:k]], len(inside)
+
+
+def search_along(query, descriptors, labels, nodes, k, distance, drives, along) -> tuple[list[int], list[float], int]:
+    """As `search`, and then beside the nearest frame, where other nodes hold the frames."""
+    inside = {frame for frame, node in enumerate(labels) if node == -1 or node in nodes}
+    nearest = search(query, descriptors, labels, nodes, 1, distance)[0][0]
+    for frame in range(nearest - along, nearest + along + 1):
+        if 0 <= frame < len(labels) and drives[frame] == drives[nearest]:
+            inside.add(frame)
+    ranked = sorted((between(query, descriptors[frame], distance), frame) for frame in inside)
+    return [frame for _, frame in ranked[:k]], [apart for apart, _ in ranked[:k]], len(inside)

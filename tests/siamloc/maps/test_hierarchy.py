@@ -64,6 +64,45 @@ def test_the_search_equals_the_loop(seed: int, distance: str, unassigned: bool, 
     np.testing.assert_array_equal(result.tried, ranking.nodes)
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    distance=st.sampled_from(("euclidean", "manhattan")),
+    unassigned=st.booleans(),
+    k=st.integers(1, 9),
+    along=st.integers(0, 3),
+)
+def test_the_search_along_the_drive_equals_the_loop(
+    seed: int, distance: str, unassigned: bool, k: int, along: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    values, labels = rng.integers(0, 4, (20, 3)), labelled(rng, 20, 6, unassigned)
+    drives = ["a"] * 8 + ["b"] * 12
+    known = VisualMap(values, FrameTable(path=[f"{i}.png" for i in range(20)], sequence=drives), distance=distance)
+    queries, ranking = rng.integers(0, 4, (7, 3)).astype(np.float32), ranked(rng, 7, 6, 2)
+    search = HierarchicalSearch(known, CoarseLayer.of_labels(known, labels), along=along)
+    result = search.search(queries, ranking, k)
+    for i in range(7):
+        frames, distances, compared = oracle.search_along(
+            queries[i].tolist(), values.tolist(), labels.tolist(), ranking.nodes[i].tolist(), k, distance, drives, along
+        )
+        assert result.found.indices[i, : len(frames)].tolist() == frames
+        np.testing.assert_allclose(result.found.distances[i, : len(frames)], distances, atol=1e-12)
+        assert (result.node[i], result.frames_compared[i]) == (labels[frames[0]], compared)
+        assert np.isinf(result.found.distances[i, len(frames) :]).all()
+
+
+def test_a_query_at_the_border_of_a_node_finds_its_frame_along_the_drive() -> None:
+    known = visual_map([[0.0], [1.0], [2.0], [3.0]])
+    layer = CoarseLayer.of_labels(known, [0, 0, 1, 1])
+    queries, wrong = [[1.8]], NodeRanking([[0]], [2])
+    assert HierarchicalSearch(known, layer).search(queries, wrong).found.indices.tolist() == [[1]]
+    found = HierarchicalSearch(known, layer, along=1).search(queries, wrong)
+    assert (found.found.indices.tolist(), found.node.tolist(), found.compared.tolist()) == ([[2]], [1], [5])
+    with pytest.raises(ConfigError, match="a whole number from 0, got along=-1"):
+        HierarchicalSearch(known, layer, along=-1)
+
+
 @pytest.mark.parametrize("distance", DISTANCES)
 @pytest.mark.parametrize("unassigned", [False, True])
 def test_all_nodes_as_candidates_give_the_answer_of_the_whole_map(distance: str, unassigned: bool) -> None:
@@ -122,6 +161,9 @@ def test_descriptors_that_are_compared_after_turning() -> None:
     assert few.found.indices[:, 0].tolist() == [1, 3, 7, 9, 6]
     assert few.node.tolist() == [0, 1, -1, 3, 2]
     assert few.compared.tolist() == [4 + 1 + n for n in (3, 3, 4, 3, 4)]
+    whole_drive = HierarchicalSearch(known, layer, by="vote", along=13).search(queries, ranking, 3)
+    np.testing.assert_array_equal(whole_drive.found.indices, expected.indices)
+    assert whole_drive.frames_compared.tolist() == [14] * 5
 
 
 def test_a_map_of_one_frame_and_nodes_of_one_frame() -> None:

@@ -148,7 +148,7 @@ def test_frames_without_positions_are_left_out_and_too_few_are_refused(images, d
         )
     assert not (tmp_path / "many").exists()
     nowhere = FrameTable(path=drives[0].path, sequence=drives[0].sequence)
-    with pytest.raises(DataError, match="have no position, which places need .*experiment=photographs"):
+    with pytest.raises(DataError, match=r"have no position, which places need .*experiment=photographs"):
         siamloc.training.fit(network(), images, nowhere, run=tmp_path / "nowhere", epochs=1, **SETTINGS)
 
 
