@@ -1,8 +1,8 @@
 """Trained in one light, asked in another: one cloudy drive, queries by night and in the sun, and what helps how much.
 
 `ours` is `siamloc.training.recipe("modern")`, trained on the cloudy drive alone, with several seeds. The other rows
-leave one part of it out, or take the published one, in two epochs instead of five. Headings are not given, and the map is every
-fifth frame of the cloudy drive. Beside them the analytic descriptors.
+leave one part of it out, or take the published one, in two epochs instead of five. Headings are not given, and the map
+is every fifth frame of the cloudy drive. Beside them the analytic descriptors.
 
 Targets, of the mean over the seeds: better than every analytic descriptor under every light, and an excess over the
 floor of at most 0.05 m under clouds, 0.10 m by night and 0.15 m in the sun.
