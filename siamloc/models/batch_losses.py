@@ -62,7 +62,8 @@ class SoftContrastiveLoss(nn.Module):
 
     It is InfoNCE with a target that fades with the distance instead of ending at a radius. With rooms, p_ij is the
     weighted mean of this one, without the images of other rooms, and of one that is equal for all images of the room
-    of i, and 0 for others. Images without a neighbour or another image of their room in the batch do not count.
+    of i, and 0 for others. For the latter, q_ij is a softmax without the images whose room nobody knows. Images without
+    a neighbour or another image of their room in the batch do not count.
 
     Args:
         settings: see `siamloc.models.registry.SoftContrastive`.
@@ -107,36 +108,60 @@ class SoftContrastiveLoss(nn.Module):
             found = descriptors.float()
             itself = torch.eye(len(found), dtype=torch.bool, device=found.device)
             similarity = (found @ found.T / self.temperature).masked_fill(itself, -math.inf)
-            wanted = _shares(self._wanted(origins, itself))
-            counts = wanted.sum(dim=1) > 0
+            near, mates, unknown = self._wanted(origins, itself)
+            counts = (near + mates).sum(dim=1) > 0
             # The softmax of an image with itself is 0, and its logarithm must not meet the 0 that is wanted.
             told = similarity.log_softmax(dim=1).masked_fill(itself, 0)
-            cost = -(wanted * told).sum(dim=1)
+            cost = -(near * told).sum(dim=1)
+            if self.room > 0:
+                told = similarity.masked_fill(unknown, -math.inf).log_softmax(dim=1).masked_fill(itself | unknown, 0)
+                cost = cost - (mates * told).sum(dim=1)
             return (cost * counts).sum() / counts.sum().clamp(min=1)
 
     def lowest(self, origins: Origins) -> float:
         """Return the smallest loss that images from there can have: their descriptors are as alike as is wanted."""
         itself = torch.eye(len(origins.frame), dtype=torch.bool, device=origins.xy.device)
-        wanted = _shares(self._wanted(origins, itself))
-        counts = wanted.sum(dim=1) > 0
-        return float(-torch.xlogy(wanted, wanted).sum() / counts.sum().clamp(min=1))
+        near, mates, unknown = self._wanted(origins, itself)
+        counts = (near + mates).sum(dim=1) > 0
+        # Who of those with known rooms, who of the others, and how much goes to either is chosen independently.
+        known, others = near.masked_fill(unknown, 0), near * unknown
+        either = torch.stack([known.sum(dim=1), others.sum(dim=1)], dim=1)
+        lowest = sum(_entropy(weights) for weights in (known + mates, others, either))
+        return float(lowest / counts.sum().clamp(min=1))
 
-    def _wanted(self, origins: Origins, itself: Tensor) -> Tensor:
-        """Return how alike the images should look (N, N), each row up to a factor; `itself` is the diagonal."""
-        wanted = torch.zeros(itself.shape, device=itself.device)
+    def positives(self, origins: Origins) -> Tensor:
+        """Return (N, N) bool: True where two different frames should look alike, however little."""
+        near, mates, _ = self._wanted(origins, origins.frame[:, None] == origins.frame[None])
+        return near + mates > 0
+
+    def _wanted(self, origins: Origins, itself: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return how alike the images should look (N, N): for being near, and for their room; together rows sum to 1.
+
+        And where the room of the second is unknown (N, N), in rows that compare rooms; `itself` is the diagonal.
+        """
+        wanted = mates = torch.zeros(itself.shape, device=itself.device)
         if self.room < 1:
             apart = origins.distances().float() / self.sigma
             near = torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2)
             aside = itself | origins.other_room() if self.room > 0 else itself
             wanted = (1 - self.room) * _shares(near.nan_to_num(0).masked_fill(aside, 0))
         if self.room > 0:
-            wanted = wanted + self.room * _shares(origins.same_room().float().masked_fill(itself, 0))
-        return wanted
+            mates = self.room * _shares(origins.same_room().float().masked_fill(itself, 0))
+        whole = (wanted + mates).sum(dim=1, keepdim=True)
+        share = torch.where(whole > _LEAST_WEIGHT, 1 / whole.clamp(min=_LEAST_WEIGHT), 0)
+        unknown = (origins.room < 0)[None] & (mates.sum(dim=1) > 0)[:, None]
+        return share * wanted, share * mates, unknown
 
     def extra_repr(self) -> str:
         """Name the parameters when the loss is printed."""
         room = f", room={self.room:g}" if self.room else ""
         return f"temperature={self.temperature:g}, kernel={self.kernel}, sigma={self.sigma:g}{room}"
+
+
+def _entropy(weights: Tensor) -> Tensor:
+    """Return the smallest sum of -w log q over the rows, for shares q of each row."""
+    whole = weights.sum(dim=1)
+    return torch.xlogy(whole, whole).sum() - torch.xlogy(weights, weights).sum()
 
 
 def _shares(weights: Tensor) -> Tensor:

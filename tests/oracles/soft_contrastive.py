@@ -18,18 +18,22 @@ def soft_contrastive_loss(
             if math.isnan(near[j]) or walled:
                 near[j] = 0.0
         mates = {j: float(rooms is not None and rooms[i] >= 0 and rooms[i] == rooms[j]) for j in others}
-        wanted = dict.fromkeys(others, 0.0)
-        for share, weights in ((1 - room_share, near), (room_share, mates)):
+        known = [j for j in others if rooms is None or rooms[j] >= 0]
+        parts = []
+        for share, weights, among in ((1 - room_share, near, others), (room_share, mates, known)):
             total = sum(weights.values())
             if share > 0 and total > 1e-6:
-                wanted = {j: wanted[j] + share * weights[j] / total for j in others}
-        weight = sum(wanted.values())
+                parts.append((share, {j: weights[j] / total for j in among}))
+        weight = sum(share for share, _ in parts)
         if weight == 0:
             continue
         alike = {
             j: math.exp(sum(a * b for a, b in zip(descriptors[i], descriptors[j], strict=True)) / temperature)
             for j in others
         }
-        whole = sum(alike.values())
-        costs.append(-sum(wanted[j] / weight * math.log(alike[j] / whole) for j in others))
+        cost = 0.0
+        for share, wanted in parts:
+            whole = sum(alike[j] for j in wanted)
+            cost -= share / weight * sum(wanted[j] * math.log(alike[j] / whole) for j in wanted)
+        costs.append(cost)
     return sum(costs) / max(len(costs), 1)

@@ -83,9 +83,10 @@ def test_the_verdict(losses, lowest, says):
     assert re.search(says, verdict(losses, lowest, 0.1))
 
 
-def test_the_lowest_loss_of_a_batch_is_that_of_what_is_wanted():
+@pytest.mark.parametrize("rooms", [[0, 0, 1, 1], [0, -1, 0, -1]])
+def test_the_lowest_loss_of_a_batch_is_that_of_what_is_wanted(rooms):
     xy = torch.tensor([[0.0, 0.0], [0.4, 0.0], [5.0, 0.0], [5.2, 0.0]])
-    origins = Origins(xy, torch.zeros(4), torch.tensor([0, 0, 1, 1]), torch.arange(4))
+    origins = Origins(xy, torch.zeros(4), torch.tensor(rooms), torch.arange(4))
     loss = siamloc.models.SoftContrastiveLoss(room=0.3)
     descriptors = torch.nn.Parameter(torch.randn(4, 4, generator=torch.Generator().manual_seed(0)))
     optimizer = torch.optim.Adam([descriptors], lr=0.05)
