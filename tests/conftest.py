@@ -16,7 +16,7 @@ def robot(tmp_path, monkeypatch):
         for number, place in enumerate(places):
             name = f"{drive}_{number}.png"
             cv2.imwrite(str(tmp_path / name), cv2.resize(place, (128, 32), interpolation=cv2.INTER_NEAREST))
-            rows.append(f"{name},{number},0,0,{'office' if number < FRAMES // 2 else 'corridor'},{drive}")
+            rows.append(f"{name},{0.25 * number},0,0,{'office' if number < FRAMES // 2 else 'corridor'},{drive}")
     (tmp_path / "robot.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     (tmp_path / "photo.jpg").write_bytes((tmp_path / "tuesday_4.png").read_bytes())
     monkeypatch.chdir(tmp_path)

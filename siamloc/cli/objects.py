@@ -141,7 +141,7 @@ def network_of(config: DictConfig) -> dict[str, Any]:
         "weights": model["branch"]["weights"],
         "head": model["head"]["name"],
         "outputs": model["head"].get("outputs"),
-        "circular": checked(model["circular"], bool, "model.circular") and config.data.circular,
+        "circular": checked(model["circular"], bool, "model.circular"),
         "normalize": model["normalize"],
     }
 

@@ -69,8 +69,9 @@ class PairSampler:
     """Draw the pairs of an epoch.
 
     A pair is two different frames of one room, or two frames of different rooms. Frames without a room label count
-    as one room. Rooms of different buildings are different rooms. Which pairs an epoch has depends on the seed, the
-    epoch and the pair's number alone: not on workers, ranks, or on what was drawn before.
+    as one room; `fit` leaves them out where other frames of their building have one. Rooms of different buildings are
+    different rooms. Which pairs an epoch has depends on the seed, the epoch and the pair's number alone: not on
+    workers, ranks, or on what was drawn before.
 
     Args:
         frames: the frames to pair (N).
@@ -85,7 +86,8 @@ class PairSampler:
             where the frames are of one building, otherwise numbers by building; NaN for label "room".
 
     Raises:
-        ConfigError: pairs that cannot exist, such as different-room pairs where there is one room.
+        ConfigError: pairs that cannot exist, such as different-room pairs where there is one room; label "room" where
+            there is one, unless a `same_room_share` of 1 is asked for.
         DataError: fewer than two frames, or "distance" for frames without positions.
 
     Example:
@@ -160,6 +162,13 @@ class PairSampler:
 
     def _check_possible(self) -> None:
         same_pairs = round(self.same_room_share * self.epoch_pairs)
+        if self.label == "room" and self._rooms.count == 1 and self.settings.same_room_share is None:
+            raise ConfigError(
+                f"room labels (pairs.label=room) need two rooms, and all {len(self.frames)} frames belong to one, "
+                f"{self.frames.room[0] or '(no label)'}, so that there is nothing to tell apart: name the rooms, "
+                "take distance labels (pairs.label=distance), which need positions, or ask for same-room pairs alone "
+                "(pairs.same_room_share=1)"
+            )
         if same_pairs < self.epoch_pairs and self._rooms.count == 1:
             room = self.frames.room[0] or "(no label)"
             raise ConfigError(

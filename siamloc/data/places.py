@@ -22,7 +22,8 @@ class PlaceSettings(Settings):
             between them, in the order of the table, and images of two sequences are never near each other.
         places: in a batch.
         images: of each place, under different lightings where the place was seen under several.
-        radius: images of a place lie this near each other, in the unit of the positions, or in frames.
+        radius: images of a place lie this near its first one, in the unit of the positions, or in frames; 0 for the
+            same image again, of which augmentation makes different views.
         near: share of the places that lie within `reach` of another place of the batch, so that it learns to tell
             neighbours apart, too.
         reach: how near that is, in the unit of the positions, or in frames.
@@ -55,7 +56,8 @@ class PlaceSampler:
         seed: any whole number, not negative.
 
     Raises:
-        ConfigError: a batch of fewer than two places, or more than there are frames.
+        ConfigError: a batch of fewer than two places, or more than there are frames; no frame has another one within
+            `radius`, or within `reach` where that is needed.
         DataError: frames without positions.
 
     Example:
@@ -83,7 +85,7 @@ class PlaceSampler:
             )
         self.frames = frames
         self.seed = int(seed)
-        self._check_count(settings.places)
+        self.check_processes(1)
         per_batch = settings.places * settings.images
         self.epoch_batches = settings.epoch_batches or max(1, round(len(frames) / per_batch))
         place, apart = places_of(frames, settings.by)
@@ -92,6 +94,12 @@ class PlaceSampler:
         self._points = np.column_stack([place, apart * far])
         self._tree = cKDTree(self._points)
         self._kind = _kinds(frames)
+        self._nearest = np.full(len(frames), np.inf)
+        for number in range(apart.max() + 1):
+            rows = apart == number
+            if rows.sum() > 1:
+                self._nearest[rows] = cKDTree(place[rows]).query(place[rows], k=2)[0][:, 1]
+        self._lonely = {key: self._without(key) for key in self._asked()}
 
     def __len__(self) -> int:
         return self.epoch_batches
@@ -99,6 +107,32 @@ class PlaceSampler:
     def summary(self) -> str:
         """Say what an epoch has."""
         return f"{self.epoch_batches} batches of {self.settings.places} places x {self.settings.images} images"
+
+    def notes(self) -> list[str]:
+        """Say of which frames no batch can be what was asked for."""
+        instead = {
+            "radius": "places around them have the same image again",
+            "reach": "places near them are the same place again",
+        }
+        return [
+            f"{count} of {len(self.frames)} frames have no other one within pairs.{key}={self._limit(key)}: "
+            f"{instead[key]}; a larger pairs.{key} finds some ({self._far_off()})"
+            for key, count in self._lonely.items()
+            if count
+        ]
+
+    def check_processes(self, processes: int) -> None:
+        """Raise ConfigError unless so many processes find as many places as they draw together."""
+        places, most = self.settings.places * processes, len(self.frames) // processes
+        if places <= len(self.frames):
+            return
+        shared, advice = "", [f"set pairs.places to {most} or less"] if most > 1 else ["give more frames"]
+        if processes > 1:
+            shared = f", {self.settings.places} for each of the {processes} processes that train together,"
+            advice.append("train with fewer processes (trainer.devices, trainer.num_nodes)")
+        raise ConfigError(
+            f"a batch of {places} places{shared} cannot be drawn from {len(self.frames)} frames: {', or '.join(advice)}"
+        )
 
     def batch(self, epoch: int, number: int, rank: int = 0, world_size: int = 1) -> NDArray[np.int64]:
         """Return the rows of a batch (places * images,), those of one place after those of another.
@@ -108,18 +142,60 @@ class PlaceSampler:
         """
         if not 0 <= rank < world_size or epoch < 0:
             raise ConfigError(f"need epoch >= 0 and 0 <= rank < world_size, got {epoch}, {rank} and {world_size}")
-        count = self.settings.places * world_size
-        self._check_count(count)
-        generator = np.random.default_rng([self.seed, epoch, number, 0x91ACE])
-        centres = self._centres(generator, count)
-        rows = [self._images(generator, centre) for centre in centres]
-        return np.concatenate(rows[rank * self.settings.places : (rank + 1) * self.settings.places])
+        each = self.settings.places * self.settings.images
+        return self.whole_batch(epoch, number, world_size)[rank * each : (rank + 1) * each]
 
-    def _check_count(self, places: int) -> None:
-        if places > len(self.frames):
+    def whole_batch(self, epoch: int, number: int, world_size: int = 1) -> NDArray[np.int64]:
+        """Return the rows of a batch of all processes together (places * images * world_size,).
+
+        Raises:
+            ConfigError: more places than frames.
+        """
+        self.check_processes(world_size)
+        generator = np.random.default_rng([self.seed, epoch, number, 0x91ACE])
+        centres = self._centres(generator, self.settings.places * world_size)
+        return np.concatenate([self._images(generator, centre) for centre in centres])
+
+    def _asked(self) -> dict[str, str]:
+        """Return the settings that need frames near each other, with what asks for it."""
+        settings, found = self.settings, {}
+        if settings.images > 1 and settings.radius > 0:
+            found["radius"] = f"pairs.images={settings.images} asks for several images of a place"
+        if settings.near > 0:
+            found["reach"] = f"pairs.near={settings.near:g} asks for places near each other"
+        return found
+
+    def _without(self, key: str) -> int:
+        """Count the frames that have no other one as near as a setting says.
+
+        Raises:
+            ConfigError: none has.
+        """
+        count = int((self._nearest > getattr(self.settings, key)).sum())
+        if count == len(self.frames):
+            instead = {
+                "radius": "set it larger, or to 0 for views of one image that augmentation makes different",
+                "reach": "set it larger, or pairs.near to 0",
+            }
             raise ConfigError(
-                f"a batch of {places} places cannot be drawn from {len(self.frames)} frames: set pairs.places smaller"
+                f"{self._asked()[key]}, but no frame has another one within pairs.{key}={self._limit(key)} "
+                f"({self._far_off()}): {instead[key]}"
             )
+        return count
+
+    def _limit(self, key: str) -> str:
+        return f"{getattr(self.settings, key):g} {self._unit}"
+
+    @property
+    def _unit(self) -> str:
+        return self.frames.unit if self.settings.by == "position" else "frames"
+
+    def _far_off(self) -> str:
+        """Say how far apart frames are."""
+        half = float(np.median(self._nearest))
+        if not np.isfinite(half):
+            return f"most are the only ones of their {'building' if self.settings.by == 'position' else 'sequence'}"
+        return f"half of the frames have one within {half:.3g} {self._unit}"
 
     def _centres(self, generator: np.random.Generator, count: int) -> NDArray[np.int64]:
         """Draw the first frame of each place: some anywhere, the rest near those, in mixed order."""

@@ -92,6 +92,14 @@ def fill(network: nn.Module, weights: Weights, what: str) -> None:
     if not any(key.startswith("branch.") for key in state):
         what = what.partition(" ")[0]
         target = network.get_submodule("branch.features")
+        normalize = getattr(network.get_submodule("branch"), "normalize", "channels")
+        if normalize != "channels":
+            print(
+                f"note: {weights.origin} was trained on images normalized by channels, and normalize={normalize} shows "
+                "it other ones: set model.normalize=channels (from Python normalize='channels') to start from what it "
+                "learned",
+                file=sys.stderr,
+            )
         state = {
             _OLD_DENSENET.sub(r"\1\2.", key.removeprefix("features.")): value
             for key, value in state.items()

@@ -17,7 +17,7 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import Pairs, PairSampler, PairSettings
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, SiamlocError
 
 ensure_torchvision()
 from lightning.pytorch import LightningDataModule  # noqa: E402
@@ -83,9 +83,8 @@ class PairBatches(Dataset[dict[str, Any]]):
         rank: int = 0,
         world_size: int = 1,
     ) -> None:
+        check_pairs_of_each(len(sampler), world_size)
         self._pairs_of_each = len(sampler) // world_size
-        if self._pairs_of_each == 0:
-            raise ConfigError(f"{len(sampler)} pairs are fewer than the {world_size} processes that train together")
         self._library = library
         self._sampler = sampler
         self._rows = library.rows(sampler.frames)
@@ -124,6 +123,17 @@ class PairBatches(Dataset[dict[str, Any]]):
             pairs, shape = len(self._sampler), self._library.image_shape
             self._drawn = [self._augmentation.draw((epoch, side, _STREAM), pairs, shape, mine) for side in (0, 1)]
         self._epoch = epoch
+
+
+def check_pairs_of_each(
+    pairs: int, processes: int, what: str = "pairs", more: str = "ask for more by pairs.epoch_pairs"
+) -> None:
+    """Raise ConfigError where there are fewer pairs than processes."""
+    if pairs < processes:
+        raise ConfigError(
+            f"{pairs} {what} are fewer than the {processes} processes that train together: {more}, or train with fewer "
+            "processes (trainer.devices, trainer.num_nodes)"
+        )
 
 
 class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
@@ -195,6 +205,14 @@ class EpochDataModule(LightningDataModule):
         """Return the number of this process among those that train together, and how many those are."""
         return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
 
+    def check_processes(self, processes: int) -> None:
+        """Raise ConfigError unless there is something to learn from for each of so many processes."""
+        raise NotImplementedError
+
+    def notes(self) -> list[str]:
+        """Say what the frames lack of what was asked for, a sentence each."""
+        return []
+
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
         """Return the files of a training batch of this process, by the name that its images have in the batch."""
         raise NotImplementedError
@@ -264,7 +282,16 @@ class PairDataModule(EpochDataModule):
             settings = replace(
                 self.sampler.settings, label=self.sampler.label, epoch_pairs=validation_pairs, scale=scale
             )
-            self.validation_sampler = PairSampler(validation, settings, seed=seed)
+            try:
+                self.validation_sampler = PairSampler(validation, settings, seed=seed)
+            except SiamlocError as error:
+                raise type(error)(f"of the validation: {error}") from error
+
+    def check_processes(self, processes: int) -> None:
+        """Raise ConfigError where there are fewer pairs than processes."""
+        check_pairs_of_each(len(self.sampler), processes)
+        if self.validation_sampler is not None:
+            check_pairs_of_each(len(self.validation_sampler), processes, "validation pairs", "give more frames")
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""

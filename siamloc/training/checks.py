@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 
+import numpy as np
+import torch
 from torch import nn
 
 from siamloc.data.frames import FrameTable
@@ -11,21 +14,29 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
-from siamloc.models.batch_losses import SoftContrastiveLoss
+from siamloc.models.batch_losses import Origins, SoftContrastiveLoss
 from siamloc.models.describing import describe
 from siamloc.models.module import name_of
 from siamloc.models.places import BatchLoss
 from siamloc.models.siamese import Loss
+from siamloc.training.batches import EpochDataModule
+from siamloc.training.lacking import what_is_lacking
+from siamloc.training.place_batches import PlaceDataModule, origins_of
 from siamloc.training.settings import Training
 
 _ROOMS = 2  # that have to be told apart at least
+_TRIED = 8  # batches that are looked through for something to learn from
 _UNIT_ROUNDING = 1e-2  # of the length of a descriptor in half precision
 
 
 def usable(
     images: PanoramaLibrary, frames: FrameTable, validation: FrameTable | None, settings: Training
 ) -> tuple[FrameTable, FrameTable | None]:
-    """Select the frames whose image can be read; for distance labels those that have a position."""
+    """Select the frames whose image can be read; for distance labels those that have a position.
+
+    Frames without a room label that pairs are drawn of are left out where others of their building have one: nobody
+    knows which rooms they show.
+    """
     found: list[FrameTable | None] = []
     pairs = settings.pairs
     distance = pairs.by == "position" if isinstance(pairs, PlaceSettings) else pairs.label == "distance"
@@ -36,12 +47,19 @@ def usable(
         readable = images.readable(table)
         if not len(readable):
             raise DataError(f"there are no {name} frames" if not len(table) else f"no {name} image can be read")
+        strict = str(images.settings()["on_error"])
+        if isinstance(pairs, PairSettings):
+            labelled = readable.room != ""
+            unknown = ~labelled & np.isin(readable.building, readable.building[labelled])
+            missing = readable.path[unknown].tolist()
+            leave_out(missing, len(readable), f"{name} frames have no room label, which others have", strict)
+            readable = readable.take(~unknown)
         if name == "training" and isinstance(pairs, PairSettings) and pairs.label == "auto":
             distance = len(set(readable.place.tolist())) == 1
         if distance:
             missing = readable.path[~readable.has_position].tolist()
             what = f"{name} frames have no position, which {pairs.needs_positions}"
-            leave_out(missing, len(readable), what, str(images.settings()["on_error"]))
+            leave_out(missing, len(readable), what, strict)
             readable = readable.take(readable.has_position)
         found.append(readable)
     train, validated = found
@@ -82,8 +100,44 @@ def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable) -> None:
         )
 
 
+def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> None:
+    """Make sure that there is enough for so many processes, and that batches of places have what the loss learns from.
+
+    Some batches are drawn, and looked at as a loss of siamloc would.
+
+    Raises:
+        ConfigError: too little, or a loss that learns nothing from any of these batches.
+    """
+    data.check_processes(processes)
+    if not isinstance(data, PlaceDataModule):
+        return
+    sampler = data.sampler
+    found = origins_of(sampler.frames, by=sampler.settings.by)
+    lacking: str | None = None
+    for number in range(_TRIED):
+        rows = torch.from_numpy(sampler.whole_batch(*divmod(number, len(sampler)), processes))
+        origins = Origins(**{name: value[rows] for name, value in found.items()})
+        if sampler.settings.radius == 0:  # views of one image are what is asked for
+            origins = replace(origins, frame=torch.arange(len(rows)))
+        lacking = what_is_lacking(loss, origins)
+        if lacking is None:
+            return
+    raise ConfigError(f"these batches teach the loss nothing, {_TRIED} of {_TRIED} drawn have no {lacking}")
+
+
 def check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) -> None:
-    """Describe one image, so that a network of another image size is found before anything is written."""
+    """Describe one image, so that a network of another image size is found before anything is written.
+
+    Raises:
+        ConfigError: a network that wraps around the azimuth for images that do not, or descriptors of another length.
+        DataError: a network that does not take the images.
+    """
+    if getattr(network, "settings", {}).get("circular") and not images.circular:
+        raise ConfigError(
+            "the network wraps around the azimuth (model.circular=true, from Python build(circular=True)), and the "
+            "columns of these images do not (data.circular=false): set model.circular=false, take the recipe "
+            "photographs or rooms for pictures of an ordinary camera, or set data.circular=true for panoramas"
+        )
     try:
         descriptor = describe(network, images.batch([0]))
     except SiamlocError:

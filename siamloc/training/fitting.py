@@ -29,7 +29,7 @@ from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import checked, takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
-from siamloc.training.checks import check_loss, check_network, check_rooms, monitored, usable
+from siamloc.training.checks import check_batches, check_loss, check_network, check_rooms, monitored, usable
 from siamloc.training.debug import Debug, debug_training
 from siamloc.training.place_batches import PlaceDataModule
 from siamloc.training.run_folder import KEPT, check_debug, check_folder, check_same_training, open_run, progress
@@ -146,15 +146,17 @@ def fit(
     if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
         network.train()
     if debug is not None:
+        check_batches(data, module.loss)
         with quiet(), fast_layout(network, used["trainer"]["precision"] == "auto"), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
             debug_training(debug, module, data, run, used, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
     with quiet():
         lightning = run_trainer(run, settings, trainer, monitor)
+        check_batches(data, module.loss, lightning.world_size)
         if first:
             open_run(run, used, resume=resume, validated=validated is not None)
-            _note(settings, train, loss)
+            _note(settings, train, loss, data.notes())
             name = content["model"].get("class") or f"{content['model']['branch']} + {content['model']['head']}"
             print(
                 f"training {name} on {len(train)} frames, {data.sampler.summary()} per epoch, "
@@ -168,8 +170,17 @@ def fit(
     return run
 
 
-def _note(settings: Training, train: FrameTable, loss: object) -> None:
-    """Say what several drives mean where only the order of the frames tells what is near."""
+def _note(settings: Training, train: FrameTable, loss: object, of_data: list[str]) -> None:
+    """Say what the batches lack, and what several drives mean where only the order of the frames tells what is near."""
+    for text in of_data:
+        print(f"note: {text}", file=sys.stderr)
+    unknown = int((train.room == "").sum())
+    if getattr(loss, "room", 0) and unknown:
+        print(
+            f"note: {unknown} of {len(train)} training frames have no room label: what the loss learns of rooms, it "
+            "learns from the others",
+            file=sys.stderr,
+        )
     drives = len(set(train.sequence.tolist()))
     by_order = isinstance(settings.pairs, PlaceSettings) and settings.pairs.by == "sequence"
     if by_order and drives > 1 and not getattr(loss, "room", 0):

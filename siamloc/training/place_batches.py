@@ -31,6 +31,9 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         augmentation: what happens to the images, if anything.
         rank: number of this process among those that train together.
         world_size: how many those are.
+
+    Raises:
+        ConfigError: more places than frames.
     """
 
     def __init__(
@@ -41,6 +44,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         rank: int = 0,
         world_size: int = 1,
     ) -> None:
+        sampler.check_processes(world_size)
         self._library = library
         self._sampler = sampler
         self._rows = library.rows(sampler.frames)
@@ -118,6 +122,14 @@ class PlaceDataModule(EpochDataModule):
         super().__init__(library, workers, augmentation)
         self.sampler = PlaceSampler(train, places, seed=seed)
         self._validation = validation
+
+    def check_processes(self, processes: int) -> None:
+        """Raise ConfigError unless so many processes find as many places as they draw together."""
+        self.sampler.check_processes(processes)
+
+    def notes(self) -> list[str]:
+        """Say of which frames no batch can be what was asked for."""
+        return self.sampler.notes()
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""

@@ -64,12 +64,10 @@ class Recipe:
         from siamloc.models.batch_losses import make_loss
         from siamloc.training.fitting import fit
 
-        wraps = bool(self.model.get("circular"))
-        if images.circular != wraps:
+        if images.circular and not self.model.get("circular"):  # easily forgotten; `fit` refuses the contrary
             raise ConfigError(
-                f"this recipe is for {'panoramas, whose' if wraps else 'pictures whose'} columns "
-                f"{'wrap' if wraps else 'do not wrap'} around, and the library has circular={images.circular}: make it "
-                f"with circular={wraps}, or take the recipe {'photographs or rooms' if wraps else 'modern'}"
+                "this recipe is for pictures whose columns do not wrap around, and the library has circular=True: make "
+                "it with circular=False, or take the recipe modern"
             )
 
         options = {"augmentation": dict(self.augmentation), "trainer": dict(self.trainer), **self.training}

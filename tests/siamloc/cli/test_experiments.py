@@ -62,7 +62,7 @@ def test_a_step_of_every_experiment(experiment, cold, tmp_path):
     words = [f"experiment={experiment}", *data, f"run={tmp_path / 'run'}", "data.image_size=[64,64]", "epochs=1"]
     config = composed("train", words)
     if "places" in config.pairs:
-        words += ["pairs.places=4", "pairs.images=2", "pairs.epoch_batches=1"]
+        words += ["pairs.places=4", "pairs.images=2", "pairs.radius=2", "pairs.epoch_batches=1"]
     else:
         words += ["batch_size=4", "pairs.epoch_pairs=4"]
     words += ["trainer.accelerator=cpu", "model.branch.weights=null"]  # pretrained weights would have to be fetched

@@ -209,6 +209,8 @@ def test_balance_by_room_gives_each_room_its_turn():
         (["A"], {}, DataError, "at least two frames, got 1"),
         (["A", "A"], {"same_room_share": 0.5}, ConfigError, "one room, A"),
         (["A", "B"], {"same_room_share": 0.5}, ConfigError, "one frame only"),
+        (["A", "A"], {"label": "room"}, ConfigError, "need two rooms, and all 2 frames belong to one, A, so that"),
+        (["", ""], {"label": "room"}, ConfigError, r"belong to one, \(no label\), .* name the rooms, take distance"),
         (["A", "A", "B"], {"same_room_share": 1.2}, ConfigError, r"pairs\.same_room_share must be .*got 1\.2"),
         (["A", "A", "B"], {"epoch_pairs": 0}, ConfigError, r"pairs\.epoch_pairs must be a whole number"),
         (["A", "A", "B"], {"seed": -1}, ConfigError, "whole number from 0, got -1"),
@@ -217,6 +219,10 @@ def test_balance_by_room_gives_each_room_its_turn():
 def test_impossible_requests_are_one_clear_sentence(rooms, options, error, says):
     with pytest.raises(error, match=says):
         sampler_of(table(rooms), **options)
+
+
+def test_one_room_is_learned_from_only_where_that_is_asked_for():
+    assert not sampler_of(table(["A", "A"]), "room", same_room_share=1).epoch(0).label.any()
 
 
 def test_distance_needs_positions_that_differ():

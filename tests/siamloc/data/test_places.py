@@ -44,8 +44,42 @@ def test_images_of_a_place_lie_near_its_first_and_under_every_lighting():
 
 def test_more_images_than_a_place_has_are_the_same_ones_again():
     frames = building(drives=("cloudy",))
-    rows = PlaceSampler(frames, PlaceSettings(places=4, images=3, radius=0.1)).batch(0, 0).reshape(4, 3)
+    rows = PlaceSampler(frames, PlaceSettings(places=4, images=3, radius=0)).batch(0, 0).reshape(4, 3)
     assert (rows == rows[:, :1]).all()
+
+
+def test_images_that_no_place_has_are_refused():
+    frames = building(drives=("cloudy",))
+    with pytest.raises(
+        ConfigError,
+        match=r"pairs\.images=4 asks for several images of a place, but no frame has another one within "
+        r"pairs\.radius=0\.1 m \(half of the frames have one within 0\.5 m\): set it larger, or to 0",
+    ):
+        PlaceSampler(frames, PlaceSettings(places=4, images=4, radius=0.1))
+    with pytest.raises(
+        ConfigError,
+        match=r"pairs\.near=0\.5 asks for .* within pairs\.reach=0\.1 m .* set it larger, or pairs\.near to 0",
+    ):
+        PlaceSampler(frames, PlaceSettings(places=4, images=1, near=0.5, reach=0.1))
+    with pytest.raises(
+        ConfigError, match=r"within pairs\.radius=0\.5 frames \(half of the frames have one within 1 frames"
+    ):
+        PlaceSampler(frames, PlaceSettings(by="sequence", places=4, radius=0.5))
+    singles = frames.with_columns(sequence=frames.path)
+    with pytest.raises(ConfigError, match=r"\(most are the only ones of their sequence\)"):
+        PlaceSampler(singles, PlaceSettings(by="sequence", places=4, radius=1))
+    assert not PlaceSampler(frames, PlaceSettings(places=4, images=1, radius=0.1)).notes()
+
+
+def test_frames_that_stand_alone_are_counted():
+    near = building(drives=("cloudy",), length=6, apart=0.2)
+    frames = near.with_columns(x=[0.0, 0.2, 0.4, 5.0, 10.0, 20.0])
+    sampler = PlaceSampler(frames, PlaceSettings(places=2, images=2, radius=0.3, near=0.5, reach=5.0))
+    radius, reach = sampler.notes()
+    assert radius.startswith("3 of 6 frames have no other one within pairs.radius=0.3 m: places around them have the")
+    assert reach.startswith("1 of 6 frames have no other one within pairs.reach=5 m: ")
+    elsewhere = frames.with_columns(building=["a", "b", "b", "b", "b", "b"])
+    assert PlaceSampler(elsewhere, PlaceSettings(places=2, images=2)).notes()[0].startswith("4 of 6 frames")
 
 
 def test_near_places_lie_within_reach_of_another_place():
@@ -67,7 +101,7 @@ def test_frames_of_two_buildings_at_one_position_are_two_places():
             for number in range(10)
         ]
     )
-    rows = PlaceSampler(frames, PlaceSettings(places=6, images=4, radius=1.0)).batch(0, 0).reshape(6, 4)
+    rows = PlaceSampler(frames, PlaceSettings(places=6, images=4, radius=5.0)).batch(0, 0).reshape(6, 4)
     assert (frames.building[rows] == frames.building[rows[:, :1]]).all()
 
 
@@ -109,8 +143,15 @@ def test_what_cannot_be_drawn_is_refused():
     frames = building()
     with pytest.raises(ConfigError, match="a batch of one place has nothing to tell apart"):
         PlaceSampler(frames, PlaceSettings(places=1))
-    with pytest.raises(ConfigError, match=r"a batch of 200 places cannot be drawn from 120 frames: set pairs\.places"):
-        PlaceSampler(frames, PlaceSettings(places=100)).batch(0, 0, 0, 2)
+    with pytest.raises(ConfigError, match=r"cannot be drawn from 120 frames: set pairs\.places to 120 or less$"):
+        PlaceSampler(frames, PlaceSettings(places=121))
+    shared = (
+        "a batch of 200 places, 100 for each of the 2 processes that train together, cannot be drawn from 120 frames"
+    )
+    advice = r"set pairs\.places to 60 or less, or train with fewer processes \(trainer\.devices, trainer\.num_nodes\)"
+    for call in (lambda one: one.batch(0, 0, 0, 2), lambda one: one.check_processes(2)):
+        with pytest.raises(ConfigError, match=f"{shared}: {advice}"):
+            call(PlaceSampler(frames, PlaceSettings(places=100)))
     with pytest.raises(ConfigError, match="need epoch >= 0 and 0 <= rank < world_size, got 0, 2 and 2"):
         PlaceSampler(frames).batch(0, 0, 2, 2)
     nowhere = FrameTable(path=["a", "b"], x=[0.0, np.nan], y=[0.0, np.nan])

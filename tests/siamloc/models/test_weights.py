@@ -56,6 +56,17 @@ def test_torchvision_state_dict_fills_the_branch_and_leaves_the_head_to_the_seed
     assert torch.equal(network.head.layers[1].weight, untrained.head.layers[1].weight)
 
 
+def test_weights_that_see_other_images_than_they_were_trained_on_are_said(tmp_path, capsys):
+    path = tmp_path / "alexnet.pth"
+    torch.save(torchvision_state("alexnet"), path)
+    build("alexnet", "flat", (64, 128), weights=path)
+    assert not capsys.readouterr().err
+    build("alexnet", "flat", (64, 128), weights=path, normalize="local")
+    said = capsys.readouterr().err
+    assert said.startswith(f"note: {path} was trained on images normalized by channels, and normalize=local shows it")
+    assert "set model.normalize=channels (from Python normalize='channels')" in said
+
+
 def test_densenet_files_with_the_old_names_are_read(tmp_path):
     state = torchvision_state("densenet121")
     old = {}

@@ -25,7 +25,7 @@ def frames(tmp_path_factory):
             rows.append(
                 {
                     "path": str(path),
-                    "x": 0.5 * number,
+                    "x": 0.25 * number,
                     "y": 0.0,
                     "sequence": drive,
                     "lighting": drive,

@@ -65,8 +65,19 @@ def test_batches_hold_the_pairs_of_the_epoch(library):
 
 
 def test_fewer_pairs_than_processes_are_refused(library):
-    with pytest.raises(ConfigError, match="3 pairs are fewer than the 4 processes"):
+    with pytest.raises(
+        ConfigError, match=r"3 pairs are fewer than the 4 processes .* ask for more by pairs\.epoch_pairs"
+    ):
         PairBatches(library, sampled(library.frames, epoch_pairs=3), batch_size=1, world_size=4)
+    train, validation = library.frames.take(slice(0, 8)), library.frames.take(slice(8, None))
+    data = PairDataModule(library, train, validation, pairs=ROOM)
+    data.check_processes(3)
+    with pytest.raises(
+        ConfigError, match=r"3 validation pairs are fewer than the 4 processes .*: give more frames, or tr"
+    ):
+        data.check_processes(4)
+    with pytest.raises(ConfigError, match=r"of the validation: room labels .* belong to one, A"):
+        PairDataModule(library, train, library.frames.select(room="A"), pairs=ROOM)
 
 
 class Seen(LightningModule):

@@ -320,6 +320,25 @@ def test_frames_without_position_are_left_out_for_distance_labels(train, frames,
         train("c", images=strict, frames=holes, pairs={"label": "distance"})
 
 
+def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train, frames, day, tmp_path, caplog):
+    room = day.room.copy()
+    room[:2] = ""
+    holes = day.with_columns(room=room)
+    for name, pairs in (("auto", {}), ("distance", {"label": "distance"})):
+        assert train(name, frames=holes, pairs=pairs).settings["frames"]["train"]["count"] == len(day) - 2
+    assert "2 of 12 training frames have no room label, which others have, the first: " in caplog.text
+    night = frames.select(sequence="night1")
+    nameless, one = (night.with_columns(room=[room] * len(night)) for room in ("", "office"))
+    for given, says in (
+        ({"frames": nameless}, r"all 12 frames belong to one, \(no label\)"),
+        ({"frames": one}, "all 12 frames belong to one, office"),
+        ({"validation": nameless}, r"of the validation: .* belong to one, \(no label\)"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            train("refused", pairs={"label": "room"}, **given)
+    assert not (tmp_path / "refused").exists()
+
+
 @pytest.mark.parametrize(
     ("wrong", "error", "says"),
     [
@@ -488,7 +507,7 @@ def test_two_processes_learn_from_all_pairs_of_a_batch_of_places(script, tmp_pat
     """Each describes its half, and both compute the loss of the whole: gradients flow back to the other's half."""
     trainer = {"accelerator": "cpu", "log_every_n_steps": 1}
     common = {"head": "fourier", "epochs": 2, "augmentation": "lighting", "optimizer": {"learning_rate": 0.05}}
-    places = {"images": 2, "epoch_batches": 5}
+    places = {"images": 2, "radius": 2.0, "epoch_batches": 5}
     finished(script("one", pairs={"places": 8, **places}, trainer=trainer, **common))
     both = {**trainer, "devices": 2, "strategy": "ddp"}
     finished(script("two", pairs={"places": 4, **places}, trainer=both, **common))

@@ -12,12 +12,14 @@ import torch
 import augment
 import siamloc
 from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import build
 from siamloc.models.batch_losses import Origins
 from siamloc.training import callbacks
 from siamloc.training.batches import BatchAugmentation
+from siamloc.training.checks import check_batches
 from siamloc.training.place_batches import PlaceBatches, origins_of
 from tests.siamloc.training.conftest import SIZE
 
@@ -152,6 +154,91 @@ def test_frames_without_positions_are_left_out_and_too_few_are_refused(images, d
         siamloc.training.fit(network(), images, nowhere, run=tmp_path / "nowhere", epochs=1, **SETTINGS)
 
 
+def test_more_processes_than_places_are_refused_before_anything_is_written(images, drives, tmp_path):
+    two = {"accelerator": "cpu", "devices": 2, "strategy": "ddp"}
+    given = {"run": tmp_path / "run", "epochs": 1, "workers": 1, "trainer": two}
+    with pytest.raises(
+        ConfigError, match=r"a batch of 20 places, 10 for each of the 2 processes .* 8 or less, or train"
+    ):
+        siamloc.training.fit(network(), images, drives[0], pairs={"places": 10}, **given)
+    pairs = {"label": "room", "epoch_pairs": 1}
+    with pytest.raises(
+        ConfigError, match=r"1 pairs are fewer than the 2 processes .* pairs\.epoch_pairs, or train with"
+    ):
+        siamloc.training.fit(build("simple1", "flat", SIZE), images, drives[0], pairs=pairs, **given)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("loss", "pairs", "says"),
+    [
+        (
+            siamloc.models.SoftContrastiveLoss(sigma=0.01),
+            {"images": 1},
+            r"near enough for loss\.sigma=0\.01, the nearest",
+        ),
+        (
+            siamloc.models.SoftContrastiveLoss(room=1),
+            {"images": 2},
+            r"two frames of one room, which loss\.room=1 needs",
+        ),
+        (
+            siamloc.models.TripletLoss(near=0.1),
+            {"images": 2},
+            r"up to loss\.near=0\.1 apart, the nearest are 0\.25 apart",
+        ),
+        (siamloc.models.CircleLoss(far=50.0), {"images": 2}, r"two frames more than loss\.far=50 apart: set loss\.far"),
+        (siamloc.models.MetricCalibratedLoss(cap=0.1), {"images": 1}, r"two frames less than loss\.cap=0\.1 apart"),
+    ],
+)
+def test_batches_that_teach_the_loss_nothing_are_refused(images, drives, tmp_path, loss, pairs, says):
+    monday = drives[0].with_columns(room=[str(number) for number in range(len(drives[0]))])
+    pairs = {"places": 4, "epoch_batches": 2, **pairs}
+    for debug in (None, "one_batch"):
+        with pytest.raises(ConfigError, match=f"8 of 8 drawn have no .*{says}"):
+            siamloc.training.fit(
+                network(), images, monday, run=tmp_path / "run", loss=loss, pairs=pairs, epochs=1, debug=debug
+            )
+    assert not (tmp_path / "run").exists()
+
+
+def test_views_of_one_image_are_enough_where_they_are_asked_for(images, drives):
+    data = siamloc.training.PlaceDataModule(images, drives[0], places=PlaceSettings(places=4, images=2, radius=0))
+    check_batches(data, siamloc.models.TripletLoss(near=0.1))
+    alone = siamloc.training.PlaceDataModule(images, drives[0], places=PlaceSettings(places=2, images=1))
+    check_batches(alone, siamloc.models.SoftContrastiveLoss(sigma=0.4))
+    check_batches(alone, lambda descriptors, origins: descriptors.sum())  # nobody knows what it learns from
+
+
+def test_frames_of_unknown_rooms_are_said(images, drives, tmp_path, capfd):
+    monday = drives[0].with_columns(room=["", "", *drives[0].room[2:].tolist()])
+    loss = siamloc.models.SoftContrastiveLoss(room=0.5)
+    siamloc.training.fit(network(), images, monday, run=tmp_path / "run", epochs=1, loss=loss, **SETTINGS)
+    assert "note: 2 of 16 training frames have no room label: what the loss learns of" in capfd.readouterr().err
+
+
+def test_places_with_too_few_images_are_said(images, drives, tmp_path, capfd):
+    monday = drives[0].with_columns(x=[0.25 * number + 5 * (number > 13) * (number - 13) for number in range(16)])
+    siamloc.training.fit(network(), images, monday, run=tmp_path / "run", epochs=1, **SETTINGS)
+    assert "note: 2 of 16 frames have no other one within pairs.radius=0.3 m: " in capfd.readouterr().err
+
+
+def test_a_network_that_wraps_around_is_not_trained_on_what_does_not(images, drives, tmp_path):
+    flat = PanoramaLibrary(images.frames, tmp_path / "cache", image_size=SIZE, circular=False)
+    recipe = siamloc.training.recipe("modern")
+    for call in (
+        lambda: siamloc.training.fit(network(), flat, drives[0], run=tmp_path / "run", epochs=1, **SETTINGS),
+        lambda: recipe.fit(recipe.build(SIZE), flat, drives[0], run=tmp_path / "run"),
+    ):
+        with pytest.raises(
+            ConfigError, match=r"the network wraps around .* \(data\.circular=false\): set model\.circular"
+        ):
+            call()
+    with pytest.raises(ConfigError, match="this recipe is for pictures whose columns do not wrap around"):
+        siamloc.training.recipe("rooms").fit(network(), images, drives[0], run=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 def test_rooms_and_the_order_of_the_frames_are_enough(images, drives, tmp_path):
     """The same drives as photographs whose positions nobody knows."""
     unplaced = [FrameTable(path=d.path, sequence=d.sequence, lighting=d.lighting, room=d.room) for d in drives]
@@ -176,7 +263,7 @@ def test_rooms_that_the_data_lack_are_refused(images, drives, tmp_path):
     with pytest.raises(DataError, match=r"learns from rooms, loss\.room=0\.5, but the training frames have 0: give"):
         siamloc.training.fit(network(), images, nameless, run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
     nowhere = FrameTable(path=drives[1].path, sequence=drives[1].sequence)
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}}
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1}}
     with pytest.raises(DataError, match="the checkpoint is chosen by the error of localization or by the rooms found"):
         siamloc.training.fit(network(), images, monday, validation=nowhere, run=tmp_path / "run", **settings)
     assert not (tmp_path / "run").exists()
@@ -187,14 +274,18 @@ def test_what_the_checkpoint_is_chosen_by_must_be_known_of_both_sides(images, dr
     monday, tuesday = drives
     placed = FrameTable(path=tuesday.path, sequence=tuesday.sequence, x=tuesday.x, y=tuesday.y)
     labelled = FrameTable(path=monday.path, sequence=monday.sequence, room=monday.room)
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}, "epochs": 1}
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1}, "epochs": 1}
     with pytest.raises(DataError, match="do not both have positions, or both rooms"):
         siamloc.training.fit(network(), images, labelled, validation=placed, run=tmp_path / "run", **settings)
     assert not (tmp_path / "run").exists()
 
 
 def test_several_drives_by_their_order_alone_are_said(images, frames, tmp_path, capfd):
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "epoch_batches": 1}, "epochs": 1}
+    settings = {
+        **SETTINGS,
+        "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1, "epoch_batches": 1},
+        "epochs": 1,
+    }
     siamloc.training.fit(network(), images, frames, run=tmp_path / "run", **settings)
     said = capfd.readouterr().err
     assert "note: 2 drives are learned from by the order of their frames alone" in said
@@ -232,7 +323,7 @@ def test_the_best_epoch_of_the_summary_is_that_of_the_checkpoint(images, drives,
         def forward(self, panorama):
             return torch.nn.functional.normalize(self.flat(panorama[:, :, :1]) * (1 + 0 * self.weight))
 
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}, "epochs": 3}
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1}, "epochs": 3}
     loss = siamloc.models.SoftContrastiveLoss(sigma=1, room=0.5)
     run = siamloc.training.fit(Fixed(), images, monday, validation=tuesday, run=tmp_path / "run", loss=loss, **settings)
     assert len(set(run.curves()["val/room"].tolist())) == 1

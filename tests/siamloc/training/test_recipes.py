@@ -39,6 +39,12 @@ def test_a_group_on_the_command_line_takes_the_place_of_the_recipes():
         loss_of(composed("train", [*words, "pairs=room"]))
 
 
+def test_a_network_that_should_wrap_around_is_not_changed_in_silence():
+    words = ["experiment=modern", "data=manifest", "data.manifest=frames.csv", "data.circular=false"]
+    assert network_of(composed("train", words))["circular"] is True  # which `fit` refuses
+    assert network_of(composed("train", [*words, "model.circular=false"]))["circular"] is False
+
+
 @pytest.mark.parametrize("name", LOSSES)
 def test_the_command_line_has_every_loss_over_batches(name):
     words = ["pairs=in_batch", f"loss={name}", "data=manifest", "data.manifest=frames.csv"]
@@ -55,7 +61,7 @@ def test_what_is_given_takes_the_place_of_the_recipes_settings(tmp_path):
     monday = images.frames.select(sequence="monday")
     used = recipe("modern")
     network = used.build(images.image_size, seed=1, outputs=8)
-    changes = {"epochs": 1, "pairs": {"places": 3, "epoch_batches": 2}, "augmentation": None}
+    changes = {"epochs": 1, "pairs": {"places": 3, "radius": 0.6, "epoch_batches": 2}, "augmentation": None}
     run = used.fit(network, images, monday, run=tmp_path / "run", **changes)
     training = run.settings["training"]
     assert training["epochs"] == 1

@@ -1,0 +1,55 @@
+"""What a loss over batches finds nothing of in a batch, and cannot learn without."""
+
+from __future__ import annotations
+
+import torch
+
+from siamloc.models.batch_losses import (
+    CircleLoss,
+    MetricCalibratedLoss,
+    MultiSimilarityLoss,
+    Origins,
+    SoftContrastiveLoss,
+    TripletLoss,
+)
+
+
+def what_is_lacking(loss: object, origins: Origins) -> str | None:
+    """Say in words which images the batch of a loss lacks, and what to do; None where it has them, or nobody knows.
+
+    One frame that is drawn twice teaches nothing: two different ones are looked for.
+
+    Example:
+        >>> origins = Origins(torch.tensor([[0.0, 0], [3, 0]]), torch.zeros(2), torch.zeros(2), torch.arange(2))
+        >>> what_is_lacking(TripletLoss(near=0.5), origins).partition(":")[0]
+        'two frames up to loss.near=0.5 apart, the nearest are 3 apart'
+    """
+    if isinstance(loss, SoftContrastiveLoss):
+        return None if bool(loss.positives(origins).any()) else _without_neighbours(loss, origins)
+    apart, different = origins.distances(), origins.frame[:, None] != origins.frame[None]
+    if isinstance(loss, MetricCalibratedLoss) and not bool(((apart < loss.cap) & different).any()):
+        return f"two frames less than loss.cap={loss.cap:g} apart, {_nearest(origins, 'loss.cap')}"
+    if isinstance(loss, TripletLoss | CircleLoss | MultiSimilarityLoss):
+        if not bool(((apart <= loss.near) & different).any()):
+            return f"two frames up to loss.near={loss.near:g} apart, {_nearest(origins, 'loss.near')}"
+        if not bool((apart > loss.far).any()):
+            return f"two frames more than loss.far={loss.far:g} apart: set loss.far smaller"
+    return None
+
+
+def _without_neighbours(loss: SoftContrastiveLoss, origins: Origins) -> str:
+    if loss.room == 1:
+        return (
+            "two frames of one room, which loss.room=1 needs: give the rooms more frames, draw several images of a "
+            "place (pairs.images), or set loss.room lower"
+        )
+    rooms = f"of one room (loss.room={loss.room:g}), or " if loss.room else ""
+    return f"two frames {rooms}near enough for loss.sigma={loss.sigma:g}, {_nearest(origins, 'loss.sigma')}"
+
+
+def _nearest(origins: Origins, key: str) -> str:
+    """Say how near the frames come to each other, and what to do where that is not enough."""
+    apart = origins.distances()[origins.frame[:, None] != origins.frame[None]]
+    known = apart[torch.isfinite(apart)]
+    least = f"the nearest are {float(known.min()):.3g} apart" if len(known) else "no two of a building with positions"
+    return f"{least}: set {key} larger, or draw frames nearer each other (pairs.images above 1, or pairs.near above 0)"
