@@ -56,8 +56,7 @@ class PlaceSampler:
         seed: any whole number, not negative.
 
     Raises:
-        ConfigError: a batch of fewer than two places, or more than there are frames; no frame has another one within
-            `radius`, or within `reach` where that is needed.
+        ConfigError: a batch of fewer than two places, or more than there are frames.
         DataError: frames without positions.
 
     Example:
@@ -99,7 +98,6 @@ class PlaceSampler:
             rows = apart == number
             if rows.sum() > 1:
                 self._nearest[rows] = cKDTree(place[rows]).query(place[rows], k=2)[0][:, 1]
-        self._lonely = {key: self._without(key) for key in self._asked()}
 
     def __len__(self) -> int:
         return self.epoch_batches
@@ -110,14 +108,17 @@ class PlaceSampler:
 
     def notes(self) -> list[str]:
         """Say of which frames no batch can be what was asked for."""
+        settings, unit = self.settings, self._unit
         instead = {
-            "radius": "places around them have the same image again",
+            "radius": "their places have the same image again, which augmentation alone makes different",
             "reach": "places near them are the same place again",
         }
+        asked = [("radius", settings.images > 1 and settings.radius > 0), ("reach", settings.near > 0)]
+        lonely = {key: int((self._nearest > getattr(settings, key)).sum()) for key, wanted in asked if wanted}
         return [
-            f"{count} of {len(self.frames)} frames have no other one within pairs.{key}={self._limit(key)}: "
-            f"{instead[key]}; a larger pairs.{key} finds some ({self._far_off()})"
-            for key, count in self._lonely.items()
+            f"{count} of {len(self.frames)} frames have no other one within pairs.{key}={getattr(settings, key):g} "
+            f"{unit}: {instead[key]}; a larger pairs.{key} finds some ({self._far_off()})"
+            for key, count in lonely.items()
             if count
         ]
 
@@ -155,36 +156,6 @@ class PlaceSampler:
         generator = np.random.default_rng([self.seed, epoch, number, 0x91ACE])
         centres = self._centres(generator, self.settings.places * world_size)
         return np.concatenate([self._images(generator, centre) for centre in centres])
-
-    def _asked(self) -> dict[str, str]:
-        """Return the settings that need frames near each other, with what asks for it."""
-        settings, found = self.settings, {}
-        if settings.images > 1 and settings.radius > 0:
-            found["radius"] = f"pairs.images={settings.images} asks for several images of a place"
-        if settings.near > 0:
-            found["reach"] = f"pairs.near={settings.near:g} asks for places near each other"
-        return found
-
-    def _without(self, key: str) -> int:
-        """Count the frames that have no other one as near as a setting says.
-
-        Raises:
-            ConfigError: none has.
-        """
-        count = int((self._nearest > getattr(self.settings, key)).sum())
-        if count == len(self.frames):
-            instead = {
-                "radius": "set it larger, or to 0 for views of one image that augmentation makes different",
-                "reach": "set it larger, or pairs.near to 0",
-            }
-            raise ConfigError(
-                f"{self._asked()[key]}, but no frame has another one within pairs.{key}={self._limit(key)} "
-                f"({self._far_off()}): {instead[key]}"
-            )
-        return count
-
-    def _limit(self, key: str) -> str:
-        return f"{getattr(self.settings, key):g} {self._unit}"
 
     @property
     def _unit(self) -> str:

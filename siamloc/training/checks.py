@@ -117,7 +117,7 @@ def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> No
     for number in range(_TRIED):
         rows = torch.from_numpy(sampler.whole_batch(*divmod(number, len(sampler)), processes))
         origins = Origins(**{name: value[rows] for name, value in found.items()})
-        if sampler.settings.radius == 0:  # views of one image are what is asked for
+        if data.augmentation is not None or sampler.settings.radius == 0:  # views of one image differ
             origins = replace(origins, frame=torch.arange(len(rows)))
         lacking = what_is_lacking(loss, origins)
         if lacking is None:
