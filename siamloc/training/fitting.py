@@ -19,9 +19,9 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.files import content_key, plain
+from siamloc.files import plain
 from siamloc.models.batch_losses import UNIT_LENGTH
-from siamloc.models.checkpoint import load
+from siamloc.models.checkpoint import check_architecture, load
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.module import NetworkModule
 from siamloc.models.places import BatchLoss, PlaceModule
@@ -33,9 +33,10 @@ from siamloc.training.checks import check_loss, check_network, check_rooms, moni
 from siamloc.training.debug import Debug, debug_training
 from siamloc.training.place_batches import PlaceDataModule
 from siamloc.training.run_folder import KEPT, check_debug, check_folder, check_same_training, open_run, progress
+from siamloc.training.seen_frames import note_frames
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import debug_trainer, fast_layout, quiet, run_trainer
+from siamloc.training.trainer import debug_trainer, fast_layout, quiet, run_trainer, steps_of
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
@@ -138,20 +139,26 @@ def fit(
         "training": settings.plain(),
         "augment": augmented,
         "trainer": {"precision": str((trainer or {}).get("precision", "32-true"))},
-        "frames": {"train": _frames_key(train), "validation": None if validated is None else _frames_key(validated)},
+        "frames": {
+            "train": note_frames(images, train),
+            "validation": None if validated is None else note_frames(images, validated),
+        },
     }
-    last = run.checkpoints / "last.ckpt"
-    if resume and first:
-        check_same_training(run, plain(used), settings.epochs)
-    if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
-        network.train()
     if debug is not None:
+        _wake(network)
         with quiet(), fast_layout(network, used["trainer"]["precision"] == "auto"), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
             debug_training(debug, module, data, run, used, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
+    last = run.checkpoints / "last.ckpt"
     with quiet():
         lightning = run_trainer(run, settings, trainer, monitor)
+        used["trainer"] |= steps_of(lightning)
+        if resume and first:
+            check_same_training(run, plain(used), settings.epochs)
+            if last.is_file():
+                check_architecture(last, module)
+        _wake(network)
         if first:
             open_run(run, used, resume=resume, validated=validated is not None)
             _note(settings, train, loss)
@@ -166,6 +173,12 @@ def fit(
             _train(lightning, module, data, run, start)
     load(run, network=network)
     return run
+
+
+def _wake(network: nn.Module) -> None:
+    """Let a network be trained that `load` or an earlier `fit` left in evaluation; parts that alone are so stay."""
+    if not network.training:
+        network.train()
 
 
 def _note(settings: Training, train: FrameTable, loss: object) -> None:
@@ -271,9 +284,3 @@ def _protocol(train: FrameTable, validation: FrameTable | None) -> dict[str, Any
     found = {"train": train, "validation": validation}
     roles = {name: {"sequences": list(table.rows_by("sequence"))} for name, table in found.items() if table is not None}
     return {"kind": "cross_run", **roles}
-
-
-def _frames_key(frames: FrameTable) -> dict[str, Any]:
-    """Count frames and hash what they are, wherever their files lie."""
-    columns = [frames.sequence, [Path(path).name for path in frames.path.tolist()], frames.xy, frames.place]
-    return {"count": len(frames), "key": content_key(columns)}

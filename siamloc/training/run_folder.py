@@ -11,6 +11,7 @@ from siamloc.errors import ConfigError
 from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import branch_spec
 from siamloc.runs import Run
+from siamloc.training.seen_frames import differing_frames
 from siamloc.training.settings import Training
 
 # What may differ when a run is resumed: where files lie, how fast it goes, how long it trains.
@@ -20,7 +21,8 @@ _FREE = (
     *("training.epochs", "training.workers", "training.augment_where"),
     *("training.checkpoint_every", "training.patience"),
 )
-_LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
+_LEARNED = ("data", "protocol", "model", "loss", "training", "augment")
+_ROLES = {"train": "training", "validation": "validation"}
 
 KEPT = "bad_batch*.npz"
 """Files of a run that hold a batch which stopped a training."""
@@ -96,7 +98,9 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
             "train another run"
         )
     # The same frames may be named in several ways; how is only worth a word where they are others.
-    same_frames = before.get("frames") == now.get("frames")
+    noted = [settings.get("frames", now["frames"]) for settings in (before, now)]
+    differing = [differing_frames(noted[0].get(role), noted[1].get(role), words) for role, words in _ROLES.items()]
+    same_frames = not any(differing)
     free = (*_FREE, "protocol.train", "protocol.validation") if same_frames else _FREE
     for section in _LEARNED:
         old, new = _flat(section, before.get(section)), _flat(section, now.get(section))
@@ -106,12 +110,35 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
                     f"{key}={new.get(key)}: leave it out, or train another run"
                 )
+    if not same_frames:
+        what = next(filter(None, differing))
+        raise ConfigError(f"{run.folder} was trained with other data: {what}; give the same, or train another run")
+    if any(scheduled.values()):
+        _check_same_steps(run, before, now, next(name for name, changes in scheduled.items() if changes))
     done, steps = progress(run)
     if done + (steps > 0) > epochs:
         has = f"{done} epochs already" if not steps else f"begun epoch {done + 1} already"
         raise ConfigError(f"{run.folder} has {has}, more than epochs={epochs}: ask for more epochs")
     if done == steps == 0:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
+
+
+def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any], what: str) -> None:
+    """Make sure that an epoch has as many steps as before: a schedule is laid out for their number."""
+    old, new = (settings.get("trainer", {}) for settings in (before, now))
+    for key in sorted(old.keys() & new.keys() - {"precision"}):
+        if repr(old[key]) == repr(new[key]) or (  # 1 is a batch, 1.0 are all
+            key == "processes" and "places" in now["training"]["pairs"]
+        ):
+            continue  # a batch of places grows with the processes, and there are as many
+        if key == "processes":
+            used, meant, advice = f"{old[key]} processes", f"{new[key]}", "train with as many (trainer.devices)"
+        else:
+            used, meant, advice = f"trainer.{key}={old[key]}", f"trainer.{key}={new[key]}", "leave it as it was"
+        raise ConfigError(
+            f"the {what} of {run.folder} was laid out for the steps of an epoch with {used}, and there would be others "
+            f"with {meant}: {advice}, or train another run"
+        )
 
 
 def _whole(model: Mapping[str, Any]) -> dict[str, Any]:
