@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -31,8 +32,16 @@ from siamloc.settings import checked, takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.checks import check_loss, check_network, check_rooms, monitored, usable
 from siamloc.training.debug import Debug, debug_training
-from siamloc.training.place_batches import PlaceDataModule
-from siamloc.training.run_folder import KEPT, check_debug, check_folder, check_same_training, open_run, progress
+from siamloc.training.place_batches import PlaceDataModule, ValidationDrive
+from siamloc.training.run_folder import (
+    KEPT,
+    check_debug,
+    check_folder,
+    check_same_training,
+    monitor_of,
+    open_run,
+    progress,
+)
 from siamloc.training.seen_frames import note_frames
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
@@ -61,11 +70,10 @@ def fit(
 ) -> Run:
     """Train a network on pairs of frames, or on batches of places, in place.
 
-    Afterwards it holds the weights that `siamloc.models.load(run)` gives: the best by the validation (by the loss of
-    pairs; with batches of places by the error of localization, or by the rooms found where there are no positions), or
-    the last where nothing is validated. Everything
-    that can be checked is checked before the run's folder is touched. Where several processes train together
-    (`trainer={"devices": 2, "strategy": "ddp"}`, torchrun, SLURM), each calls `fit`, and only the first writes.
+    Afterwards it holds the weights that `siamloc.models.load(run)` gives: the best by the validation, as
+    `Training.monitor` says, or the last where nothing is validated. Everything that can be checked is checked before
+    the run's folder is touched. Where several processes train together (`trainer={"devices": 2, "strategy": "ddp"}`,
+    torchrun, SLURM), each calls `fit`, and only the first writes.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -127,8 +135,11 @@ def fit(
     train, validated = usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
     change = None if effect is None else BatchAugmentation(effect, settings.augment_where, settings.seed)
-    data, module = _parts(network, images, train, validated, loss, change, settings)
+    if resume and settings.monitor == "auto":
+        settings = replace(settings, monitor=monitor_of(run))
     monitor = monitored(settings, train, validated)
+    settings = settings if monitor is None else replace(settings, monitor=monitor)
+    data, module = _parts(network, images, train, validated, loss, change, settings)
     check_network(network, images, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used = {
@@ -152,7 +163,7 @@ def fit(
         return run
     last = run.checkpoints / "last.ckpt"
     with quiet():
-        lightning = run_trainer(run, settings, trainer, monitor)
+        lightning = run_trainer(run, settings, trainer, monitor and f"val/{monitor}")
         used["trainer"] |= steps_of(lightning)
         if resume and first:
             check_same_training(run, plain(used), settings.epochs)
@@ -217,11 +228,13 @@ def _parts(
         check_loss(loss, 2)
         check_rooms(loss, train)
         places = PlaceDataModule(images, train, validated, places=settings.pairs, **common)
-        return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer)
+        return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer, settings.recall_radius)
     check_loss(loss, 3)
+    if validated is not None and settings.monitor not in ("loss", "auto"):
+        common["drive"] = ValidationDrive(images, train, validated)
     pairs = PairDataModule(images, train, validated, pairs=settings.pairs, batch_size=settings.batch_size, **common)
     chosen = ContrastiveLoss(settings.margin) if loss is None else cast(Loss, loss)
-    return pairs, SiameseModule(network, chosen, settings.optimizer)
+    return pairs, SiameseModule(network, chosen, settings.optimizer, settings.recall_radius)
 
 
 def _effect(

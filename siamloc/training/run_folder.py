@@ -12,14 +12,14 @@ from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import branch_spec
 from siamloc.runs import Run
 from siamloc.training.seen_frames import differing_frames
-from siamloc.training.settings import Training
+from siamloc.training.settings import Monitor, Training
 
 # What may differ when a run is resumed: where files lie, how fast it goes, how long it trains.
 _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
     *("training.epochs", "training.workers", "training.augment_where"),
-    *("training.checkpoint_every", "training.patience"),
+    *("training.checkpoint_every", "training.patience", "training.recall_radius"),
 )
 _LEARNED = ("data", "protocol", "model", "loss", "training", "augment")
 _ROLES = {"train": "training", "validation": "validation"}
@@ -84,6 +84,7 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     before = {**before, "training": Training.of(before["training"]).plain(), "model": _whole(before["model"])}
+    before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
     if before["loss"].get("name") == "soft_contrastive":
         before["loss"] = {"room": 0.0, "sigma_start": None, **before["loss"]}
     planned = before["training"]["epochs"]
@@ -121,6 +122,17 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
         raise ConfigError(f"{run.folder} has {has}, more than epochs={epochs}: ask for more epochs")
     if done == steps == 0:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
+
+
+def monitor_of(run: Run) -> Monitor:
+    """Say what the checkpoint of a run is chosen by, as `Training.monitor`; "auto" where nothing has chosen yet."""
+    training = run.settings["training"]
+    if "monitor" in training:
+        return Training.of(training).monitor
+    if "places" not in training.get("pairs", {}):  # older runs, which had no choice
+        return "loss"
+    logged = run.curves() if run.metrics.is_file() else {}
+    return "error" if "val/error" in logged else "room" if "val/room" in logged else "auto"
 
 
 def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any], what: str) -> None:

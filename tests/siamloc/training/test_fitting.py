@@ -20,9 +20,11 @@ import augment
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, read
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import read_json, write_json
-from siamloc.models import as_descriptor, build, load
+from siamloc.models import PlaceModule, SiameseModule, as_descriptor, build, load
 from siamloc.runs import Run
 from siamloc.training import PairSettings, Training, fit
+from siamloc.training.checks import monitored
+from siamloc.training.place_batches import ValidationDrive
 from siamloc.training.run_folder import progress
 from tests.drawn import write_manifest
 
@@ -79,7 +81,8 @@ def test_a_run_holds_its_settings_and_what_was_written(train, frames, day, flat,
     assert (record["format"], record["version"]) == ("siamloc-run", 2)
     assert {*record["written"], "run.json"} == set(listing(run.folder))
     settings = run.settings
-    assert Training.of(settings["training"]) == Training(epochs=2, batch_size=8, pairs=PairSettings(label="room"))
+    options = {"epochs": 2, "batch_size": 8, "pairs": PairSettings(label="room")}
+    assert Training.of(settings["training"]) == Training(monitor="error", **options)  # what "auto" came to
     assert settings["data"]["manifest"] == str(flat)
     assert settings["data"]["image_size"] == list(SIZE)
     roles = {"train": {"sequences": ["cloudy1"]}, "validation": {"sequences": ["night1"]}}
@@ -98,11 +101,58 @@ def test_a_run_holds_its_settings_and_what_was_written(train, frames, day, flat,
 
 
 def test_the_best_weights_are_kept_not_the_last(train, frames):
-    network = build("simple1", "fc500_500_5", SIZE)
-    run = train(network=network, validation=frames.select(sequence="night1"), optimizer={"name": "adam"}, epochs=5)
-    best = int(np.argmin(run.curves()["val/loss"]))
-    assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == best
-    assert as_descriptor(load(run)).identity == as_descriptor(network).identity
+    """Best by where another drive is located; as published by the loss, and then nothing is located."""
+    night = frames.select(sequence="night1")
+    for monitor, figure in (("auto", "val/error"), ("loss", "val/loss")):
+        network = build("simple1", "fc500_500_5", SIZE)
+        options = {"optimizer": {"name": "adam"}, "epochs": 3, "monitor": monitor}
+        run = train(monitor, network=network, validation=night, **options)
+        best = int(np.argmin(run.curves()[figure]))
+        assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == best
+        assert as_descriptor(load(run)).identity == as_descriptor(network).identity
+        assert ("val/recall" in run.curves()) == (monitor == "auto")
+
+
+def test_pairs_are_located_as_places_are(images, frames, day):
+    """Both kinds of training are judged by the same figures."""
+    night = frames.select(sequence="night1")
+    drive = ValidationDrive(images, day, night)
+    modules = [made(build("simple1", "fc500_500_5", SIZE), recall_radius=2.0) for made in (SiameseModule, PlaceModule)]
+    figures = []
+    for module in modules:
+        for batch in range(len(drive)):
+            module.eval().validation_step(drive[0, batch], batch)
+        figures.append(module.drive_figures())
+    assert figures[0] == figures[1]
+    assert set(figures[0]) == {"error", "median", "recall", "room"}
+    assert modules[0].drive_figures() == {}
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({}, "error"),
+        ({"sequence": ["cloudy1"] * 12}, "loss"),  # frames between those of the training
+        ({"building": ["annex"] * 12}, "loss"),
+        ({"x": [np.nan] * 12}, "loss"),
+    ],
+)
+def test_pairs_are_judged_by_another_drive_only(frames, day, changed, expected):
+    validation = frames.select(sequence="night1").with_columns(**changed)
+    assert monitored(Training(), day, validation) == expected
+
+
+def test_a_run_goes_on_with_what_its_checkpoint_was_chosen_by(train, frames):
+    """Also where that was not written down yet."""
+    night = frames.select(sequence="night1")
+    run = train(validation=night, epochs=1, monitor="loss")
+    record = read_json(run.record)
+    del record["settings"]["training"]["monitor"], record["settings"]["training"]["recall_radius"]
+    write_json(run.record, record)
+    assert train(validation=night, epochs=2, resume=True).settings["training"]["monitor"] == "loss"
+    assert "val/error" not in run.curves()
+    with pytest.raises(ConfigError, match=r"training\.monitor=loss and cannot be resumed with training\.monitor=error"):
+        train(validation=night, epochs=3, resume=True, monitor="error")
 
 
 def test_one_seed_gives_one_curve(train):
