@@ -64,6 +64,7 @@ def errors(building: Building, policy: str, seed: int, epochs: int, run: Path) -
         epochs=epochs,
         seed=seed,
         pairs={"label": "distance", "same_room_share": 0.4, "epoch_pairs": 640},
+        monitor="loss",
     )
     known = siamloc.maps.build(network, building.images, building.drives(MAP, every=5))
     result = siamloc.evaluation.localization(known, building.images, building.drives(QUERIES), names=("absolute",))

@@ -33,6 +33,7 @@ PUBLISHED: dict[str, Any] = {
     "epochs": 25,
     "batch_size": 16,
     "pairs": {"label": "distance", "same_room_share": 0.4, "epoch_pairs": 640},
+    "monitor": "loss",
 }
 """The settings of conf/experiment/freiburg_sim.yaml."""
 ANALYTIC = ("fs", "hog", "gist", "wisurf", "briefgist", "radon_fourier", "hsv")

@@ -293,4 +293,4 @@ def higher_is_better(figure: str) -> bool:
         >>> higher_is_better("val/room"), higher_is_better("val/error")
         (True, False)
     """
-    return figure.rpartition("/")[2].startswith(("accuracy", "room", "spread", "distance_different"))
+    return figure.rpartition("/")[2].startswith(("accuracy", "recall", "room", "spread", "distance_different"))

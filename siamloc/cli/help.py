@@ -82,6 +82,7 @@ COMMANDS = {
         augment=thesis|lighting|strong|any_light
                                           what happens to training images; augment.where=gpu for doing it there
         epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
+        monitor=error|recall|room|loss    what the best checkpoint is chosen by in the validation; recall_radius=0.5
         patience=5                        stop after so many epochs without a better validation
         debug=one_batch|overfit|profile   look at the training instead: one step, one batch learned, where time goes
         resume=true                       go on from the last checkpoint; checkpoint_every=200 writes it within epochs

@@ -106,7 +106,7 @@ def _kept(
             "trainer.precision": record.get("trainer", {}).get("precision", "32-true"),
             "pairs": training["pairs"],
             "optimizer": Optimizer.of(training["optimizer"]).plain(),
-            **{key: training.get(key) for key in OF_TRAINING},
+            **{key: training[key] for key in OF_TRAINING if key in training},
         }
     return kept
 

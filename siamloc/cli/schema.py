@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-OF_TRAINING = ("seed", "epochs", "batch_size", "clip", "average", "patience", "checkpoint_every")
+OF_TRAINING = (
+    *("seed", "epochs", "batch_size", "clip", "average"),
+    *("monitor", "recall_radius", "patience", "checkpoint_every"),
+)
 """Settings of a training that the command line calls by the same name."""
 
 

@@ -52,14 +52,28 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     state = network_state(content)
     difference = mismatch(network, state)
     if difference is not None:
-        raise FormatError(
-            f"the weights in the checkpoint {path} are of another architecture than {_name(about)}: {difference}"
-        )
+        raise FormatError(_other_architecture(path, about, difference))
     network.load_state_dict(state)
     # Losses over batches have a name; the margin of a triplet is none of pairs.
     pairs: Any = about["loss"] if "name" not in about["loss"] else {}
     network.trained_margin = pairs.get("margin")
     return network.eval()
+
+
+def check_architecture(path: Path, module: nn.Module) -> None:
+    """Make sure that a module, with its network and its loss, can go on from a checkpoint.
+
+    Raises:
+        FormatError: the file is no checkpoint, or has other weights.
+    """
+    content = read_checkpoint(path, mmap=True)
+    difference = mismatch(module, content["state_dict"])
+    if difference is not None:
+        raise FormatError(_other_architecture(path, content[CONTENT_KEY], difference))
+
+
+def _other_architecture(path: Path, about: dict[str, Any], difference: str) -> str:
+    return f"the weights in the checkpoint {path} are of another architecture than {_name(about)}: {difference}"
 
 
 def _checkpoint_of(source: str | Path | Run, which: str) -> Path:

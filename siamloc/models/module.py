@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
-from siamloc.models.describing import identity_of, margin_of
+from siamloc.models.describing import as_float, identity_of, margin_of
+from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network_stages import FrozenStages, weights_by_stage
 from siamloc.models.registry import Optimizer
 
@@ -29,12 +30,19 @@ class NetworkModule(LightningModule):
         loss: a module, whose parameters are trained as well, or a function. If it has a method `progress`, that is
             told before each step which share of the training is done.
         optimizer: how the weights are updated.
+        recall_radius: of the recall on a validation drive, see `DriveFigures`.
 
     Raises:
         ConfigError: a network that is no module or has no such stages, or a loss that cannot be called.
     """
 
-    def __init__(self, network: nn.Module, loss: Any, optimizer: Optimizer | None = None) -> None:
+    def __init__(
+        self,
+        network: nn.Module,
+        loss: Any,
+        optimizer: Optimizer | None = None,
+        recall_radius: float = RECALL_RADIUS,
+    ) -> None:
         super().__init__()
         if not isinstance(network, nn.Module):
             raise ConfigError(f"a network is a torch module, such as siamloc.models.build makes, got {network!r}")
@@ -43,6 +51,7 @@ class NetworkModule(LightningModule):
         self.network = network
         self.loss = loss
         self.optimizer = Optimizer() if optimizer is None else optimizer
+        self._drive = DriveFigures(recall_radius)
         self._by_stage = self.optimizer.frozen_stages > 0 or self.optimizer.stage_decay < 1
         self._frozen: FrozenStages | None = None
         if self._by_stage and self.optimizer.frozen_stages >= (count := len(weights_by_stage(network))):
@@ -149,6 +158,26 @@ class NetworkModule(LightningModule):
             raise self.diverged(f"{stage}/loss of epoch {self.current_epoch + 1} is {float(loss)}")
         # The sums are already those of all processes; averaging equal numbers over them changes nothing.
         self.log_dict({f"{stage}/{name}": value for name, value in values.items()}, sync_dist=True)
+
+    def describe_drive(self, batch: Mapping[str, Tensor]) -> None:
+        """Describe a batch of map frames and queries of the validation drive.
+
+        Raises:
+            DataError: a batch that does not say what belongs to the map.
+        """
+        found = checked_descriptors(self.network(as_float(batch["images"])), len(batch["images"]))
+        self._drive.add(batch, found)
+
+    def drive_figures(self) -> dict[str, Tensor]:
+        """Look for the queries of the validation drive in the map; nothing where there were none.
+
+        Raises:
+            ConfigError: the descriptors are not finite.
+        """
+        try:
+            return self._drive.compute()
+        except FloatingPointError as error:
+            raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 
     def epoch_sums(self) -> dict[str, Tensor]:
         """Return what has been summed up since the epoch began, for a checkpoint within it."""

@@ -11,6 +11,7 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import Origins, SoftContrastiveLoss
 from siamloc.models.describing import as_float
+from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
 from siamloc.models.registry import Optimizer
 
@@ -19,9 +20,6 @@ ensure_torchvision()
 BatchLoss = Callable[[Tensor, Origins], Tensor]
 
 _KEYS = ("images", "xy", "building", "room", "frame")
-_ROOMS_NEED = 2
-ELSEWHERE = 100.0
-"""What counts as the error of a query that is found in another building, in the unit of the positions."""
 
 
 class PlaceModule(NetworkModule):
@@ -34,21 +32,28 @@ class PlaceModule(NetworkModule):
     Logged at the end of an epoch: `train/loss` and `train/spread`, the mean distance of descriptors from their mean,
     near 0 where the network gives every image the same descriptor; with a loss that can tell, such as `TripletLoss`,
     `train/active`, the share of triplets that cost anything; of the validation `val/error`, the mean distance
-    from the map frame with the nearest descriptor, `val/median`, and `val/room`, the share whose room it has.
+    from the map frame with the nearest descriptor, `val/median`, `val/recall`, the share that lies within a radius of
+    it, and `val/room`, the share whose room it has.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
         loss: (descriptors (N, D), `Origins`) -> scalar, a module or a function; a `SoftContrastiveLoss` if None.
         optimizer: how the weights are updated.
+        recall_radius: of `val/recall`, in the unit of the positions.
 
     Raises:
         ConfigError: a network that is no module, or a loss that cannot be called.
     """
 
-    def __init__(self, network: nn.Module, loss: BatchLoss | None = None, optimizer: Optimizer | None = None) -> None:
-        super().__init__(network, SoftContrastiveLoss() if loss is None else loss, optimizer)
+    def __init__(
+        self,
+        network: nn.Module,
+        loss: BatchLoss | None = None,
+        optimizer: Optimizer | None = None,
+        recall_radius: float = RECALL_RADIUS,
+    ) -> None:
+        super().__init__(network, SoftContrastiveLoss() if loss is None else loss, optimizer, recall_radius)
         self._figures: dict[str, list[Tensor]] = {}  # of the steps of the epoch
-        self._described: list[dict[str, Tensor]] = []
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Compute the loss of a batch."""
@@ -87,32 +92,11 @@ class PlaceModule(NetworkModule):
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
         """Describe a batch of map frames and queries."""
-        if "known" not in batch:
-            raise DataError("a batch of the validation needs known, which says what belongs to the map")
-        found = checked_descriptors(self.network(as_float(batch["images"])), len(batch["images"])).float()
-        self._described.append({"descriptors": found, **{key: batch[key] for key in (*_KEYS[1:], "known")}})
+        self.describe_drive(batch)
 
     def on_validation_epoch_end(self) -> None:
         """Look for the queries in the map, and log how far off they are found."""
-        parts, self._described = self._described, []
-        if not parts:
-            return
-        whole = {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
-        if not bool(torch.isfinite(whole["descriptors"]).all()):
-            raise self.diverged(f"descriptors of the validation after epoch {self.current_epoch + 1} are not finite")
-        known, query = whole["known"], ~whole["known"]
-        match = torch.cdist(whole["descriptors"][query], whole["descriptors"][known]).argmin(dim=1)
-        # A frame of another building is wrong, however far off that is.
-        there = whole["building"][query] == whole["building"][known][match]
-        error = torch.linalg.vector_norm(whole["xy"][query] - whole["xy"][known][match], dim=1)
-        error = torch.where(there, error, ELSEWHERE)
-        figures: dict[str, Tensor] = {}
-        if bool((usable := torch.isfinite(error)).any()):
-            figures = {"error": error[usable].mean(), "median": error[usable].median()}
-        rooms, asked = whole["room"][known], whole["room"][query]
-        if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED and bool((asked >= 0).any()):
-            figures["room"] = (rooms[match] == asked)[asked >= 0].float().mean()
-        self.log_epoch("val", figures)
+        self.log_epoch("val", self.drive_figures())
 
     def _of_all(self, descriptors: Tensor, origins: Origins) -> tuple[Tensor, Origins]:
         """Gather the batch of all processes, with gradients."""

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.describing import as_float, margin_of
+from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
 from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
 from siamloc.models.registry import Optimizer
@@ -40,13 +41,16 @@ class SiameseModule(NetworkModule):
     normalization sees them together.
 
     Logged at the end of an epoch as `train/...` and `val/...`: what `PairStatistics` computes; and as
-    `loss_step` the loss of a training step. A TensorBoard logger also gets a picture of the first pairs.
+    `loss_step` the loss of a training step. Where the validation also has batches of map frames and queries, those of a
+    `PlaceModule`, `val/error` and whatever else that logs of them. A TensorBoard logger also gets a picture of the
+    first pairs.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
         loss: (d0 (B, D), d1 (B, D), y (B,)) -> scalar, the mean over the pairs: a module, whose parameters are
             trained as well, or a function. A `ContrastiveLoss` of margin 2 if None.
         optimizer: how the weights are updated.
+        recall_radius: of `val/recall`, in the unit of the positions.
 
     Raises:
         ConfigError: a network that is no module, or a loss that cannot be called.
@@ -61,10 +65,16 @@ class SiameseModule(NetworkModule):
         torch.Size([])
     """
 
-    def __init__(self, network: nn.Module, loss: Loss | None = None, optimizer: Optimizer | None = None) -> None:
+    def __init__(
+        self,
+        network: nn.Module,
+        loss: Loss | None = None,
+        optimizer: Optimizer | None = None,
+        recall_radius: float = RECALL_RADIUS,
+    ) -> None:
         if loss is not None and not callable(loss):
             raise ConfigError(f"a loss is a function or a module (d0, d1, y) -> scalar, got {loss!r}")
-        super().__init__(network, ContrastiveLoss() if loss is None else loss, optimizer)
+        super().__init__(network, ContrastiveLoss() if loss is None else loss, optimizer, recall_radius)
         self.train_statistics = PairStatistics(margin_of(self.loss))
         self.val_statistics = PairStatistics(margin_of(self.loss))
 
@@ -76,7 +86,10 @@ class SiameseModule(NetworkModule):
         return loss
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
-        """Add a batch of pairs to the statistics of the validation."""
+        """Add a batch of pairs to the statistics of the validation, or describe one of map frames and queries."""
+        if "known" in batch:
+            self.describe_drive(batch)
+            return
         self._step(batch, batch_index, "val", self.val_statistics)
 
     def on_train_epoch_end(self) -> None:
@@ -84,8 +97,8 @@ class SiameseModule(NetworkModule):
         self._log_epoch("train", self.train_statistics)
 
     def on_validation_epoch_end(self) -> None:
-        """Log the statistics of the validation."""
-        self._log_epoch("val", self.val_statistics)
+        """Log the statistics of the validation, and how far off its queries are found."""
+        self._log_epoch("val", self.val_statistics, self.drive_figures())
 
     def epoch_sums(self) -> dict[str, Tensor]:
         """Return the sums of the statistics."""
@@ -111,10 +124,10 @@ class SiameseModule(NetworkModule):
             self._draw(batch, distance, stage)
         return loss
 
-    def _log_epoch(self, stage: str, statistics: PairStatistics) -> None:
+    def _log_epoch(self, stage: str, statistics: PairStatistics, further: Mapping[str, Tensor] | None = None) -> None:
         values = statistics.compute() if statistics.update_called else {}
         statistics.reset()
-        self.log_epoch(stage, values)
+        self.log_epoch(stage, {**values, **(further or {})})
 
     def _draw(self, batch: Mapping[str, Tensor], distance: Tensor, stage: str) -> None:
         if self._trainer is None or self.trainer.sanity_checking or not self.trainer.is_global_zero:

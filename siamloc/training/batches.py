@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -247,6 +247,7 @@ class PairDataModule(EpochDataModule):
         validation: validation frames, or None.
         pairs: which pairs, for both; the defaults of `PairSettings` if None.
         batch_size: pairs in a batch.
+        drive: map frames and queries that are described after the validation pairs, such as a `ValidationDrive`.
         validation_pairs: how many validation pairs; they are the same in every epoch. As many as there are
             validation frames if None.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
@@ -265,6 +266,7 @@ class PairDataModule(EpochDataModule):
         *,
         pairs: PairSettings | None = None,
         batch_size: int = 16,
+        drive: Dataset[Any] | None = None,
         validation_pairs: int | None = None,
         workers: int = 0,
         augmentation: BatchAugmentation | None = None,
@@ -274,6 +276,7 @@ class PairDataModule(EpochDataModule):
         if int(batch_size) < 1:
             raise ConfigError(f"batch_size must be a whole number from 1, got {batch_size}")
         self._batch_size = int(batch_size)
+        self._drive = drive
         self.sampler = PairSampler(train, pairs, seed=seed)
         self.validation_sampler: PairSampler | None = None
         if validation is not None:
@@ -295,11 +298,14 @@ class PairDataModule(EpochDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        return self._batches(self.sampler, self.augmentation, self.next_epoch())
+        return self.loader(self._pair_batches(self.sampler, self.augmentation), self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation batches; an empty list where there are no validation frames."""
-        return [] if self.validation_sampler is None else self._batches(self.validation_sampler, None, None)
+        if self.validation_sampler is None:
+            return []
+        pairs = self._pair_batches(self.validation_sampler, None)
+        return self.loader(pairs if self._drive is None else _InTurn(pairs, self._drive), None)
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
         """Return the files of the first and the second images of a training batch."""
@@ -317,8 +323,20 @@ class PairDataModule(EpochDataModule):
             batch["first"], batch["second"] = self.augmented(images, batch.pop("change")).chunk(2)
         return batch
 
-    def _batches(
-        self, sampler: PairSampler, augmentation: BatchAugmentation | None, epoch: int | None
-    ) -> DataLoader[Any]:
-        batches = PairBatches(self.library, sampler, self._batch_size, augmentation, *self.share())
-        return self.loader(batches, epoch)
+    def _pair_batches(self, sampler: PairSampler, augmentation: BatchAugmentation | None) -> PairBatches:
+        return PairBatches(self.library, sampler, self._batch_size, augmentation, *self.share())
+
+
+class _InTurn(Dataset[dict[str, Any]]):
+    """All batches of one data set, then those of another."""
+
+    def __init__(self, first: PairBatches, second: Dataset[Any]) -> None:
+        self._first, self._second = first, second
+
+    def __len__(self) -> int:
+        return len(self._first) + len(cast(Sized, self._second))
+
+    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
+        epoch, batch = number
+        before = len(self._first)
+        return self._first[number] if batch < before else self._second[epoch, batch - before]

@@ -17,6 +17,7 @@ from torch import Tensor
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import StorageError
 from siamloc.files import atomic_path, write_text
+from siamloc.models.describing import margin_of
 from siamloc.models.places import PlaceModule
 from siamloc.runs import Run, higher_is_better
 
@@ -25,8 +26,13 @@ from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, WeightAveraging  # noqa: E402
 
-_SAID = ("train/loss", "train/accuracy", "val/loss", "val/accuracy", "val/error", "val/room")
-_COLLAPSED = 0.01  # spread below which descriptors tell nothing apart
+_SAID = (
+    *("train/loss", "train/accuracy", "train/active"),
+    *("val/loss", "val/accuracy", "val/error", "val/recall", "val/room"),
+)
+_COLLAPSED = 0.01  # spread of descriptors of length 1, below which they tell nothing apart
+_COLLAPSED_PAIRS = 0.0125  # the same of the mean distance of pairs, as a share of the margin; random weights have more
+_ACTIVE = 0.01  # share of pairs or triplets that cost anything, below which hardly anything is learned
 _SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter failed")
 
 
@@ -193,8 +199,7 @@ class Curves(Checkpoint):
         if trainer.is_global_zero:
             self._write()
             self._say(trainer, values)
-            if isinstance(pl_module, PlaceModule):  # whose descriptors have unit length
-                self._warn(trainer, values.get("train/spread", math.inf))
+            self._warn(trainer, pl_module, values)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Sum up, unless the training was stopped before its end."""
@@ -206,13 +211,14 @@ class Curves(Checkpoint):
             epochs = f"epoch {len(self._rows)} of {trainer.max_epochs}"
             parts.append(f"stopped early after {epochs}, none of the last {self._patience} was better")
         if (best := self._best()) is not None:
-            value, epoch = best
-            parts.append(f"best epoch {epoch + 1} by {self._monitor} {value:.4f}")
+            parts.append(self._figures_of(best[1]))
         if math.isfinite(self._pace.images_per_second):
             parts.append(f"{self._pace.images_per_second:.0f} images/s")
             if pl_module.device.type == "cpu":
                 parts.append(f"{self._pace.waiting:.0%} of the time waiting for data")
-        self._tell(trainer, f"{', '.join(parts)}; checkpoints in {self._run.checkpoints}")
+        checkpoint = self._run.checkpoints / ("last.ckpt" if best is None else "best.ckpt")
+        self._tell(trainer, ", ".join(parts))
+        self._tell(trainer, f"checkpoint: {checkpoint}; curves: tensorboard --logdir {self._run.tensorboard}")
 
     def state_dict(self) -> dict[str, Any]:
         """Give the checkpoint the rows so far."""
@@ -232,6 +238,13 @@ class Curves(Checkpoint):
             return None
         return (max if higher_is_better(name) else min)(found, key=lambda pair: pair[0])
 
+    def _figures_of(self, epoch: int) -> str:
+        """Name the best epoch with all its figures of the validation, first the one that it was chosen by."""
+        row = next(row for row in self._rows if row["epoch"] == epoch)
+        others = sorted(name for name in row if name.startswith("val/") and name != self._monitor)
+        listed = f" ({', '.join(f'{name[4:]} {row[name]:.4f}' for name in others)})" if others else ""
+        return f"best epoch {epoch + 1} by {self._monitor} {row[str(self._monitor)]:.4f}{listed}"
+
     def _stale(self) -> bool:
         """Say whether as many epochs as the patience have brought nothing better."""
         best = self._best()
@@ -246,12 +259,29 @@ class Curves(Checkpoint):
         figures = ", ".join(f"{name} {values[name]:.4f}" for name in _SAID if name in values)
         self._tell(trainer, f"epoch {done} of {total}: {figures}, {left:.0f} s left")
 
-    def _warn(self, trainer: Trainer, spread: float) -> None:
-        if spread < _COLLAPSED:
+    def _warn(self, trainer: Trainer, module: LightningModule, values: dict[str, float]) -> None:
+        """Say when a training came to nothing, or has nothing left to learn from."""
+        spread = values.get("train/spread", math.inf)
+        if isinstance(module, PlaceModule):  # whose descriptors have unit length
+            collapsed, where = spread < _COLLAPSED, "places in a batch"
+        else:
+            # Without a margin, the widest that the descriptors have been.
+            widths = [width for row in self._rows if math.isfinite(width := _apart(row))]
+            widest = margin_of(getattr(module, "loss", None)) or max(widths, default=0.0)
+            collapsed, where = _apart(values) < _COLLAPSED_PAIRS * widest, "pairs of different places"
+        if collapsed:
             self._tell(
                 trainer,
                 f"warning: the network gives nearly every image the same descriptor, train/spread is {spread:.2g}: "
-                "if that lasts, train with a smaller optimizer.learning_rate, or with more places in a batch",
+                f"if that lasts, train with a smaller optimizer.learning_rate, or with more {where}",
+            )
+        active = values.get("train/active", math.inf)
+        if active < _ACTIVE and not collapsed:
+            what = "triplets" if isinstance(module, PlaceModule) else "pairs of different places"
+            self._tell(
+                trainer,
+                f"warning: hardly any {what} cost anything, train/active is {active:.2%}: where the validation is not "
+                "good yet, train with a larger margin, or with more of what is hard to tell apart",
             )
 
     def _tell(self, trainer: Trainer, text: str) -> None:
@@ -265,3 +295,9 @@ class Curves(Checkpoint):
         writer.writeheader()
         writer.writerows(self._rows)
         write_text(self._run.metrics, text.getvalue())
+
+
+def _apart(figures: Mapping[str, float]) -> float:
+    """Return how far apart the descriptors of pairs were, in the mean; infinity where that is not known."""
+    distances = [figures[name] for name in ("train/distance_same", "train/distance_different") if name in figures]
+    return max(distances, default=math.inf)

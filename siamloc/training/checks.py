@@ -22,7 +22,7 @@ from siamloc.models.siamese import Loss
 from siamloc.training.batches import EpochDataModule
 from siamloc.training.lacking import what_is_lacking
 from siamloc.training.place_batches import PlaceDataModule, origins_of
-from siamloc.training.settings import Training
+from siamloc.training.settings import Monitor, Training
 
 _ROOMS = 2  # that have to be told apart at least
 _TRIED = 8  # batches that are looked through for something to learn from
@@ -156,11 +156,11 @@ def check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) ->
         )
 
 
-def monitored(settings: Training, train: FrameTable, validated: FrameTable | None) -> str | None:
-    """Name the figure by which the checkpoint is chosen; None where nothing is validated.
+def monitored(settings: Training, train: FrameTable, validated: FrameTable | None) -> Monitor | None:
+    """Name the figure by which the checkpoint is chosen, as `Training.monitor` does; None where nothing is validated.
 
     Raises:
-        DataError: frames with neither positions nor rooms, by which the validation could be judged.
+        DataError: frames without the positions or rooms by which the validation is judged.
         ConfigError: `patience` where nothing is validated.
     """
     if validated is None:
@@ -170,17 +170,42 @@ def monitored(settings: Training, train: FrameTable, validated: FrameTable | Non
                 "give validation frames, or leave patience out"
             )
         return None
+    placed = bool(train.has_position.any() and validated.has_position.any())
+    roomed = _rooms(train) >= _ROOMS and _rooms(validated) > 0
+    monitor = settings.monitor
+    if monitor in ("error", "recall") and not placed:
+        raise DataError(
+            f"monitor={monitor} needs positions, and training and validation frames do not both have them: give them, "
+            "or choose monitor=auto"
+        )
+    if monitor == "room" and not roomed:
+        raise DataError(
+            f"monitor=room needs rooms, {_ROOMS} or more in training, and training and validation frames do not both "
+            "have them: give them, or choose monitor=auto"
+        )
+    if monitor != "auto":
+        return monitor
     if not isinstance(settings.pairs, PlaceSettings):
-        return "val/loss"
-    if train.has_position.any() and validated.has_position.any():
-        return "val/error"
-    if _rooms(train) >= _ROOMS and _rooms(validated):
-        return "val/room"
+        return "error" if placed and _another_drive(train, validated) else "loss"
+    if placed:
+        return "error"
+    if roomed:
+        return "room"
     raise DataError(
         "the checkpoint is chosen by the error of localization or by the rooms found, but training and validation "
         f"frames do not both have positions, or both rooms ({_ROOMS} or more in training): give either, or leave the "
         "validation out"
     )
+
+
+def _another_drive(train: FrameTable, validated: FrameTable) -> bool:
+    """Say whether the validation is a drive of its own through a building of the training, so that it can be located.
+
+    Frames of the same drive are next to those that are learned from.
+    """
+    known, asked = train.take(train.has_position), validated.take(validated.has_position)
+    same_drives = set(known.sequence.tolist()) & set(asked.sequence.tolist())
+    return not same_drives and bool(set(known.building.tolist()) & set(asked.building.tolist()))
 
 
 def _rooms(frames: FrameTable) -> int:

@@ -83,7 +83,9 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
         raise ConfigError(f"none of the {len(found)} runs has finished an epoch: there is nothing to compare yet")
     figures = set.intersection(*map(set, curves.values()))
     if by is None:
-        by = next((name for name in _CHOSEN_BY if name in figures), None)
+        chosen = {f"val/{run.settings.get('training', {}).get('monitor')}" for run in found}
+        first = sorted(chosen) if len(chosen) == 1 else []
+        by = next((name for name in (*first, *_CHOSEN_BY) if name in figures), None)
     known = sorted({name for figure in curves.values() for name in figure if "/" in name})
     if by is None or by not in known:
         asked = (

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -19,9 +20,9 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.files import content_key, plain
+from siamloc.files import plain
 from siamloc.models.batch_losses import UNIT_LENGTH
-from siamloc.models.checkpoint import load
+from siamloc.models.checkpoint import check_architecture, load
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.module import NetworkModule
 from siamloc.models.places import BatchLoss, PlaceModule
@@ -31,11 +32,20 @@ from siamloc.settings import checked, takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.checks import check_batches, check_loss, check_network, check_rooms, monitored, usable
 from siamloc.training.debug import Debug, debug_training
-from siamloc.training.place_batches import PlaceDataModule
-from siamloc.training.run_folder import KEPT, check_debug, check_folder, check_same_training, open_run, progress
+from siamloc.training.place_batches import PlaceDataModule, ValidationDrive
+from siamloc.training.run_folder import (
+    KEPT,
+    check_debug,
+    check_folder,
+    check_same_training,
+    monitor_of,
+    open_run,
+    progress,
+)
+from siamloc.training.seen_frames import note_frames
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import debug_trainer, fast_layout, quiet, run_trainer
+from siamloc.training.trainer import debug_trainer, fast_layout, quiet, run_trainer, steps_of
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
@@ -60,11 +70,10 @@ def fit(
 ) -> Run:
     """Train a network on pairs of frames, or on batches of places, in place.
 
-    Afterwards it holds the weights that `siamloc.models.load(run)` gives: the best by the validation (by the loss of
-    pairs; with batches of places by the error of localization, or by the rooms found where there are no positions), or
-    the last where nothing is validated. Everything
-    that can be checked is checked before the run's folder is touched. Where several processes train together
-    (`trainer={"devices": 2, "strategy": "ddp"}`, torchrun, SLURM), each calls `fit`, and only the first writes.
+    Afterwards it holds the weights that `siamloc.models.load(run)` gives: the best by the validation, as
+    `Training.monitor` says, or the last where nothing is validated. Everything that can be checked is checked before
+    the run's folder is touched. Where several processes train together (`trainer={"devices": 2, "strategy": "ddp"}`,
+    torchrun, SLURM), each calls `fit`, and only the first writes.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -126,8 +135,11 @@ def fit(
     train, validated = usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
     change = None if effect is None else BatchAugmentation(effect, settings.augment_where, settings.seed)
-    data, module = _parts(network, images, train, validated, loss, change, settings)
+    if resume and settings.monitor == "auto":
+        settings = replace(settings, monitor=monitor_of(run))
     monitor = monitored(settings, train, validated)
+    settings = settings if monitor is None else replace(settings, monitor=monitor)
+    data, module = _parts(network, images, train, validated, loss, change, settings)
     check_network(network, images, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used = {
@@ -138,22 +150,28 @@ def fit(
         "training": settings.plain(),
         "augment": augmented,
         "trainer": {"precision": str((trainer or {}).get("precision", "32-true"))},
-        "frames": {"train": _frames_key(train), "validation": None if validated is None else _frames_key(validated)},
+        "frames": {
+            "train": note_frames(images, train),
+            "validation": None if validated is None else note_frames(images, validated),
+        },
     }
-    last = run.checkpoints / "last.ckpt"
-    if resume and first:
-        check_same_training(run, plain(used), settings.epochs)
-    if not network.training:  # as `load` and an earlier `fit` leave it; parts that alone are frozen stay so
-        network.train()
     if debug is not None:
         check_batches(data, module.loss)
+        _wake(network)
         with quiet(), fast_layout(network, used["trainer"]["precision"] == "auto"), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
             debug_training(debug, module, data, run, used, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
+    last = run.checkpoints / "last.ckpt"
     with quiet():
-        lightning = run_trainer(run, settings, trainer, monitor)
+        lightning = run_trainer(run, settings, trainer, monitor and f"val/{monitor}")
         check_batches(data, module.loss, lightning.world_size)
+        used["trainer"] |= steps_of(lightning)
+        if resume and first:
+            check_same_training(run, plain(used), settings.epochs)
+            if last.is_file():
+                check_architecture(last, module)
+        _wake(network)
         if first:
             open_run(run, used, resume=resume, validated=validated is not None)
             _note(settings, train, loss, data.notes())
@@ -168,6 +186,12 @@ def fit(
             _train(lightning, module, data, run, start)
     load(run, network=network)
     return run
+
+
+def _wake(network: nn.Module) -> None:
+    """Let a network be trained that `load` or an earlier `fit` left in evaluation; parts that alone are so stay."""
+    if not network.training:
+        network.train()
 
 
 def _note(settings: Training, train: FrameTable, loss: object, of_data: list[str]) -> None:
@@ -215,11 +239,13 @@ def _parts(
         check_loss(loss, 2)
         check_rooms(loss, train)
         places = PlaceDataModule(images, train, validated, places=settings.pairs, **common)
-        return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer)
+        return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer, settings.recall_radius)
     check_loss(loss, 3)
+    if validated is not None and settings.monitor not in ("loss", "auto"):
+        common["drive"] = ValidationDrive(images, train, validated)
     pairs = PairDataModule(images, train, validated, pairs=settings.pairs, batch_size=settings.batch_size, **common)
     chosen = ContrastiveLoss(settings.margin) if loss is None else cast(Loss, loss)
-    return pairs, SiameseModule(network, chosen, settings.optimizer)
+    return pairs, SiameseModule(network, chosen, settings.optimizer, settings.recall_radius)
 
 
 def _effect(
@@ -282,9 +308,3 @@ def _protocol(train: FrameTable, validation: FrameTable | None) -> dict[str, Any
     found = {"train": train, "validation": validation}
     roles = {name: {"sequences": list(table.rows_by("sequence"))} for name, table in found.items() if table is not None}
     return {"kind": "cross_run", **roles}
-
-
-def _frames_key(frames: FrameTable) -> dict[str, Any]:
-    """Count frames and hash what they are, wherever their files lie."""
-    columns = [frames.sequence, [Path(path).name for path in frames.path.tolist()], frames.xy, frames.place]
-    return {"count": len(frames), "key": content_key(columns)}

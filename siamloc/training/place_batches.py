@@ -73,10 +73,17 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         return item
 
 
-class _ValidationBatches(Dataset[dict[str, Any]]):
-    """Frames of the map, then queries, in batches; every process has all of them."""
+class ValidationDrive(Dataset[dict[str, Any]]):
+    """Frames of the map, then queries, in batches; every process has all of them.
+
+    Args:
+        library: decoded panoramas of all frames.
+        known: frames of the map.
+        queries: frames that are looked for in it. Of both at most 500 are taken, evenly.
+    """
 
     def __init__(self, library: PanoramaLibrary, known: FrameTable, queries: FrameTable) -> None:
+        known, queries = _evenly(known), _evenly(queries)
         self._library = library
         self._rows = np.concatenate([library.rows(known), library.rows(queries)])
         parts = origins_of(known, queries)
@@ -140,8 +147,7 @@ class PlaceDataModule(EpochDataModule):
         """Make the loader of the validation; an empty list where there are no validation frames."""
         if self._validation is None:
             return []
-        known, queries = (_evenly(frames) for frames in (self.sampler.frames, self._validation))
-        return self.loader(_ValidationBatches(self.library, known, queries), None)
+        return self.loader(ValidationDrive(self.library, self.sampler.frames, self._validation), None)
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
         """Return the files of the images of a training batch."""

@@ -127,6 +127,7 @@ RECIPES: dict[str, Recipe] = {
             **_PHOTOGRAPHS.training,
             # Places from all over: neighbours in the drive are of the same room, and need not be told apart.
             "pairs": {**_PHOTOGRAPHS.training["pairs"], "near": 0.0, "epoch_batches": 100},
+            "monitor": "room",
         },
     ),
 }

@@ -11,16 +11,18 @@ from siamloc.errors import ConfigError
 from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import branch_spec
 from siamloc.runs import Run
-from siamloc.training.settings import Training
+from siamloc.training.seen_frames import differing_frames
+from siamloc.training.settings import Monitor, Training
 
 # What may differ when a run is resumed: where files lie, how fast it goes, how long it trains.
 _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
     *("training.epochs", "training.workers", "training.augment_where"),
-    *("training.checkpoint_every", "training.patience"),
+    *("training.checkpoint_every", "training.patience", "training.recall_radius"),
 )
-_LEARNED = ("data", "protocol", "model", "loss", "training", "augment", "frames")
+_LEARNED = ("data", "protocol", "model", "loss", "training", "augment")
+_ROLES = {"train": "training", "validation": "validation"}
 
 KEPT = "bad_batch*.npz"
 """Files of a run that hold a batch which stopped a training."""
@@ -82,6 +84,7 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     before = {**before, "training": Training.of(before["training"]).plain(), "model": _whole(before["model"])}
+    before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
     if before["loss"].get("name") == "soft_contrastive":
         before["loss"] = {"room": 0.0, "sigma_start": None, **before["loss"]}
     planned = before["training"]["epochs"]
@@ -96,7 +99,9 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
             "train another run"
         )
     # The same frames may be named in several ways; how is only worth a word where they are others.
-    same_frames = before.get("frames") == now.get("frames")
+    noted = [settings.get("frames", now["frames"]) for settings in (before, now)]
+    differing = [differing_frames(noted[0].get(role), noted[1].get(role), words) for role, words in _ROLES.items()]
+    same_frames = not any(differing)
     free = (*_FREE, "protocol.train", "protocol.validation") if same_frames else _FREE
     for section in _LEARNED:
         old, new = _flat(section, before.get(section)), _flat(section, now.get(section))
@@ -106,12 +111,46 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
                     f"{key}={new.get(key)}: leave it out, or train another run"
                 )
+    if not same_frames:
+        what = next(filter(None, differing))
+        raise ConfigError(f"{run.folder} was trained with other data: {what}; give the same, or train another run")
+    if any(scheduled.values()):
+        _check_same_steps(run, before, now, next(name for name, changes in scheduled.items() if changes))
     done, steps = progress(run)
     if done + (steps > 0) > epochs:
         has = f"{done} epochs already" if not steps else f"begun epoch {done + 1} already"
         raise ConfigError(f"{run.folder} has {has}, more than epochs={epochs}: ask for more epochs")
     if done == steps == 0:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
+
+
+def monitor_of(run: Run) -> Monitor:
+    """Say what the checkpoint of a run is chosen by, as `Training.monitor`; "auto" where nothing has chosen yet."""
+    training = run.settings["training"]
+    if "monitor" in training:
+        return Training.of(training).monitor
+    if "places" not in training.get("pairs", {}):  # older runs, which had no choice
+        return "loss"
+    logged = run.curves() if run.metrics.is_file() else {}
+    return "error" if "val/error" in logged else "room" if "val/room" in logged else "auto"
+
+
+def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any], what: str) -> None:
+    """Make sure that an epoch has as many steps as before: a schedule is laid out for their number."""
+    old, new = (settings.get("trainer", {}) for settings in (before, now))
+    for key in sorted(old.keys() & new.keys() - {"precision"}):
+        if repr(old[key]) == repr(new[key]) or (  # 1 is a batch, 1.0 are all
+            key == "processes" and "places" in now["training"]["pairs"]
+        ):
+            continue  # a batch of places grows with the processes, and there are as many
+        if key == "processes":
+            used, meant, advice = f"{old[key]} processes", f"{new[key]}", "train with as many (trainer.devices)"
+        else:
+            used, meant, advice = f"trainer.{key}={old[key]}", f"trainer.{key}={new[key]}", "leave it as it was"
+        raise ConfigError(
+            f"the {what} of {run.folder} was laid out for the steps of an epoch with {used}, and there would be others "
+            f"with {meant}: {advice}, or train another run"
+        )
 
 
 def _whole(model: Mapping[str, Any]) -> dict[str, Any]:

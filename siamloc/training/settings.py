@@ -11,6 +11,8 @@ from siamloc.errors import ConfigError
 from siamloc.models.registry import Optimizer
 from siamloc.settings import Count, Natural, Positive, Probability, Settings
 
+Monitor = Literal["auto", "error", "recall", "room", "loss"]
+
 
 @dataclass(frozen=True)
 class Training(Settings):
@@ -28,6 +30,12 @@ class Training(Settings):
         margin: of the contrastive loss; a loss of your own has its own.
         clip: length that the gradient is cut to; not cut if None.
         average: decay of the moving average of the weights, which is what is kept; no average if None.
+        monitor: figure of the validation by which the checkpoint is chosen: "error", the mean error of localization;
+            "recall", the share of queries found within `recall_radius`; "room", the share whose room is found; "loss",
+            that of pairs, as published. "auto" is the error where both sides have positions (with pairs, where they
+            are of different drives, too), otherwise the loss with pairs, and the rooms with batches of places.
+        recall_radius: a query is found if the map frame with the nearest descriptor lies this near, in the unit of the
+            positions.
         patience: epochs without a better validation after which the training stops early; it never does if None. A
             one-cycle schedule ends with the last epoch, so that a training which stops before it has hardly settled.
         checkpoint_every: steps after which the last checkpoint is written within an epoch as well; at the end of each
@@ -49,6 +57,8 @@ class Training(Settings):
     margin: Positive = 2.0
     clip: Positive | None = None
     average: Probability | None = None
+    monitor: Monitor = "auto"
+    recall_radius: Positive = 0.5
     patience: Count | None = None
     checkpoint_every: Count | None = None
     augment_where: Literal["cpu", "gpu"] = "cpu"
@@ -56,6 +66,11 @@ class Training(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if isinstance(self.pairs, PlaceSettings):
+            if self.monitor == "loss":
+                raise ConfigError(
+                    "monitor=loss is the loss of pairs, and batches of places have no loss of the validation: choose "
+                    "auto, error, recall or room"
+                )
             for name, instead in (("batch_size", "pairs.places and pairs.images"), ("margin", "a loss of its own")):
                 if getattr(self, name) != getattr(Training, name):
                     raise ConfigError(f"{name} is of pairs, and batches of places have {instead}: leave it out")

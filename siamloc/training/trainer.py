@@ -29,6 +29,7 @@ from lightning.pytorch.utilities.exceptions import MisconfigurationException  # 
 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
 """Arguments of `lightning.Trainer` that `fit` begins with."""
+OF_STEPS = ("accumulate_grad_batches", "limit_train_batches", "max_steps")
 
 
 def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, monitor: str | None) -> Trainer:
@@ -62,6 +63,11 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
         raise ConfigError(f"trainer.{taken[0]} is set by siamloc itself: leave it out")
     options.setdefault("enable_progress_bar", sys.stderr.isatty())
     return _made(options, own)
+
+
+def steps_of(trainer: Trainer) -> dict[str, Any]:
+    """Return what the number of steps of an epoch depends on, besides the batches there are."""
+    return {"processes": trainer.world_size, **{key: getattr(trainer, key) for key in OF_STEPS}}
 
 
 def debug_trainer(further: Mapping[str, Any] | None, **own: Any) -> Trainer:

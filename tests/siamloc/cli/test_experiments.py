@@ -103,6 +103,7 @@ def test_every_published_row_can_be_trained():
     for name in published:
         config = composed("train", [f"experiment={name}", "data.root=x"])
         assert (config.data.kind, config.optimizer.name, config.loss.name) == ("cold", "sgd", "contrastive")
+        assert config.monitor == "loss"
         for word in (word for row in rows if row[0] == f"experiment={name}" for word in row[1:]):
             key, _, value = word.partition("=")
             if (config_folder() / key).is_dir():

@@ -14,10 +14,14 @@ import pytest
 import torch
 
 import siamloc
+from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, StorageError
 from siamloc.runs import Run
 from siamloc.training.callbacks import AtomicCheckpoints
 from tests.siamloc.training.test_place_batches import SETTINGS
+
+ensure_torchvision()
+from lightning.pytorch import Callback  # noqa: E402
 
 # Writes a checkpoint and is stopped for ever where the whole file would get its name.
 KILLED = """
@@ -118,6 +122,50 @@ def test_a_training_without_progress_stops_early_and_says_so(images, drives, tmp
     assert len(fit(patience=2, resume=True).curves()["epoch"]) == 3
     assert len(fit(patience=4, resume=True).curves()["epoch"]) == 5
     assert "stopped early after epoch 5 of 9" in capfd.readouterr().err
+
+
+class Same(torch.nn.Module):
+    """A network that describes all images alike, or nearly."""
+
+    def __init__(self, scale):
+        super().__init__()
+        self.weight, self.scale = torch.nn.Parameter(torch.ones(1)), scale
+
+    def forward(self, panorama):
+        return self.scale * panorama[:, 0, :1].flatten(1) * (1 + 0 * self.weight)
+
+
+@pytest.mark.parametrize("loss", [None, lambda d0, d1, y: (y * (d0 - d1).square().sum(1)).mean()])
+def test_pairs_that_come_to_nothing_are_said(images, drives, tmp_path, capfd, loss):
+    """By the margin, or without one by how far apart the descriptors have been."""
+    network = Same(1e-4 if loss is None else 1.0)
+    monday, shrink = drives[0], Shrink(1e-4)
+    options = {"loss": loss, "trainer": {"accelerator": "cpu", "callbacks": [shrink]}, "epochs": 2}
+    siamloc.training.fit(network, images, monday, run=tmp_path / "run", **options)
+    warnings = [line for line in capfd.readouterr().err.splitlines() if line.startswith("warning")]
+    assert len(warnings) == (2 if loss is None else 1)
+    assert warnings[-1].startswith("warning: the network gives nearly every image the same descriptor, train/spread is")
+    assert "or with more pairs of different places" in warnings[-1]
+
+
+class Shrink(Callback):
+    """Let descriptors fall together after the first epoch."""
+
+    def __init__(self, factor):
+        self.factor = factor
+
+    def on_train_epoch_end(self, trainer, pl_module):
+        pl_module.network.scale *= self.factor
+
+
+def test_pairs_that_have_nothing_left_to_teach_are_said(images, drives, tmp_path, capfd):
+    options = {"trainer": {"accelerator": "cpu"}, "epochs": 1, "pairs": {"label": "room"}}
+    siamloc.training.fit(
+        Same(1e3), images, drives[0], run=tmp_path / "run", optimizer={"learning_rate": 1e-9}, **options
+    )
+    said = capfd.readouterr().err
+    assert "train/active 0.0000" in said
+    assert "warning: hardly any pairs of different places cost anything, train/active is 0.00%: where the" in said
 
 
 def test_patience_needs_a_validation(images, drives, tmp_path):

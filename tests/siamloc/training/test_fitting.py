@@ -10,6 +10,7 @@ import sys
 import textwrap
 import time
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -19,9 +20,11 @@ import augment
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, read
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import read_json, write_json
-from siamloc.models import as_descriptor, build, load
+from siamloc.models import PlaceModule, SiameseModule, as_descriptor, build, load
 from siamloc.runs import Run
 from siamloc.training import PairSettings, Training, fit
+from siamloc.training.checks import monitored
+from siamloc.training.place_batches import ValidationDrive
 from siamloc.training.run_folder import progress
 from tests.drawn import write_manifest
 
@@ -78,7 +81,8 @@ def test_a_run_holds_its_settings_and_what_was_written(train, frames, day, flat,
     assert (record["format"], record["version"]) == ("siamloc-run", 2)
     assert {*record["written"], "run.json"} == set(listing(run.folder))
     settings = run.settings
-    assert Training.of(settings["training"]) == Training(epochs=2, batch_size=8, pairs=PairSettings(label="room"))
+    options = {"epochs": 2, "batch_size": 8, "pairs": PairSettings(label="room")}
+    assert Training.of(settings["training"]) == Training(monitor="error", **options)  # what "auto" came to
     assert settings["data"]["manifest"] == str(flat)
     assert settings["data"]["image_size"] == list(SIZE)
     roles = {"train": {"sequences": ["cloudy1"]}, "validation": {"sequences": ["night1"]}}
@@ -97,11 +101,58 @@ def test_a_run_holds_its_settings_and_what_was_written(train, frames, day, flat,
 
 
 def test_the_best_weights_are_kept_not_the_last(train, frames):
-    network = build("simple1", "fc500_500_5", SIZE)
-    run = train(network=network, validation=frames.select(sequence="night1"), optimizer={"name": "adam"}, epochs=5)
-    best = int(np.argmin(run.curves()["val/loss"]))
-    assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == best
-    assert as_descriptor(load(run)).identity == as_descriptor(network).identity
+    """Best by where another drive is located; as published by the loss, and then nothing is located."""
+    night = frames.select(sequence="night1")
+    for monitor, figure in (("auto", "val/error"), ("loss", "val/loss")):
+        network = build("simple1", "fc500_500_5", SIZE)
+        options = {"optimizer": {"name": "adam"}, "epochs": 3, "monitor": monitor}
+        run = train(monitor, network=network, validation=night, **options)
+        best = int(np.argmin(run.curves()[figure]))
+        assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == best
+        assert as_descriptor(load(run)).identity == as_descriptor(network).identity
+        assert ("val/recall" in run.curves()) == (monitor == "auto")
+
+
+def test_pairs_are_located_as_places_are(images, frames, day):
+    """Both kinds of training are judged by the same figures."""
+    night = frames.select(sequence="night1")
+    drive = ValidationDrive(images, day, night)
+    modules = [made(build("simple1", "fc500_500_5", SIZE), recall_radius=2.0) for made in (SiameseModule, PlaceModule)]
+    figures = []
+    for module in modules:
+        for batch in range(len(drive)):
+            module.eval().validation_step(drive[0, batch], batch)
+        figures.append(module.drive_figures())
+    assert figures[0] == figures[1]
+    assert set(figures[0]) == {"error", "median", "recall", "room"}
+    assert modules[0].drive_figures() == {}
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({}, "error"),
+        ({"sequence": ["cloudy1"] * 12}, "loss"),  # frames between those of the training
+        ({"building": ["annex"] * 12}, "loss"),
+        ({"x": [np.nan] * 12}, "loss"),
+    ],
+)
+def test_pairs_are_judged_by_another_drive_only(frames, day, changed, expected):
+    validation = frames.select(sequence="night1").with_columns(**changed)
+    assert monitored(Training(), day, validation) == expected
+
+
+def test_a_run_goes_on_with_what_its_checkpoint_was_chosen_by(train, frames):
+    """Also where that was not written down yet."""
+    night = frames.select(sequence="night1")
+    run = train(validation=night, epochs=1, monitor="loss")
+    record = read_json(run.record)
+    del record["settings"]["training"]["monitor"], record["settings"]["training"]["recall_radius"]
+    write_json(run.record, record)
+    assert train(validation=night, epochs=2, resume=True).settings["training"]["monitor"] == "loss"
+    assert "val/error" not in run.curves()
+    with pytest.raises(ConfigError, match=r"training\.monitor=loss and cannot be resumed with training\.monitor=error"):
+        train(validation=night, epochs=3, resume=True, monitor="error")
 
 
 def test_one_seed_gives_one_curve(train):
@@ -174,10 +225,80 @@ def test_the_same_frames_may_be_named_in_another_way(train, day):
 
 def test_other_frames_are_not_resumed_and_fewer_epochs_neither(train, day):
     train(epochs=2)
-    with pytest.raises(ConfigError, match=r"frames\.train\.count=12 and cannot be resumed with frames\.train\.count=6"):
+    with pytest.raises(ConfigError, match="with other data: there were 12 training frames, and now there are 6; give"):
         train(frames=day.every(2), epochs=3, resume=True)
     with pytest.raises(ConfigError, match="has 2 epochs already, more than epochs=1"):
         train(epochs=1, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({"lighting": ["sunny"] * 12}, r"the labels of the training frames are others \(room, building or lighting\)"),
+        ({"room": ["hall"] * 12}, "the labels of the training frames are others"),
+        ({"building": ["annex"] * 12}, "the labels of the training frames are others"),
+        ({"x": np.arange(12.0)}, "the positions of the training frames are others"),
+    ],
+)
+def test_frames_of_other_columns_are_not_resumed(train, trained, day, columns, says):
+    with pytest.raises(ConfigError, match=f"was trained with other data: {says}"):
+        train(trained.folder, frames=day.with_columns(**columns), epochs=2, resume=True)
+
+
+def copied(folder, frames, change):
+    """The frames with their pictures in another folder, changed."""
+    paths = [folder / path.rpartition("/")[2] for path in frames.path.tolist()]
+    for old, new in zip(frames.path.tolist(), paths, strict=True):
+        new.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(new), change(cv2.imread(old)))
+    return frames.with_columns(path=[str(path) for path in paths])
+
+
+def test_data_may_move_but_not_become_others(train, day, tmp_path):
+    """Pictures that were copied, or saved again, are the same; others under the same names are not."""
+
+    def again(name, change):
+        frames = copied(tmp_path / name, day, change)
+        images = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE)
+        return train(frames=frames, images=images, epochs=2, resume=True)
+
+    def saved(picture):
+        return cv2.imdecode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1], cv2.IMREAD_COLOR)
+
+    run = train(epochs=1)
+    with pytest.raises(ConfigError, match="the pictures of the training frames are others"):
+        again("mirrored", lambda picture: picture[:, ::-1])
+    assert len(curve(run)) == 1
+    assert len(curve(again("saved", saved))) == 2
+
+
+def test_runs_that_noted_less_are_resumed(train):
+    options = {"epochs": 2, "optimizer": {"schedule": "cosine"}}
+    run = train(trainer={"accelerator": "cpu", "max_steps": 2}, **options)
+    record = read_json(run.record)
+    noted = {key: record["settings"]["frames"]["train"][key] for key in ("count", "key")}
+    record["settings"] |= {"frames": {"train": noted, "validation": None}, "trainer": {"precision": "32-true"}}
+    write_json(run.record, record)
+    assert train(resume=True, **options).settings["frames"]["train"].keys() > noted.keys()
+
+
+def test_a_schedule_goes_on_with_the_steps_that_it_was_laid_out_for(train):
+    """With others it would end too early, or with an error of torch in the middle of the training."""
+    few = {"accelerator": "cpu", "limit_train_batches": 1}
+    train(epochs=1, trainer=few)
+    train(epochs=2, resume=True)  # nothing is laid out
+    options = {"epochs": 2, "optimizer": {"schedule": "one_cycle"}}
+    run = train("laid out", **options)
+    for other in ({"limit_train_batches": 1}, {"accumulate_grad_batches": 2}, {"max_steps": 2}):
+        key = next(iter(other))
+        says = rf"the learning rate of .* for the steps of an epoch with trainer\.{key}=.* with trainer\.{key}="
+        with pytest.raises(ConfigError, match=says):
+            train("laid out", resume=True, trainer={"accelerator": "cpu", **other}, **options)
+    record = read_json(run.record)
+    record["settings"]["trainer"]["processes"] = 2
+    write_json(run.record, record)
+    with pytest.raises(ConfigError, match=r"with 2 processes, and there would be others with 1: train with as many"):
+        train("laid out", resume=True, **options)
 
 
 def test_a_run_is_written_over_only_when_told(train):
@@ -285,6 +406,18 @@ def test_a_network_and_a_loss_of_ones_own_are_trained_resumed_and_loaded(train):
         load(run)
     with pytest.raises(ConfigError, match=r"loss\.class=Squared and cannot be resumed with loss\.class=Contrastive"):
         train("part", network=Small(), epochs=4, resume=True)
+
+
+def test_a_network_of_ones_own_goes_on_with_its_width(train):
+    class Wide(Small):
+        def __init__(self, width):
+            super().__init__()
+            self.layers[3] = nn.Linear(96, width)
+
+    run = train(network=Wide(3), epochs=1)
+    with pytest.raises(FormatError, match=r"last\.ckpt are of another architecture than .*Wide: of another shape: 2"):
+        train(network=Wide(5), epochs=2, resume=True)
+    assert len(curve(run)) == 1
 
 
 def test_the_random_state_stays_as_it_was(train):

@@ -72,9 +72,10 @@ def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, c
     assert "6 batches of 4 places x 2 images per epoch" in said
     best = int(curves["val/error"].argmin()) + 1
     assert f"best epoch {best} by val/error {curves['val/error'].min():.4f}" in said
-    assert re.search(
-        r"trained in \d+\.\d min, .*, \d+ images/s, \d+% of the time waiting for data; checkpoints in", said
-    )
+    assert re.search(r"trained in \d+\.\d min, .*, \d+ images/s, \d+% of the time waiting for data\n", said)
+    others = {name: curves[name][best - 1] for name in ("val/median", "val/recall", "val/room")}
+    assert f"({', '.join(f'{name[4:]} {value:.4f}' for name, value in others.items())})" in said
+    assert f"checkpoint: {run.checkpoint()}; curves: tensorboard --logdir {run.tensorboard}" in said
     best = siamloc.models.load(run)
     known = siamloc.maps.build(best, images, monday, progress=False)
     result = siamloc.evaluation.localization(known, images, tuesday, names=("absolute",))
@@ -280,6 +281,54 @@ def test_what_the_checkpoint_is_chosen_by_must_be_known_of_both_sides(images, dr
     assert not (tmp_path / "run").exists()
 
 
+def test_the_user_says_by_what_the_checkpoint_is_chosen(images, drives, tmp_path):
+    """Where there are positions, too, rooms may be what counts; and a wider radius finds more."""
+    monday, tuesday = drives
+    run = siamloc.training.fit(
+        network(), images, monday, validation=tuesday, run=tmp_path / "run", monitor="room", epochs=3, **SETTINGS
+    )
+    curves = run.curves()
+    assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == int(curves["val/room"].argmax())
+    assert run.settings["training"]["monitor"] == "room"
+    assert siamloc.training.compare([run]).by == "val/room"
+    again = {"monitor": "recall", "recall_radius": 100.0}
+    wide = siamloc.training.fit(
+        network(), images, monday, validation=tuesday, run=tmp_path / "wide", epochs=1, **again, **SETTINGS
+    )
+    assert wide.curves()["val/recall"].tolist() == [1.0]
+    with pytest.raises(ConfigError, match="monitor=loss is the loss of pairs, and batches of places have no loss of"):
+        siamloc.training.fit(network(), images, monday, run=tmp_path / "loss", monitor="loss", **SETTINGS)
+    with pytest.raises(ConfigError, match=r"training\.monitor=room and cannot be resumed with training\.monitor=error"):
+        siamloc.training.fit(
+            *(network(), images, monday),
+            validation=tuesday,
+            run=run,
+            monitor="error",
+            epochs=4,
+            resume=True,
+            **SETTINGS,
+        )
+
+
+@pytest.mark.parametrize(
+    ("monitor", "columns", "says"),
+    [
+        ("recall", ["room"], "monitor=recall needs positions, and training and validation frames do not both have"),
+        ("room", ["x", "y"], "monitor=room needs rooms, 2 or more in training, and training and validation frames do"),
+    ],
+)
+def test_what_the_user_chooses_by_must_be_known(images, drives, tmp_path, monitor, columns, says):
+    tuesday = drives[1]
+    known = {name: getattr(tuesday, name) for name in columns}
+    validation = FrameTable(path=tuesday.path, sequence=tuesday.sequence, **known)
+    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}}
+    with pytest.raises(DataError, match=says):
+        siamloc.training.fit(
+            *(network(), images, drives[0]), validation=validation, run=tmp_path / "run", monitor=monitor, **settings
+        )
+    assert not (tmp_path / "run").exists()
+
+
 def test_several_drives_by_their_order_alone_are_said(images, frames, tmp_path, capfd):
     settings = {
         **SETTINGS,
@@ -418,4 +467,5 @@ def test_queries_found_in_another_building_are_far_off():
     module.validation_step(batch, 0)
     module.on_validation_epoch_end()
     assert logged["error"] == 50  # one is right, the other in another building
+    assert logged["recall"] == 0.5
     assert "room" not in logged

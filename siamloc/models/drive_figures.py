@@ -1,0 +1,92 @@
+"""How well a network locates a validation drive: its queries are looked for in a map, by their descriptors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from siamloc.errors import DataError
+
+ELSEWHERE = 100.0
+"""What counts as the error of a query that is found in another building, in the unit of the positions."""
+
+RECALL_RADIUS = 0.5
+"""A query is found if the map frame with the nearest descriptor lies this near, in the unit of the positions."""
+
+_COLUMNS = ("xy", "building", "room", "known")
+_ROOMS_NEED = 2
+
+
+class DriveFigures:
+    """Gather the descriptors of map frames and queries, and compute how far off the queries are found.
+
+    Args:
+        radius: a query is found if its map frame lies this near, in the unit of the positions.
+
+    Example:
+        >>> figures = DriveFigures(radius=0.5)
+        >>> xy = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
+        >>> known = torch.tensor([True, True, False, False])
+        >>> rows = {"xy": xy, "known": known, "building": torch.zeros(4), "room": torch.full((4,), -1)}
+        >>> figures.add(rows, descriptors=torch.tensor([[0.0], [1.0], [0.1], [0.8]]))
+        >>> {name: round(float(value), 2) for name, value in figures.compute().items()}
+        {'error': 0.4, 'median': 0.2, 'recall': 0.5}
+    """
+
+    def __init__(self, radius: float = RECALL_RADIUS) -> None:
+        self.radius = radius
+        self._parts: list[dict[str, Tensor]] = []
+
+    def add(self, batch: Mapping[str, Tensor], descriptors: Tensor) -> None:
+        """Add frames of the map and queries.
+
+        Args:
+            batch: `known` (B,) bool, True for frames of the map; `xy` (B, 2), NaN where unknown; `building` (B,);
+                `room` (B,), negative where unknown.
+            descriptors: (B, D).
+
+        Raises:
+            DataError: a batch without one of these.
+        """
+        missing = [name for name in _COLUMNS if name not in batch]
+        if missing:
+            raise DataError(
+                f"a batch of the validation needs {', '.join(_COLUMNS)} (known says what belongs to the map); missing: "
+                f"{', '.join(missing)}"
+            )
+        self._parts.append({"descriptors": descriptors.float(), **{name: batch[name] for name in _COLUMNS}})
+
+    def compute(self) -> dict[str, Tensor]:
+        """Look for the queries in the map, and forget them.
+
+        Returns:
+            `error`, the mean distance from the map frame with the nearest descriptor, `median` and `recall`, where
+            there are positions; `room`, the share of queries whose room it has, where the map has two or more; nothing
+            where nothing was added.
+
+        Raises:
+            FloatingPointError: descriptors are not finite.
+        """
+        parts, self._parts = self._parts, []
+        if not parts:
+            return {}
+        whole = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+        if not bool(torch.isfinite(whole["descriptors"]).all()):
+            raise FloatingPointError("descriptors of the validation are not finite")
+        known, query = whole["known"], ~whole["known"]
+        match = torch.cdist(whole["descriptors"][query], whole["descriptors"][known]).argmin(dim=1)
+        # A frame of another building is wrong, however far off that is.
+        there = whole["building"][query] == whole["building"][known][match]
+        error = torch.linalg.vector_norm(whole["xy"][query] - whole["xy"][known][match], dim=1)
+        found = there & (error <= self.radius)
+        error = torch.where(there, error, ELSEWHERE)
+        figures: dict[str, Tensor] = {}
+        if bool((usable := torch.isfinite(error)).any()):
+            figures = {"error": error[usable].mean(), "median": error[usable].median()}
+            figures["recall"] = found[usable].float().mean()
+        rooms, asked = whole["room"][known], whole["room"][query]
+        if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED and bool((asked >= 0).any()):
+            figures["room"] = (rooms[match] == asked)[asked >= 0].float().mean()
+        return figures

@@ -1,0 +1,85 @@
+"""What a run notes of the frames it learns from, by which it knows them again wherever their files lie."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.files import content_key
+
+_PICTURES = 8  # looked at, spread over the frames
+_CELLS = (8, 4)  # columns and rows of their thumbnails
+_TOLERANCE = 6  # grey levels in a thumbnail, by which decoders and copies of other quality differ
+# The parts of a note in the order in which they are compared, and what they say in words.
+_WORDS = {
+    "names": "the {role} frames are others (sequences and file names)",
+    "positions": "the positions of the {role} frames are others",
+    "labels": "the labels of the {role} frames are others (room, building or lighting)",
+    "key": "the {role} frames are others (sequences, file names, positions or rooms)",
+}
+
+
+def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
+    """Count frames, and note what they are: keys of their columns, and thumbnails of some panoramas.
+
+    Args:
+        images: decoded panoramas of all frames.
+        frames: some of them.
+
+    Returns:
+        Plain values; `pictures` has the thumbnails as hexadecimal digits.
+    """
+    names = [frames.sequence, [Path(path).name for path in frames.path.tolist()]]
+    rows = np.unique(np.linspace(0, len(frames) - 1, _PICTURES).round().astype(np.int64))
+    panoramas = images.batch(images.rows(frames.take(rows)))
+    thumbnails = [cv2.resize(np.moveaxis(one, 0, -1), _CELLS, interpolation=cv2.INTER_AREA) for one in panoramas]
+    return {
+        "count": len(frames),
+        "key": content_key([*names, frames.xy, frames.place]),
+        "names": content_key(names),
+        "positions": content_key([frames.xy]),
+        "labels": content_key([frames.room, frames.building, frames.lighting]),
+        "pictures": np.stack(thumbnails).tobytes().hex(),
+    }
+
+
+def differing_frames(before: Mapping[str, Any] | None, now: Mapping[str, Any] | None, role: str) -> str | None:
+    """Say in words how frames differ from those of an earlier note; None where they are the same.
+
+    What one of the notes lacks, as those of older runs do, is not compared.
+
+    Args:
+        before: what `note_frames` returned then; None where there were no frames of this role.
+        now: what it returns now.
+        role: "training" or "validation".
+
+    Example:
+        >>> differing_frames({"count": 12}, {"count": 6}, "training")
+        'there were 12 training frames, and now there are 6'
+        >>> differing_frames({"count": 6, "key": "a"}, {"count": 6, "key": "a", "labels": "b"}, "training")
+    """
+    counts = [0 if note is None else note.get("count") for note in (before, now)]
+    if counts[0] != counts[1] and None not in counts:
+        return f"there were {counts[0]} {role} frames, and now there are {counts[1]}"
+    if before is None or now is None:
+        return None
+    for part, words in _WORDS.items():
+        if part in before and part in now and before[part] != now[part]:
+            return words.format(role=role)
+    if "pictures" in before and "pictures" in now and not _alike(before["pictures"], now["pictures"]):
+        return f"the pictures of the {role} frames are others (their file names and labels are the same)"
+    return None
+
+
+def _alike(before: str, now: str) -> bool:
+    """Compare thumbnails, which other decoders change a little."""
+    if len(before) != len(now):
+        return False
+    values = [np.frombuffer(bytes.fromhex(text), np.uint8).astype(np.int64) for text in (before, now)]
+    return bool((np.abs(values[0] - values[1]) <= _TOLERANCE).all())
