@@ -77,6 +77,8 @@ COMMANDS = {
         model.normalize=local             takes the light out of the picture first; or channels, image, local_brightness
         pairs=room|distance|in_batch      pairs with binary labels, or metric ones; or all pairs of a batch, which goes
                                           with loss=soft_contrastive|metric_calibrated|triplet|circle|multi_similarity
+        loss.miner=batch_hard loss.distance=cosine
+                                          which pairs count, and how they are compared, by triplet and its like
         pairs.by=sequence pairs.radius=1    batches without positions; loss.room=0.5 for rooms learned from, too
         pairs.same_room_share=0.4 pairs.epoch_pairs=10000
         augment=thesis|lighting|strong|any_light

@@ -11,19 +11,14 @@ from siamloc.lazy import lazy
 from siamloc.models.registry import BRANCHES, HEADS, Optimizer
 
 if TYPE_CHECKING:
-    from siamloc.models.batch_losses import (
-        CircleLoss,
-        MetricCalibratedLoss,
-        MultiSimilarityLoss,
-        Origins,
-        SoftContrastiveLoss,
-        TripletLoss,
-    )
+    from siamloc.models.batch_losses import MetricCalibratedLoss, SoftContrastiveLoss
     from siamloc.models.checkpoint import load
     from siamloc.models.describing import NetworkDescriptor, as_descriptor
     from siamloc.models.losses import ContrastiveLoss
+    from siamloc.models.near_and_far import CircleLoss, MultiSimilarityLoss, TripletLoss
     from siamloc.models.network import Network, build
     from siamloc.models.network_stages import stages
+    from siamloc.models.origins import Origins
     from siamloc.models.places import PlaceModule
     from siamloc.models.siamese import SiameseModule
 
@@ -49,17 +44,17 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CircleLoss": "batch_losses",
+    "CircleLoss": "near_and_far",
     "ContrastiveLoss": "losses",
     "MetricCalibratedLoss": "batch_losses",
-    "MultiSimilarityLoss": "batch_losses",
+    "MultiSimilarityLoss": "near_and_far",
     "Network": "network",
     "NetworkDescriptor": "describing",
-    "Origins": "batch_losses",
+    "Origins": "origins",
     "PlaceModule": "places",
     "SiameseModule": "siamese",
     "SoftContrastiveLoss": "batch_losses",
-    "TripletLoss": "batch_losses",
+    "TripletLoss": "near_and_far",
     "as_descriptor": "describing",
     "build": "network",
     "load": "checkpoint",

@@ -4,55 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from siamloc.errors import ConfigError, DataError, hint
-from siamloc.models.registry import (
-    Circle,
-    MetricCalibrated,
-    MultiSimilarity,
-    NearAndFar,
-    SoftContrastive,
-    Triplet,
-)
+from siamloc.errors import ConfigError, hint
+from siamloc.models.near_and_far import CircleLoss, MultiSimilarityLoss, NearAndFarLoss, TripletLoss
+from siamloc.models.origins import Origins, ScheduledLoss, check_batch
+from siamloc.models.registry import MetricCalibrated, SoftContrastive
 from siamloc.settings import takes
 
 
-@dataclass(frozen=True)
-class Origins:
-    """Where the images of a batch come from, one entry for each of N images, on the device of the descriptors.
-
-    Attributes:
-        xy: (N, 2) floating point, in the unit of the positions, from the middle of the building; NaN where unknown.
-        building: (N,) whole numbers.
-        room: (N,) whole numbers, those of two buildings different; negative where unknown.
-        frame: (N,) whole numbers: a frame that is drawn twice has the same one.
-    """
-
-    xy: Tensor
-    building: Tensor
-    room: Tensor
-    frame: Tensor
-
-    def distances(self) -> Tensor:
-        """Return the distances (N, N): infinite between buildings, NaN where a position is unknown."""
-        apart = torch.linalg.vector_norm(self.xy[:, None] - self.xy[None], dim=2)
-        return torch.where(self.building[:, None] == self.building[None], apart, math.inf)
-
-    def same_room(self) -> Tensor:
-        """Return (N, N) bool: True where both show the same known room."""
-        return (self.room[:, None] == self.room[None]) & (self.room >= 0)[:, None]
-
-    def other_room(self) -> Tensor:
-        """Return (N, N) bool: True where the rooms are known and differ."""
-        return (self.room[:, None] != self.room[None]) & (self.room >= 0)[:, None] & (self.room >= 0)[None]
-
-
-class SoftContrastiveLoss(nn.Module):
+class SoftContrastiveLoss(ScheduledLoss):
     """Let each image look like its neighbours in the building, the more so the nearer they are.
 
     The mean over the images i of the cross-entropy, over all other images j, between the softmax of the similarities
@@ -81,17 +45,10 @@ class SoftContrastiveLoss(nn.Module):
 
     @takes(SoftContrastive)
     def __init__(self, *, settings: SoftContrastive) -> None:
-        super().__init__()
+        super().__init__(settings)
         self.temperature, self.sigma = float(settings.temperature), float(settings.sigma)
-        self._settings = settings
         self.kernel, self.room = settings.kernel, float(settings.room)
         self.settings = {"name": "soft_contrastive", **settings.plain()}
-
-    def progress(self, share: float) -> None:
-        """Set `sigma` to what it is after a share of the training, from 0 in the first step to 1 in the last."""
-        first, last = self._settings.sigma_start, self._settings.sigma
-        if first is not None:
-            self.sigma = float(first ** (1 - share) * last**share)
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
         """Compute the loss of a batch, a scalar.
@@ -170,7 +127,7 @@ def _shares(weights: Tensor) -> Tensor:
     return torch.where(total > _LEAST_WEIGHT, weights / total.clamp(min=_LEAST_WEIGHT), 0)
 
 
-class MetricCalibratedLoss(nn.Module):
+class MetricCalibratedLoss(ScheduledLoss):
     """Let the distance of two descriptors grow with that of the two images, up to a cap.
 
     The mean over all pairs of images of a building, or of two, of (|d_i - d_j| - sqrt(2) min(x_ij / cap, 1))^2. At the
@@ -186,7 +143,7 @@ class MetricCalibratedLoss(nn.Module):
 
     @takes(MetricCalibrated)
     def __init__(self, *, settings: MetricCalibrated) -> None:
-        super().__init__()
+        super().__init__(settings)
         self.cap = float(settings.cap)
         self.settings = {"name": "metric_calibrated", **settings.plain()}
 
@@ -207,90 +164,6 @@ class MetricCalibratedLoss(nn.Module):
             return cost.sum() / known.sum().clamp(min=1)
 
 
-class _OfNearAndFar(nn.Module):
-    """Base of the losses of pytorch-metric-learning: what is a positive of what follows from the distances."""
-
-    def __init__(self, name: str, published: str, settings: NearAndFar) -> None:
-        from pytorch_metric_learning import losses
-
-        super().__init__()
-        self.near, self.far = float(settings.near), float(settings.far)
-        self.settings = {"name": name, **settings.plain()}
-        parameters = {key: value for key, value in settings.plain().items() if key not in ("near", "far")}
-        self.loss = getattr(losses, published)(**parameters)
-
-    def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
-        """Compute the loss of a batch, a scalar, from descriptors (N, D).
-
-        Raises:
-            DataError: other shapes.
-        """
-        check_batch(descriptors, origins)
-        with torch.autocast(device_type=descriptors.device.type, enabled=False):
-            return self.loss(descriptors.float(), indices_tuple=self._pairs(origins))
-
-    def _pairs(self, origins: Origins) -> tuple[Tensor, ...]:
-        """Return the images of the positive pairs, first and second, and those of the negative pairs."""
-        apart = origins.distances()
-        itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
-        positives, negatives = ((apart <= self.near) & ~itself).nonzero().T, (apart > self.far).nonzero().T
-        return (*positives, *negatives)
-
-
-class TripletLoss(_OfNearAndFar):
-    """Let each image be nearer to each of its positives than to each of its negatives, by a margin ([Schroff 2015]).
-
-    The mean over the triplets that cost anything of max(|d_a - d_p| - |d_a - d_n| + margin, 0).
-
-    Args:
-        settings: see `siamloc.models.registry.Triplet`.
-    """
-
-    @takes(Triplet)
-    def __init__(self, *, settings: Triplet) -> None:
-        super().__init__("triplet", "TripletMarginLoss", settings)
-
-    def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
-        """Return the share of the triplets of a batch that cost anything, a scalar; 0 where there are none."""
-        with torch.no_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
-            found = nn.functional.normalize(descriptors.float())
-            apart = torch.cdist(found, found, compute_mode="donot_use_mm_for_euclid_dist")
-            pairs = self._pairs(origins)
-            one, other = (pairs[0][:, None] == pairs[2]).nonzero().T
-            gaps = apart[pairs[0], pairs[1]][one] - apart[pairs[2], pairs[3]][other]
-            return (gaps + self.loss.margin > 0).sum() / max(len(gaps), 1)
-
-
-class CircleLoss(_OfNearAndFar):
-    """Pull positives and push negatives the more, the farther they are from where they should be ([Sun 2020]).
-
-    The mean over the images i that cost anything of log(1 + sum_n exp(gamma [s_n + m]+ (s_n - m)) times
-    sum_p exp(-gamma [1 + m - s_p]+ (s_p - 1 + m))), with the similarities s to the negatives and positives of i.
-
-    Args:
-        settings: see `siamloc.models.registry.Circle`.
-    """
-
-    @takes(Circle)
-    def __init__(self, *, settings: Circle) -> None:
-        super().__init__("circle", "CircleLoss", settings)
-
-
-class MultiSimilarityLoss(_OfNearAndFar):
-    """Weigh each pair by how it compares with the other pairs of its image ([Wang 2019]).
-
-    The mean over the images i of log(1 + sum_p exp(-alpha (s_p - base))) / alpha
-    + log(1 + sum_n exp(beta (s_n - base))) / beta.
-
-    Args:
-        settings: see `siamloc.models.registry.MultiSimilarity`.
-    """
-
-    @takes(MultiSimilarity)
-    def __init__(self, *, settings: MultiSimilarity) -> None:
-        super().__init__("multi_similarity", "MultiSimilarityLoss", settings)
-
-
 LOSSES: dict[str, Callable[..., nn.Module]] = {
     "soft_contrastive": SoftContrastiveLoss,
     "metric_calibrated": MetricCalibratedLoss,
@@ -300,7 +173,7 @@ LOSSES: dict[str, Callable[..., nn.Module]] = {
 }
 """The losses over a batch, by the names that configurations call them."""
 
-UNIT_LENGTH = (SoftContrastiveLoss, MetricCalibratedLoss, _OfNearAndFar)
+UNIT_LENGTH = (SoftContrastiveLoss, MetricCalibratedLoss, NearAndFarLoss)
 """Losses for descriptors of unit length: those of near and far make them so, and what is compared later has to be."""
 
 _LEAST_WEIGHT = 1e-6
@@ -315,12 +188,3 @@ def make_loss(name: str, **parameters: Any) -> nn.Module:
     if name not in LOSSES:
         raise ConfigError(f"unknown loss {name!r}: {hint(name, LOSSES)}")
     return LOSSES[name](settings=parameters)
-
-
-def check_batch(descriptors: Tensor, origins: Origins) -> None:
-    """Raise DataError unless there is a descriptor (N, D) for each of N origins."""
-    if descriptors.ndim != 2 or 0 in descriptors.shape or origins.xy.shape != (len(descriptors), 2):
-        raise DataError(
-            "a loss over a batch needs descriptors (N, D) and as many origins, "
-            f"got {tuple(descriptors.shape)} and {tuple(origins.xy.shape)}"
-        )

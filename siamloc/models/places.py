@@ -9,10 +9,11 @@ from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import DataError
-from siamloc.models.batch_losses import Origins, SoftContrastiveLoss
+from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.describing import as_float
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
+from siamloc.models.origins import Origins
 from siamloc.models.registry import Optimizer
 
 ensure_torchvision()
@@ -31,9 +32,9 @@ class PlaceModule(NetworkModule):
 
     Logged at the end of an epoch: `train/loss` and `train/spread`, the mean distance of descriptors from their mean,
     near 0 where the network gives every image the same descriptor; with a loss that can tell, such as `TripletLoss`,
-    `train/active`, the share of triplets that cost anything; of the validation `val/error`, the mean distance
-    from the map frame with the nearest descriptor, `val/median`, `val/recall`, the share that lies within a radius of
-    it, and `val/room`, the share whose room it has.
+    `train/active`, the share of triplets that cost anything, or of pairs with a gradient; of the validation
+    `val/error`, the mean distance from the map frame with the nearest descriptor, `val/median`, `val/recall`, the
+    share that lies within a radius of it, and `val/room`, the share whose room it has.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.

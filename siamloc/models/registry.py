@@ -124,11 +124,17 @@ class MetricCalibrated(Settings):
 
     Attributes:
         cap: distance from which two images are as different as can be, in the unit of the positions.
+        cap_start: what the cap is at the beginning of a training, as `sigma_start` of `SoftContrastive`.
     """
 
     WHERE = "loss"
 
     cap: Positive = 2.0
+    cap_start: Positive | None = None
+
+
+Miner = Literal["multi_similarity", "batch_hard", "batch_easy_hard", "semihard"]
+Closeness = Literal["cosine", "euclidean", "squared"]
 
 
 @dataclass(frozen=True)
@@ -138,17 +144,41 @@ class NearAndFar(Settings):
     Attributes:
         near: images up to this far apart are positives of each other, in the unit of the positions.
         far: images farther apart than this are negatives of each other.
+        near_start: what `near` is at the beginning of a training, as `sigma_start` of `SoftContrastive`.
+        far_start: what `far` is at the beginning of a training.
+        miner: which of the positives and negatives of an image count; all if None. "multi_similarity": positives less
+            alike than the most alike negative, and negatives more alike than the least alike positive, or by at most
+            0.1 the other way; "batch_hard": the least alike positive and the most alike negative; "batch_easy_hard":
+            the most alike positive, and the most alike of the negatives less alike than that one; "semihard": triplets
+            whose negative is less alike than the positive, but by no more than the margin.
     """
 
     WHERE = "loss"
 
     near: NotNegative = 0.3
     far: NotNegative = 1.0
+    near_start: Positive | None = None
+    far_start: Positive | None = None
+    miner: Miner | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.far < self.near:
             raise ConfigError(f"loss.far, {self.far:g}, must not be less than loss.near, {self.near:g}")
+        for name, start, last in (("near", self.near_start, self.near), ("far", self.far_start, self.far)):
+            if start is not None and last == 0:
+                raise ConfigError(f"loss.{name}_start shrinks by equal factors, never to 0: set loss.{name} above 0")
+        near, far = self.near_start or self.near, self.far_start or self.far
+        if far < near:
+            raise ConfigError(
+                f"far begins with {far:g}, which must not be less than what near begins with, {near:g}: set "
+                "loss.far_start, loss.near_start or both"
+            )
+        if self.miner == "semihard" and not isinstance(self, Triplet):
+            raise ConfigError(
+                "loss.miner=semihard goes by the margin between a positive and a negative, which loss=triplet alone "
+                "has: choose multi_similarity, batch_hard or batch_easy_hard"
+            )
 
 
 @dataclass(frozen=True)
@@ -156,10 +186,13 @@ class Triplet(NearAndFar):
     """The parameters of `TripletLoss`.
 
     Attributes:
-        margin: by which a negative must be farther than a positive: Euclidean distance of descriptors of unit length.
+        margin: by which a negative must be farther than a positive.
+        distance: what the margin is counted in, of descriptors of unit length: "euclidean", from 0 to 2, "squared",
+            its square, or "cosine", the similarity from 1 to -1, which is 1 less half of the square.
     """
 
     margin: Positive = 0.2
+    distance: Closeness = "euclidean"
 
 
 @dataclass(frozen=True)
@@ -169,10 +202,20 @@ class Circle(NearAndFar):
     Attributes:
         m: how far from 1 and from 0 similarities may stay.
         gamma: scale of the similarities.
+        distance: "cosine"; the loss is made for no other.
     """
 
     m: Positive = 0.4
     gamma: Positive = 80.0
+    distance: Closeness = "cosine"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.distance != "cosine":
+            raise ConfigError(
+                "the circle loss draws its circle among cosine similarities: set loss.distance to cosine, "
+                f"got {self.distance}"
+            )
 
 
 @dataclass(frozen=True)
@@ -182,12 +225,15 @@ class MultiSimilarity(NearAndFar):
     Attributes:
         alpha: weight of the positives.
         beta: weight of the negatives.
-        base: similarity that tells the two apart.
+        base: similarity, or distance, that tells the two apart.
+        distance: what is compared, of descriptors of unit length: "cosine", the similarity from 1 to -1; "euclidean",
+            from 0 to 2; or "squared", its square.
     """
 
     alpha: Positive = 2.0
     beta: Positive = 50.0
     base: float = 0.5
+    distance: Closeness = "cosine"
 
 
 LOSS_SETTINGS: dict[str, type[Settings]] = {

@@ -14,9 +14,10 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
-from siamloc.models.batch_losses import Origins, SoftContrastiveLoss
+from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.describing import describe
 from siamloc.models.module import name_of
+from siamloc.models.origins import Origins
 from siamloc.models.places import BatchLoss
 from siamloc.models.siamese import Loss
 from siamloc.training.batches import EpochDataModule

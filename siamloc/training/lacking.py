@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from siamloc.models.batch_losses import (
-    CircleLoss,
-    MetricCalibratedLoss,
-    MultiSimilarityLoss,
-    Origins,
-    SoftContrastiveLoss,
-    TripletLoss,
-)
+from siamloc.models.batch_losses import MetricCalibratedLoss, SoftContrastiveLoss
+from siamloc.models.near_and_far import NearAndFarLoss
+from siamloc.models.origins import Origins
 
 
 def what_is_lacking(loss: object, origins: Origins) -> str | None:
@@ -20,6 +15,7 @@ def what_is_lacking(loss: object, origins: Origins) -> str | None:
     One frame that is drawn twice teaches nothing: two different ones are looked for.
 
     Example:
+        >>> from siamloc.models import TripletLoss
         >>> origins = Origins(torch.tensor([[0.0, 0], [3, 0]]), torch.zeros(2), torch.zeros(2), torch.arange(2))
         >>> what_is_lacking(TripletLoss(near=0.5), origins).partition(":")[0]
         'two frames up to loss.near=0.5 apart, the nearest are 3 apart'
@@ -29,7 +25,7 @@ def what_is_lacking(loss: object, origins: Origins) -> str | None:
     apart, different = origins.distances(), origins.frame[:, None] != origins.frame[None]
     if isinstance(loss, MetricCalibratedLoss) and not bool(((apart < loss.cap) & different).any()):
         return f"two frames less than loss.cap={loss.cap:g} apart, {_nearest(origins, 'loss.cap')}"
-    if isinstance(loss, TripletLoss | CircleLoss | MultiSimilarityLoss):
+    if isinstance(loss, NearAndFarLoss):
         if not bool(((apart <= loss.near) & different).any()):
             return f"two frames up to loss.near={loss.near:g} apart, {_nearest(origins, 'loss.near')}"
         if not bool((apart > loss.far).any()):

@@ -9,8 +9,9 @@ from typing import Any
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
 from siamloc.models.checkpoint_file import read_checkpoint
-from siamloc.models.registry import branch_spec
+from siamloc.models.registry import LOSS_SETTINGS, branch_spec
 from siamloc.runs import Run
+from siamloc.settings import defaults_of
 from siamloc.training.seen_frames import differing_frames
 from siamloc.training.settings import Monitor, Training
 
@@ -85,12 +86,12 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     before = {**before, "training": Training.of(before["training"]).plain(), "model": _whole(before["model"])}
     before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
-    if before["loss"].get("name") == "soft_contrastive":
-        before["loss"] = {"room": 0.0, "sigma_start": None, **before["loss"]}
+    if before["loss"].get("name") in LOSS_SETTINGS:  # with what older records lack
+        before["loss"] = {**defaults_of(LOSS_SETTINGS[before["loss"]["name"]]), **before["loss"]}
     planned = before["training"]["epochs"]
     scheduled = {
         "learning rate": before["training"]["optimizer"]["schedule"] != "constant",
-        "sigma": before["loss"].get("sigma_start") is not None,
+        **{key.removesuffix("_start"): True for key, value in before["loss"].items() if "_start" in key and value},
     }
     if any(scheduled.values()) and planned != epochs:
         what = next(name for name, changes in scheduled.items() if changes)

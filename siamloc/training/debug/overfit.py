@@ -13,8 +13,8 @@ from torch.utils.data import DataLoader, Dataset
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
-from siamloc.models.batch_losses import Origins
 from siamloc.models.module import NetworkModule
+from siamloc.models.origins import Origins
 from siamloc.models.places import PlaceModule
 from siamloc.training.batches import EpochDataModule
 from siamloc.training.debug.console import say

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 import torch
@@ -11,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.batch_losses import LOSSES, Origins, SoftContrastiveLoss, make_loss
+from siamloc.models.batch_losses import LOSSES, SoftContrastiveLoss, make_loss
+from siamloc.models.origins import Origins
 from tests.oracles import mined_losses
 from tests.oracles.soft_contrastive import soft_contrastive_loss
 
@@ -123,6 +125,56 @@ def test_the_other_losses_agree_with_loops(name, seed):
     assert found.item() == pytest.approx(expected, rel=2e-4, abs=2e-5)
 
 
+MINERS = ["multi_similarity", "batch_hard", "batch_easy_hard", "semihard"]
+MINED_WITH = [
+    (name, {"miner": miner, "distance": distance})
+    for name, distances in (
+        ("triplet", ("euclidean", "squared", "cosine")),
+        ("multi_similarity", ("cosine", "euclidean", "squared")),
+        ("circle", ("cosine",)),
+    )
+    for distance in distances
+    for miner in (None, *MINERS[: None if name == "triplet" else 3])
+]
+
+
+@pytest.mark.parametrize(("name", "further"), MINED_WITH)
+@pytest.mark.parametrize("seed", range(5))
+def test_miners_and_distances_agree_with_loops(name, further, seed):
+    descriptors, xy, _ = draw(9 + seed, 3, seed)
+    oracle, parameters = MINED[name]
+    loss = make_loss(name, **parameters, **further)
+    told = {key: value for key, value in further.items() if (name, key) != ("circle", "distance")}
+    expected = oracle(descriptors.tolist(), xy.tolist(), **parameters, **told)
+    assert loss(descriptors, origins(xy)).item() == pytest.approx(expected, rel=2e-4, abs=2e-5)
+    costs = {
+        "triplet": mined_losses.triplet_costs,
+        "circle": mined_losses.circle_slopes,
+        "multi_similarity": mined_losses.multi_similarity_slopes,
+    }[name](descriptors.tolist(), xy.tolist(), **parameters, **told)
+    active = sum(cost > (0 if name == "triplet" else 1e-3) for cost in costs) / max(len(costs), 1)
+    assert loss.active(descriptors, origins(xy)).item() == pytest.approx(active)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    name=st.sampled_from(["triplet", "circle", "multi_similarity"]),
+    miner=st.sampled_from(MINERS[:3]),
+    images=st.integers(4, 14),
+    seed=st.integers(0, 1000),
+)
+def test_a_miner_knows_nothing_of_the_order_nor_of_what_is_neither_near_nor_far(name, miner, images, seed):
+    descriptors, xy, _ = draw(images, 4, seed)
+    loss = make_loss(name, near=0.5, far=0.9, miner=miner)
+    found = loss(descriptors, origins(xy))
+    order = torch.randperm(images, generator=torch.Generator().manual_seed(seed))
+    assert loss(descriptors[order], origins(xy[order])).item() == pytest.approx(found.item(), rel=1e-5, abs=1e-5)
+    nowhere = origins(torch.cat([xy, torch.full((1, 2), math.nan)]))
+    more = loss(torch.cat([descriptors, descriptors[:1]]), nowhere).item()
+    share = images / (images + 1) if name == "multi_similarity" else 1  # which is a mean over all images
+    assert more == pytest.approx(share * found.item(), rel=1e-5, abs=1e-5)
+
+
 @pytest.mark.parametrize("name", LOSSES)
 def test_every_loss_brings_neighbours_together(name):
     xy = torch.tensor([[0.0, 0], [0.1, 0], [5, 0], [5.1, 0]])
@@ -151,6 +203,27 @@ def test_far_must_not_be_nearer_than_near():
         make_loss("triplet", far=0.2)
 
 
+@pytest.mark.parametrize(
+    ("name", "given", "says"),
+    [
+        (
+            "circle",
+            {"distance": "euclidean"},
+            "its circle among cosine similarities: set loss.distance to cosine",
+        ),
+        ("circle", {"miner": "semihard"}, "goes by the margin between a positive and a negative, which loss=triplet"),
+        ("triplet", {"miner": "hard"}, "loss.miner must be multi_similarity or batch_hard or batch_easy_hard or semi"),
+        ("multi_similarity", {"distance": "dot"}, "loss.distance must be cosine or euclidean or squared, got 'dot'"),
+        ("soft_contrastive", {"miner": "batch_hard"}, "unknown key loss.miner"),
+        ("triplet", {"near": 0, "near_start": 1.0}, "loss.near_start shrinks by equal factors, never to 0"),
+        ("triplet", {"near_start": 2.0}, "far begins with 1, which must not be less than what near begins with, 2"),
+    ],
+)
+def test_what_has_no_meaning_is_refused(name, given, says):
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        make_loss(name, **given)
+
+
 def test_distances_and_rooms_of_a_batch():
     known = origins([[0.0, 0.0], [3.0, 4.0], [math.nan, 0.0]], building=[0, 0, 1], room=[1, 1, -1])
     apart = known.distances()
@@ -171,6 +244,24 @@ def test_sigma_goes_from_its_start_to_its_end_by_equal_factors():
     constant.progress(0.2)
     assert torch.equal(constant(descriptors, origins(xy)), before)
     assert torch.equal(SoftContrastiveLoss(sigma=0.5, sigma_start=4.0)(descriptors, origins(xy)), before)
+
+
+@pytest.mark.parametrize(
+    ("name", "begin", "middle", "end"),
+    [
+        ("metric_calibrated", {"cap": 4.0}, {"cap": 2.0}, {"cap": 1.0}),
+        ("triplet", {"near": 0.9, "far": 1.6}, {"near": 0.6, "far": 1.2}, {"near": 0.4, "far": 0.9}),
+        ("circle", {"far": 1.8}, {"far": 1.2}, {"far": 0.8}),
+    ],
+)
+def test_other_distances_shrink_in_the_same_way(name, begin, middle, end):
+    descriptors, xy, _ = draw(14, 4, 3)
+    loss = make_loss(name, **end, **{f"{key}_start": value for key, value in begin.items()})
+    for share, parameters in ((0, begin), (0.5, middle), (1, end)):
+        loss.progress(share)
+        expected = make_loss(name, **parameters)(descriptors, origins(xy))
+        assert expected > 0
+        assert loss(descriptors, origins(xy)).item() == pytest.approx(expected.item(), rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import siamloc
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.files import read_json
-from siamloc.models.batch_losses import Origins
+from siamloc.models.origins import Origins
 from siamloc.training.debug.overfit import verdict
 from tests.siamloc.training.test_place_batches import SETTINGS, network
 

@@ -16,7 +16,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import build
-from siamloc.models.batch_losses import Origins
+from siamloc.models.origins import Origins
 from siamloc.training import callbacks
 from siamloc.training.batches import BatchAugmentation
 from siamloc.training.checks import check_batches
@@ -124,12 +124,19 @@ def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_pa
             siamloc.training.fit(network(), images, monday, run=whole, epochs=6, resume=True, **options)
 
 
-def test_a_width_that_changes_was_laid_out_for_its_epochs(images, drives, tmp_path):
-    options = {**SETTINGS, "loss": siamloc.models.SoftContrastiveLoss(sigma_start=3.0), "run": tmp_path / "run"}
+@pytest.mark.parametrize(
+    ("name", "loss", "given"),
+    [
+        ("sigma", siamloc.models.SoftContrastiveLoss, {"sigma_start": 3.0}),
+        ("far", siamloc.models.TripletLoss, {"far_start": 3.0, "miner": "batch_hard", "distance": "cosine"}),
+    ],
+)
+def test_a_width_that_changes_was_laid_out_for_its_epochs(images, drives, tmp_path, name, loss, given):
+    options = {**SETTINGS, "loss": loss(**given), "run": tmp_path / "run"}
     options["pairs"] = {**SETTINGS["pairs"], "epoch_batches": 1}
     run = siamloc.training.fit(network(), images, drives[0], epochs=1, **options)
-    assert run.settings["loss"]["sigma_start"] == 3.0
-    with pytest.raises(ConfigError, match=r"the sigma of .* was laid out for 1 epochs: resume with epochs=1"):
+    assert given.items() <= run.settings["loss"].items()
+    with pytest.raises(ConfigError, match=rf"the {name} of .* was laid out for 1 epochs: resume with epochs=1"):
         siamloc.training.fit(network(), images, drives[0], epochs=2, resume=True, **options)
 
 

@@ -1,0 +1,176 @@
+"""Losses over the near and the far images of a batch, all of them or those that a miner picks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from siamloc.models.origins import Origins, ScheduledLoss, check_batch
+from siamloc.models.registry import Circle, MultiSimilarity, NearAndFar, Triplet
+from siamloc.settings import fields_of, takes
+
+_LEAST_SLOPE = 1e-3  # of a pair that something is learned from
+_TRIPLETS = 3  # columns: an image, a positive and a negative of it
+_MINERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "multi_similarity": ("MultiSimilarityMiner", {}),
+    "batch_hard": ("BatchHardMiner", {}),
+    "batch_easy_hard": ("BatchEasyHardMiner", {}),
+    "semihard": ("TripletMarginMiner", {"type_of_triplets": "semihard"}),
+}
+
+
+class NearAndFarLoss(ScheduledLoss):
+    """Base of the losses of pytorch-metric-learning: what is a positive of what follows from the distances.
+
+    Its miners know labels, for which an image is either of the same kind as another one or of a different one. Here
+    an image may be near to two others that are far from each other, or neither near nor far. So a miner is asked
+    for one image at a time, with label 1, among those near it, with label 1 too, and those far from it, with label 0.
+    None of these miners compares two images, so that nothing is lost.
+    """
+
+    def __init__(self, name: str, published: str, settings: Triplet | Circle | MultiSimilarity) -> None:
+        from pytorch_metric_learning import distances, losses, miners
+
+        super().__init__(settings)
+        self.near, self.far = float(settings.near), float(settings.far)
+        self.settings = {"name": name, **settings.plain()}
+        common = {"distance", *fields_of(NearAndFar)}
+        parameters = {key: value for key, value in settings.plain().items() if key not in common}
+        distance = (
+            distances.CosineSimilarity()
+            if settings.distance == "cosine"
+            else distances.LpDistance(power=2 if settings.distance == "squared" else 1)
+        )
+        self.loss = getattr(losses, published)(distance=distance, **parameters)
+        self.miner: nn.Module | None = None
+        if settings.miner is not None:
+            kind, further = _MINERS[settings.miner]
+            if isinstance(settings, Triplet) and settings.miner == "semihard":
+                further = {**further, "margin": settings.margin}
+            self.miner = getattr(miners, kind)(distance=distance, **further)
+
+    def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Compute the loss of a batch, a scalar, from descriptors (N, D).
+
+        Raises:
+            DataError: other shapes.
+        """
+        check_batch(descriptors, origins)
+        with torch.autocast(device_type=descriptors.device.type, enabled=False):
+            found = descriptors.float()
+            return self.loss(found, indices_tuple=self._picked(found.detach(), origins))
+
+    def _picked(self, descriptors: Tensor, origins: Origins) -> tuple[Tensor, ...]:
+        """Return the pairs that count, or triplets where the miner gives such.
+
+        Pairs are the images of the positive pairs, first and second, and those of the negative pairs.
+        """
+        apart = origins.distances()
+        itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
+        near, far = (apart <= self.near) & ~itself, apart > self.far
+        if self.miner is None:
+            return (*near.nonzero().T, *far.nonzero().T)
+        # Many small steps, for which a GPU would need longer.
+        near, far, descriptors = near.cpu(), far.cpu(), descriptors.cpu()
+        both = near.any(dim=1) & far.any(dim=1)  # a miner compares the two
+        if not bool(both.any()):
+            return (torch.zeros(0, dtype=torch.int64, device=apart.device),) * 4
+        mined = []
+        for image in both.nonzero().flatten().tolist():
+            others = (near[image] | far[image]).nonzero().flatten()
+            same = near[image, others].long()
+            found = self.miner(descriptors[image : image + 1], torch.ones_like(same[:1]), descriptors[others], same)
+            # Of a triplet the first, of two pairs the first of each, is the image itself.
+            firsts = (0,) if len(found) == _TRIPLETS else (0, 2)
+            mined.append([rows + image if at in firsts else others[rows] for at, rows in enumerate(found)])
+        return tuple(torch.cat(column).to(apart.device) for column in zip(*mined, strict=True))
+
+
+class TripletLoss(NearAndFarLoss):
+    """Let each image be nearer to each of its positives than to each of its negatives, by a margin ([Schroff 2015]).
+
+    The mean over the triplets that cost anything of max(|d_a - d_p| - |d_a - d_n| + margin, 0).
+
+    Args:
+        settings: see `siamloc.models.registry.Triplet`.
+
+    Example:
+        >>> TripletLoss(miner="batch_hard", distance="cosine", margin=0.1).settings["miner"]
+        'batch_hard'
+    """
+
+    @takes(Triplet)
+    def __init__(self, *, settings: Triplet) -> None:
+        super().__init__("triplet", "TripletMarginLoss", settings)
+
+    def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Return the share of the triplets that cost anything, a scalar; 0 where there are none.
+
+        With a miner, of those that it picks.
+        """
+        with torch.no_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
+            found, distance = descriptors.float(), self.loss.distance
+            picked = self._picked(found, origins)
+            if len(picked) == _TRIPLETS:
+                image, near, far = picked
+            else:
+                one, other = (picked[0][:, None] == picked[2]).nonzero().T
+                image, near, far = picked[0][one], picked[1][one], picked[3][other]
+            apart = distance(found)
+            gaps = distance.margin(apart[image, near], apart[image, far])
+            return (gaps + self.loss.margin > 0).sum() / max(len(gaps), 1)
+
+
+class _PairLoss(NearAndFarLoss):
+    """Base of the losses whose cost is that of the pairs of each image."""
+
+    steepest = 1.0  # what the similarity of a pair can change the cost of its image by, roughly
+
+    def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Return the share of the pairs, an image first and one near or far of it second, that are learned from.
+
+        No pair costs nothing at all: those count whose gradient is above a thousandth of what it can be. With a miner,
+        of the pairs that it picks; 0 where there are none.
+        """
+        with torch.enable_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
+            found = descriptors.detach().float()
+            picked = self._picked(found, origins)
+            pairs = (*picked[:2], picked[0], picked[2]) if len(picked) == _TRIPLETS else picked
+            alike = self.loss.distance(found).requires_grad_()
+            cost = self.loss.loss_method(alike, pairs)["loss"]["losses"].sum()
+            (slope,) = torch.autograd.grad(cost, alike)
+        of_pairs = slope[torch.cat([pairs[0], pairs[2]]), torch.cat([pairs[1], pairs[3]])]
+        return (of_pairs.abs() > _LEAST_SLOPE * self.steepest).sum() / max(len(of_pairs), 1)
+
+
+class CircleLoss(_PairLoss):
+    """Pull positives and push negatives the more, the farther they are from where they should be ([Sun 2020]).
+
+    The mean over the images i that cost anything of log(1 + sum_n exp(gamma [s_n + m]+ (s_n - m)) times
+    sum_p exp(-gamma [1 + m - s_p]+ (s_p - 1 + m))), with the similarities s to the negatives and positives of i.
+
+    Args:
+        settings: see `siamloc.models.registry.Circle`.
+    """
+
+    @takes(Circle)
+    def __init__(self, *, settings: Circle) -> None:
+        super().__init__("circle", "CircleLoss", settings)
+        self.steepest = float(settings.gamma)
+
+
+class MultiSimilarityLoss(_PairLoss):
+    """Weigh each pair by how it compares with the other pairs of its image ([Wang 2019]).
+
+    The mean over the images i of log(1 + sum_p exp(-alpha (s_p - base))) / alpha
+    + log(1 + sum_n exp(beta (s_n - base))) / beta, with distances from `base` on the other way round.
+
+    Args:
+        settings: see `siamloc.models.registry.MultiSimilarity`.
+    """
+
+    @takes(MultiSimilarity)
+    def __init__(self, *, settings: MultiSimilarity) -> None:
+        super().__init__("multi_similarity", "MultiSimilarityLoss", settings)
