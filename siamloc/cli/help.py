@@ -81,6 +81,7 @@ COMMANDS = {
                                           which pairs count, and how they are compared, by triplet and its like
         pairs.by=sequence pairs.radius=1    batches without positions; loss.room=0.5 for rooms learned from, too
         pairs.same_room_share=0.4 pairs.epoch_pairs=10000
+        pairs.lightings={night:2}         batches with twice as many images by night as under other lightings
         augment=thesis|lighting|strong|any_light
                                           what happens to training images; augment.where=gpu for doing it there
         epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0

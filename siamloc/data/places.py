@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -9,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError
-from siamloc.settings import Count, NotNegative, Settings, Share
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.settings import Count, NotNegative, Positive, Settings, Share, checked
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,11 @@ class PlaceSettings(Settings):
         near: share of the places that lie within `reach` of another place of the batch, so that it learns to tell
             neighbours apart, too.
         reach: how near that is, in the unit of the positions, or in frames.
+        same_room_share: share of the places that lie in the room of an earlier place of the batch, those `near` another
+            one included; the others each in a room of their own, as far as there are rooms, and as these have frames.
+            As it comes if None.
+        lightings: weights by which the images of a place are divided among the lightings that it was seen under; 1
+            for a lighting that is not named. The lightings take turns if None.
         epoch_batches: batches in an epoch; if None as many as show every frame once on average.
     """
 
@@ -41,7 +47,19 @@ class PlaceSettings(Settings):
     radius: NotNegative = 0.3
     near: Share = 0.0
     reach: NotNegative = 2.0
+    same_room_share: Share | None = None
+    lightings: Mapping[str, float] | None = None
     epoch_batches: Count | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, weight in (self.lightings or {}).items():
+            checked(weight, Positive, f"pairs.lightings.{name}")
+        if self.same_room_share is not None and self.near > self.same_room_share:
+            raise ConfigError(
+                f"pairs.near, {self.near:g}, must not be more than pairs.same_room_share, {self.same_room_share:g}: "
+                "places near another one are drawn from its room"
+            )
 
 
 class PlaceSampler:
@@ -82,6 +100,14 @@ class PlaceSampler:
                 f"{missing} of {len(frames)} frames have no position, by which places are drawn: give their x and y, "
                 "leave them out, or set pairs.by to sequence"
             )
+        if settings.same_room_share is not None and (unknown := int((frames.room == "").sum())):
+            raise DataError(
+                f"{unknown} of {len(frames)} frames have no room, by which pairs.same_room_share draws places: give "
+                "their room labels, leave them out, or set pairs.same_room_share to null"
+            )
+        for name in settings.lightings or {}:
+            if name not in (known := sorted(set(frames.lighting.tolist()) - {""})):
+                raise ConfigError(f"pairs.lightings names {name!r}, which no training frame has: {hint(name, known)}")
         self.frames = frames
         self.seed = int(seed)
         self.check_processes(1)
@@ -93,6 +119,9 @@ class PlaceSampler:
         self._points = np.column_stack([place, apart * far])
         self._tree = cKDTree(self._points)
         self._kind = _kinds(frames)
+        self._room = np.unique(frames.place, return_inverse=True)[1]
+        weights = settings.lightings or {}
+        self._weight = np.array([weights.get(name, 1.0) for name in frames.lighting.tolist()])
         self._nearest = np.full(len(frames), np.inf)
         for number in range(apart.max() + 1):
             rows = apart == number
@@ -171,18 +200,38 @@ class PlaceSampler:
     def _centres(self, generator: np.random.Generator, count: int) -> NDArray[np.int64]:
         """Draw the first frame of each place: some anywhere, the rest near those, in mixed order."""
         near = min(round(self.settings.near * count), count - 1)
-        first = generator.choice(len(self.frames), count - near, replace=False)
+        by_room = self.settings.same_room_share is not None
+        if by_room:
+            first = self._of_rooms(generator.permutation(len(self.frames)), count)[: count - near]
+        else:
+            first = generator.choice(len(self.frames), count - near, replace=False)
         anchors = first[generator.integers(0, len(first), near)]
         around = self._tree.query_ball_point(self._points[anchors], self.settings.reach, return_sorted=True)
+        if by_room:
+            pairs = zip(anchors, map(np.asarray, around), strict=True)
+            around = [found[self._room[found] == self._room[anchor]] for anchor, found in pairs]
         second = [found[generator.integers(0, len(found))] for found in around]
         return generator.permutation(np.concatenate([first, np.asarray(second, dtype=np.int64)]))
 
+    def _of_rooms(self, frames: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+        """Put frames in mixed order so that a batch begins with one for each room, and goes on with others of these."""
+        assert self.settings.same_room_share is not None
+        rooms = max(1, count - round(self.settings.same_room_share * count))
+        turn = _turns(self._room[frames])
+        firsts = np.flatnonzero(turn == 0)[:rooms]
+        rank = np.where(np.isin(self._room[frames], self._room[frames[firsts]]), 1, 2)
+        rank[firsts] = 0
+        return frames[np.argsort(rank, kind="stable")]
+
     def _images(self, generator: np.random.Generator, centre: np.int64) -> NDArray[np.int64]:
-        """Draw the images of a place, of every lighting in turn; the same again where it has too few."""
+        """Draw the images of a place, of every lighting by weight or in turn; the same again where it has too few."""
         found = np.asarray(self._tree.query_ball_point(self._points[centre], self.settings.radius), dtype=np.int64)
         found = generator.permutation(found[found != centre])
         order = np.concatenate([[centre], found])
         turn = _turns(self._kind[order])
+        if self.settings.lightings is not None:  # first as many of each as are due, then what is left in turn
+            due = _due(self._kind[order], self._weight[order], self.settings.images, generator.random())
+            turn = np.where(turn < due, -1, turn)
         chosen = order[np.argsort(turn, kind="stable")][: self.settings.images]
         return np.resize(chosen, self.settings.images)
 
@@ -213,3 +262,11 @@ def _turns(kinds: NDArray[np.int64]) -> NDArray[np.int64]:
     turns = np.empty(len(kinds), dtype=np.int64)
     turns[order] = np.arange(len(ordered)) - starts
     return turns
+
+
+def _due(kinds: NDArray[np.int64], weights: NDArray[np.float64], count: int, offset: float) -> NDArray[np.int64]:
+    """Return for each item how many of its kind are due among so many, on average over offsets in [0, 1) by weight."""
+    _, first, kind = np.unique(kinds, return_index=True, return_inverse=True)
+    ends = np.cumsum(weights[first])
+    marks = (np.arange(count) + offset) / count * ends[-1]
+    return np.bincount(np.searchsorted(ends, marks, side="right"), minlength=len(first))[kind]
