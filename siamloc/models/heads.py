@@ -142,8 +142,9 @@ class Fourier(UnitHead):
 
     Turning a signal changes the phases of its Fourier series alone. So where the branch wraps around
     (`siamloc.models.build(..., circular=True)`), a robot that has turned by a whole column of the features has the same
-    descriptor, and nearly the same in between; the rows still say where in elevation something is. What the magnitudes
-    leave out, how far the robot has turned, is kept by `siamloc.models.orientation` beside it.
+    descriptor. In between it has another one, which training with random turns brings near. The rows still say where in
+    elevation something is. What the magnitudes leave out, how far the robot has turned, is kept by
+    `siamloc.models.orientation` beside it.
 
     Args:
         name: what the head is called.

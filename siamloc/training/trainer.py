@@ -17,6 +17,7 @@ from siamloc.errors import ConfigError
 from siamloc.files import content_key
 from siamloc.models.network import Network
 from siamloc.runs import Run
+from siamloc.training.batch_norm import OneBatch
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, Pace, checkpoint_callbacks
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.settings import Training
@@ -25,6 +26,7 @@ from siamloc.training.stopping import StepCheckpoints
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
+from lightning.pytorch.plugins import LayerSync  # noqa: E402
 from lightning.pytorch.utilities.exceptions import MisconfigurationException  # noqa: E402
 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
@@ -48,12 +50,15 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
         callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:
         options.setdefault("gradient_clip_val", settings.clip)
+    plugins = _listed(options.pop("plugins", None))
+    if "sync_batchnorm" not in options and not any(isinstance(one, LayerSync) for one in plugins):
+        plugins.append(OneBatch(gpu=_on_gpu(str(options.get("accelerator", TRAINER["accelerator"])))))
     own: dict[str, Any] = {
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
         "logger": TensorBoardLogger(run.folder, name="tensorboard", version=""),
         "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor), steps],
-        "plugins": [*_listed(options.pop("plugins", None)), AtomicCheckpoints()],
+        "plugins": [*plugins, AtomicCheckpoints()],
         "num_sanity_val_steps": 0,
         "limit_val_batches": 1.0 if monitor else 0,
         "enable_model_summary": False,
@@ -93,9 +98,13 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
         raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
 
 
+def _on_gpu(accelerator: str) -> bool:
+    return accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
+
+
 def _fast_precision(accelerator: str) -> str:
     """Return bfloat16 for most of the network where the device has instructions for it, else full precision."""
-    if accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available():
+    if _on_gpu(accelerator):
         fast = torch.cuda.is_bf16_supported(including_emulation=False)
     else:
         fast = torch.cpu._is_amx_tile_supported()
