@@ -546,6 +546,7 @@ FIT = textwrap.dedent(
     import sys
     from siamloc.data import PanoramaLibrary, read
     from siamloc.models import build
+    from siamloc.models.batch_losses import make_loss
     from siamloc.training import fit
 
     # A shell starts background jobs with Ctrl-C switched off, and the tests may be in one.
@@ -557,6 +558,8 @@ FIT = textwrap.dedent(
         day = frames.select(sequence="cloudy1")
         parts = options.pop("branch", "simple1"), options.pop("head", "fc500_500_5")
         network = build(*parts, image_size=(32, 128))
+        if "loss" in options:
+            options["loss"] = make_loss(**options["loss"])
         return fit(network, images, day, run=run, **{"trainer": {"accelerator": "cpu"}, **options})
 
     if __name__ == "__main__":
@@ -637,15 +640,21 @@ def test_two_processes_train_on_what_one_would(script, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("branch", "steps"), [("simple1", 5), ("panoresnet", 2)])
-def test_two_processes_learn_from_all_pairs_of_a_batch_of_places(script, tmp_path, branch, steps):
+@pytest.mark.parametrize(
+    ("branch", "steps", "loss"),
+    [
+        ("simple1", 5, {"name": "soft_contrastive"}),
+        ("panoresnet", 2, {"name": "triplet", "near": 2.0, "far": 2.5, "miner": "multi_similarity"}),
+    ],
+)
+def test_two_processes_learn_from_all_pairs_of_a_batch_of_places(script, tmp_path, branch, steps, loss):
     """Each describes its half, and both compute the loss of the whole: gradients flow back to the other's half.
 
-    The second branch normalizes by the statistics of the batch, those of both halves.
+    The second branch normalizes by the statistics of the batch, those of both halves, and its miner sees both.
     """
     trainer = {"accelerator": "cpu", "log_every_n_steps": 1}
     common = {"head": "fourier", "epochs": 2, "augmentation": "lighting", "optimizer": {"learning_rate": 0.05}}
-    common["branch"] = branch
+    common |= {"branch": branch, "loss": loss}
     places = {"images": 2, "radius": 2.0, "epoch_batches": steps}
     finished(script("one", pairs={"places": 8, **places}, trainer=trainer, **common))
     both = {**trainer, "devices": 2, "strategy": "ddp"}
@@ -653,6 +662,7 @@ def test_two_processes_learn_from_all_pairs_of_a_batch_of_places(script, tmp_pat
     runs = [Run(tmp_path / name) for name in ("one", "two")]
     for a, b in zip(*map(curve, runs), strict=True):
         assert float(a["train/loss"]) == pytest.approx(float(b["train/loss"]), rel=1e-3)
+        assert float(a["train/loss"]) > 0
     one, two = (load(run, which="last").state_dict() for run in runs)
     start = build(branch, "fourier", SIZE).state_dict()
     # Statistics of batch normalizations move by far more than weights, so that each kind is compared by its own.
