@@ -277,7 +277,7 @@ class Curves(Checkpoint):
             )
         active = values.get("train/active", math.inf)
         if active < _ACTIVE and not collapsed:
-            what = "triplets" if isinstance(module, PlaceModule) else "pairs of different places"
+            what = "pairs or triplets" if isinstance(module, PlaceModule) else "pairs of different places"
             self._tell(
                 trainer,
                 f"warning: hardly any {what} cost anything, train/active is {active:.2%}: where the validation is not "
