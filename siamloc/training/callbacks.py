@@ -33,6 +33,7 @@ _SAID = (
 _COLLAPSED = 0.01  # spread of descriptors of length 1, below which they tell nothing apart
 _COLLAPSED_PAIRS = 0.0125  # the same of the mean distance of pairs, as a share of the margin; random weights have more
 _ACTIVE = 0.01  # share of pairs or triplets that cost anything, below which hardly anything is learned
+_PATHS = ("best_model_path", "kth_best_model_path", "last_model_path")
 _SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter failed")
 
 
@@ -57,9 +58,29 @@ class AtomicCheckpoints(TorchCheckpointIO):
                 ) from error
 
 
+class _MovableCheckpoint(ModelCheckpoint):
+    """A checkpoint whose best figure is known also after the folder of its run was moved."""
+
+    @property
+    def state_key(self) -> str:
+        """The name of its state in a checkpoint, that of the class of Lightning."""
+        return super().state_key.replace(type(self).__qualname__, ModelCheckpoint.__qualname__)
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on with the state of a run, with the folder as it is now."""
+        folder = Path(str(self.dirpath))
+
+        def here(path: str) -> str:
+            return str(folder / Path(path).name) if path else path
+
+        paths = {name: here(state_dict[name]) for name in _PATHS if name in state_dict}
+        kept = {here(path): score for path, score in state_dict.get("best_k_models", {}).items()}
+        super().load_state_dict({**state_dict, **paths, "best_k_models": kept, "dirpath": self.dirpath})
+
+
 def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
     """Make the callbacks that keep `last.ckpt` after every epoch, and `best.ckpt` by the best of a logged figure."""
-    last = ModelCheckpoint(
+    last = _MovableCheckpoint(
         dirpath=folder,
         filename="last",
         monitor=None,
@@ -69,7 +90,7 @@ def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
     )
     if monitor is None:
         return [last]
-    best = ModelCheckpoint(
+    best = _MovableCheckpoint(
         dirpath=folder,
         filename="best",
         monitor=monitor,

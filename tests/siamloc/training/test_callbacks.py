@@ -7,6 +7,7 @@ import resource
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -122,6 +123,18 @@ def test_a_training_without_progress_stops_early_and_says_so(images, drives, tmp
     assert len(fit(patience=2, resume=True).curves()["epoch"]) == 3
     assert len(fit(patience=4, resume=True).curves()["epoch"]) == 5
     assert "stopped early after epoch 5 of 9" in capfd.readouterr().err
+
+
+def test_a_run_that_was_moved_still_knows_its_best_epoch(images, drives, tmp_path):
+    options = {"validation": drives[1], **SETTINGS, "pairs": {**SETTINGS["pairs"], "epoch_batches": 1}}
+    run = siamloc.training.fit(Fixed(), images, drives[0], run=tmp_path / "here", epochs=1, **options)
+    moved = run.folder.rename(tmp_path / "there")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".*dirpath has changed")
+        run = siamloc.training.fit(Fixed(), images, drives[0], run=moved, epochs=3, resume=True, **options)
+    assert len(run.curves()["epoch"]) == 3
+    assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == 0
+    assert not (tmp_path / "here").exists()
 
 
 class Same(torch.nn.Module):
