@@ -370,6 +370,11 @@ def check_batch(batch: Tensor) -> None:
         )
 
 
+def beside(values: Tensor, batch: Tensor) -> Tensor:
+    """Return numbers from main memory on the device of a batch; the program goes on while they travel to a GPU."""
+    return (values.pin_memory() if batch.is_cuda else values).to(batch.device, non_blocking=True)
+
+
 def column_of(values: Tensor, like: Tensor) -> Tensor:
     """Return parameters (B,) as (B, 1, 1, 1), float32, on the device of a batch."""
-    return values.to(device=like.device, dtype=torch.float32).view(-1, 1, 1, 1)
+    return beside(values.float(), like).view(-1, 1, 1, 1)

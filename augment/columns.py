@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, column_of
+from augment.base import Effect, Params, Range, beside, column_of
 from augment.brushes import Brush, Frame
 
 _MOST = 4  # bars
@@ -62,7 +62,7 @@ class Rotate(Effect):
         """Return the batch with moved columns."""
         width = batch.shape[3]
         columns = torch.arange(width, device=batch.device)
-        source = (columns - params["shift"].to(batch.device).view(-1, 1)) % width
+        source = (columns - beside(params["shift"], batch).view(-1, 1)) % width
         return batch.gather(3, source.view(-1, 1, 1, width).expand_as(batch))
 
 
@@ -101,7 +101,7 @@ class Occlude(Effect):
         """Return the batch behind the bars."""
         width = batch.shape[3]
         starts, lengths = (value[..., None] for value in _bars(params, width))
-        hidden = ((torch.arange(width) - starts) % width < lengths).any(dim=1).to(batch.device)
+        hidden = beside(((torch.arange(width) - starts) % width < lengths).any(dim=1), batch)
         return torch.where(hidden[:, None, None], column_of(params["level"], batch) / 255, batch)
 
 

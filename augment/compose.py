@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from augment.base import Effect, Params, Range
+from augment.base import Effect, Params, Range, beside
 from augment.brushes import Brush
 from augment.columns import wrapped
 from augment.errors import AugmentError, hint
@@ -175,7 +175,7 @@ class Policy(Effect):
             own = {key: value[frames] for key, value in _without(prefix, params).items() if key != "on"}
             if out is batch:
                 out = batch.clone()
-            where = frames.to(batch.device)
+            where = beside(frames, batch)
             out[where] = inner.render(out[where], own).clamp(0, 1)
         return out
 

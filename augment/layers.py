@@ -16,7 +16,7 @@ import cv2
 import torch
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, column_of
+from augment.base import Effect, Params, Range, beside, column_of
 from augment.brushes import Brush, Frame
 
 _SUN = (1.0, 0.93, 0.78)  # colour of sunlight: red, green, blue
@@ -228,7 +228,7 @@ class SunPatch(Layer):
         across = ((aside * turn.cos() - ahead * turn.sin()) * (2 / params["breadth"])).abs()
         inside = _edge(1 - along, _PENUMBRA) * _edge(1 - across, _PENUMBRA)
         panes = _edge(along - _FRAME, _FRAME) * _edge(across - _FRAME, _FRAME)
-        sun = torch.tensor(_SUN, device=rows.device).view(3, 1, 1)
+        sun = beside(torch.tensor(_SUN), rows).view(3, 1, 1)
         return 1 + (params["gain"] - 1) * (inside * panes) * sun
 
     def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:

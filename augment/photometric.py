@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, column_of
+from augment.base import Effect, Params, Range, beside, column_of
 from augment.brushes import Brush, Frame, flat
 from augment.torchvision_compat import ensure_torchvision
 
@@ -155,8 +155,8 @@ class WhiteBalance(PointEffect):
 
     def curve(self, level: Tensor, params: Params) -> Tensor:
         """The gain of each colour."""
-        warm = torch.tensor([0.5, 0.0, -0.5], device=level.device).view(1, 3, 1, 1)
-        magenta = torch.tensor([1 / 3, -2 / 3, 1 / 3], device=level.device).view(1, 3, 1, 1)
+        warm = beside(torch.tensor([0.5, 0.0, -0.5]), level).view(1, 3, 1, 1)
+        magenta = beside(torch.tensor([1 / 3, -2 / 3, 1 / 3]), level).view(1, 3, 1, 1)
         return level * torch.exp2(params["temperature"] * warm + params["tint"] * magenta)
 
 

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, column_of
+from augment.base import Effect, Params, Range, beside, column_of
 from augment.brushes import Brush, Frame
 from augment.layers import Layer
 
@@ -82,7 +82,7 @@ class Relight(Layer):
             wave = (number * azimuth + params[phase]).cos() / number
             level, slope = level + wave, slope + params[tilt] * wave
         stops = params["stops"] / _GAMMA
-        red_to_blue = torch.tensor([1.0, 0.0, -1.0], device=columns.device).view(3, 1, 1)
+        red_to_blue = beside(torch.tensor([1.0, 0.0, -1.0]), columns).view(3, 1, 1)
         colour = torch.exp2((params["warmth"] / _GAMMA) * red_to_blue * azimuth.cos())
         return stops * level, stops * slope, colour
 
@@ -150,7 +150,7 @@ class Windows(Effect):
         count = torch.zeros(len(batch), _WHITE + 2, device=batch.device)
         count.scatter_add_(1, bright.flatten(1), torch.ones_like(bright.flatten(1), dtype=count.dtype))
         reached = count.flip(1).cumsum(1).flip(1)  # by how many pixels, for each threshold
-        most = params["share"].to(batch.device).view(-1, 1) * bright[0].numel()
+        most = beside(params["share"], batch).view(-1, 1) * bright[0].numel()
         threshold = (reached > most).sum(dim=1).view(-1, 1, 1, 1)
         changed = batch + column_of(params["strength"], batch) * (column_of(params["level"], batch) / 255 - batch)
         return torch.where(bright >= threshold, changed, batch)

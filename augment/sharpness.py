@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, column_of
+from augment.base import Effect, Params, Range, beside, column_of
 from augment.brushes import Brush, Frame
 from augment.errors import AugmentError
 
@@ -110,7 +110,7 @@ class MotionBlur(Effect):
         out = batch.clone()
         for length in lengths.unique().tolist():
             if length > 1:
-                frames = (lengths == length).nonzero()[:, 0].to(batch.device)
+                frames = beside((lengths == length).nonzero()[:, 0], batch)
                 wide = _extended(batch[frames], length // 2, 0, self.circular)
                 out[frames] = F.avg_pool2d(wide, (1, length), 1)
         return out

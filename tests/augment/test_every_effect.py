@@ -4,8 +4,10 @@ import json
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import augment
+from augment import sensor
 from tests.augment.pictures import generator, panoramas
 
 NAMES = [*augment.EFFECTS, *(f"policy {name}" for name in augment.POLICIES)]
@@ -113,6 +115,28 @@ def test_the_gpu_gives_the_same_pictures(name):
     params = effect.draw(generator(1), batch)
     there = effect.apply(batch.cuda(), params).cpu()
     assert torch.allclose(there, effect.apply(batch, params), atol=1e-3)
+
+
+class Watched(TorchDispatchMode):
+    """Raises where the program waits for a device, or takes a number to it and waits until that has arrived."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        kwargs = kwargs or {}
+        if func is torch.ops.aten._to_copy.default and kwargs.get("device", args[0].device) != args[0].device:
+            assert args[0].device.type == "cpu"
+            assert kwargs.get("non_blocking")
+        return func(*args, **kwargs)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("jpeg", "policy strong")])
+def test_the_program_never_waits_for_the_device_of_a_batch(name, monkeypatch):
+    """On the device meta there is nothing to wait for: reading a number, or counting what is true, fails."""
+    monkeypatch.setattr(sensor, "_normal", lambda device: torch.zeros(1 << 21, device=device))  # made once for a device
+    effect, batch = build(name), panoramas(6).to("meta")
+    params = effect.draw(generator(), batch)
+    with Watched():
+        out = effect.apply(batch, params)
+    assert (out.device.type, out.dtype, out.shape) == ("meta", torch.uint8, batch.shape)
 
 
 @pytest.mark.parametrize("name", NAMES)
