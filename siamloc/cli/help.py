@@ -83,9 +83,10 @@ COMMANDS = {
         pairs.same_room_share=0.4 pairs.epoch_pairs=10000
         pairs.lightings={night:2}         batches with twice as many images by night as under other lightings
         augment=thesis|lighting|strong|any_light
-                                          what happens to training images; augment.where=gpu for doing it there
+                                          what happens to training images; augment.where=cpu|gpu says on which device
         epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
         monitor=error|recall|room|loss    what the best checkpoint is chosen by in the validation; recall_radius=0.5
+        compile=auto|true|false           torch compiles the network for the steps; auto does so on a GPU
         patience=5                        stop after so many epochs without a better validation
         debug=one_batch|overfit|profile   look at the training instead: one step, one batch learned, where time goes
         resume=true                       go on from the last checkpoint; checkpoint_every=200 writes it within epochs

@@ -7,7 +7,7 @@ from typing import Any
 
 OF_TRAINING = (
     *("seed", "epochs", "batch_size", "clip", "average"),
-    *("monitor", "recall_radius", "patience", "checkpoint_every"),
+    *("monitor", "recall_radius", "patience", "checkpoint_every", "compile"),
 )
 """Settings of a training that the command line calls by the same name."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -52,6 +52,7 @@ class NetworkModule(LightningModule):
         self.loss = loss
         self.optimizer = Optimizer() if optimizer is None else optimizer
         self._drive = DriveFigures(recall_radius)
+        self.compiled: Callable[[Tensor], Tensor] | None = None  # the network, where its steps are compiled
         self._by_stage = self.optimizer.frozen_stages > 0 or self.optimizer.stage_decay < 1
         self._frozen: FrozenStages | None = None
         if self._by_stage and self.optimizer.frozen_stages >= (count := len(weights_by_stage(network))):
@@ -73,6 +74,16 @@ class NetworkModule(LightningModule):
     def forward(self, panorama: Tensor) -> Tensor:
         """Compute the descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1]."""
         return self.network(panorama)
+
+    def computed(self, images: Tensor) -> Tensor:
+        """Compute descriptors in a step: by the compiled network where there is one, in training alone."""
+        return (self.compiled if self.training and self.compiled is not None else self.network)(images)
+
+    def log_step(self, loss: Tensor) -> None:
+        """Log the loss of a training step; on the progress bar, which reads it at once, only where nothing waits."""
+        if self._trainer is not None:
+            shown = loss.device.type == "cpu"
+            self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=shown, batch_size=1)
 
     def setup(self, stage: str) -> None:
         """Freeze the first stages while the network is trained."""

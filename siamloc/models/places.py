@@ -59,7 +59,7 @@ class PlaceModule(NetworkModule):
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Compute the loss of a batch."""
         origins = _origins(batch)
-        descriptors = checked_descriptors(self.network(as_float(batch["images"])), len(batch["images"]))
+        descriptors = checked_descriptors(self.computed(as_float(batch["images"])), len(batch["images"]))
         if self._trainer is not None and self.trainer.world_size > 1:
             descriptors, origins = self._of_all(descriptors, origins)
         loss = checked_loss(self.loss(descriptors, origins), self.loss)
@@ -73,8 +73,7 @@ class PlaceModule(NetworkModule):
             figures["active"] = self.loss.active(seen, origins)
         for name, figure in figures.items():  # read at the end of the epoch: no step waits for the device
             self._figures.setdefault(name, []).append(figure)
-        if self._trainer is not None:
-            self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=True, batch_size=1)
+        self.log_step(loss)
         return loss
 
     def on_train_epoch_end(self) -> None:

@@ -81,8 +81,7 @@ class SiameseModule(NetworkModule):
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Compute the loss of a batch of pairs."""
         loss = self._step(batch, batch_index, "train", self.train_statistics)
-        if self._trainer is not None:
-            self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=True, batch_size=1)
+        self.log_step(loss)
         return loss
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
@@ -115,7 +114,7 @@ class SiameseModule(NetworkModule):
         label = batch["label"]
         check_labels(label, len(batch["first"]))
         images = as_float(torch.cat([batch["first"], batch["second"]]))
-        descriptors = checked_descriptors(self.network(images), 2 * len(label))
+        descriptors = checked_descriptors(self.computed(images), 2 * len(label))
         d0, d1 = descriptors.chunk(2)
         loss = checked_loss(self.loss(d0, d1, label), self.loss)
         distance = pair_distance(d0.detach(), d1.detach())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -18,6 +19,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import Pairs, PairSampler, PairSettings
 from siamloc.errors import ConfigError, SiamlocError
+from siamloc.training.resident import Resident, room_for
 
 ensure_torchvision()
 from lightning.pytorch import LightningDataModule  # noqa: E402
@@ -60,7 +62,8 @@ class BatchAugmentation:
 class PairBatches(Dataset[dict[str, Any]]):
     """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.
 
-    Each item is a dictionary: `first` and `second` (B, 3, H, W) uint8, `label` (B,) float32, `same` (B,) bool.
+    Each item is a dictionary: `first` and `second` (B, 3, H, W) uint8, `label` (B,) float32, `same` (B,) bool. Where
+    the panoramas lie on the device, it has in place of the images their numbers there, those of both: `rows` (2 B,).
 
     Args:
         library: decoded panoramas.
@@ -69,6 +72,7 @@ class PairBatches(Dataset[dict[str, Any]]):
         augmentation: what happens to the images, if anything.
         rank: number of this process among those that train together.
         world_size: how many those are. All get the same number of pairs, and no two the same pair.
+        numbers: those of the library's rows on the device, `Resident.numbers`; None where images are gathered here.
 
     Raises:
         ConfigError: fewer pairs than processes.
@@ -82,6 +86,7 @@ class PairBatches(Dataset[dict[str, Any]]):
         augmentation: BatchAugmentation | None = None,
         rank: int = 0,
         world_size: int = 1,
+        numbers: NDArray[np.int64] | None = None,
     ) -> None:
         check_pairs_of_each(len(sampler), world_size)
         self._pairs_of_each = len(sampler) // world_size
@@ -91,6 +96,7 @@ class PairBatches(Dataset[dict[str, Any]]):
         self._batch_size = batch_size
         self._augmentation = augmentation
         self._rank, self._world_size = rank, world_size
+        self._numbers = numbers
         self._epoch = -1
 
     def __len__(self) -> int:
@@ -104,17 +110,20 @@ class PairBatches(Dataset[dict[str, Any]]):
             self._draw(epoch)
         rows = slice(batch * self._batch_size, (batch + 1) * self._batch_size)
         pairs = self._pairs.take(rows)
-        images = torch.from_numpy(self._library.batch(self._rows[np.concatenate([pairs.first, pairs.second])]))
-        later = {}
+        wanted = self._rows[np.concatenate([pairs.first, pairs.second])]
+        item: dict[str, Any] = {"label": torch.from_numpy(pairs.label), "same": torch.from_numpy(pairs.same)}
+        params: dict[str, Tensor] = {}
         if self._augmentation is not None:
             params = {name: torch.cat([side[name][rows] for side in self._drawn]) for name in self._drawn[0]}
             if self._augmentation.where == "gpu":
-                later = {"change": params}
-            else:
-                images = self._augmentation.effect.apply(images, params)
+                item["change"] = params
+        if self._numbers is not None:
+            return {**item, "rows": torch.from_numpy(self._numbers[wanted])}
+        images = torch.from_numpy(self._library.batch(wanted))
+        if self._augmentation is not None and self._augmentation.where == "cpu":
+            images = self._augmentation.effect.apply(images, params)
         first, second = images.chunk(2)
-        label, same = torch.from_numpy(pairs.label), torch.from_numpy(pairs.same)
-        return {**later, "first": first, "second": second, "label": label, "same": same}
+        return {**item, "first": first, "second": second}
 
     def _draw(self, epoch: int) -> None:
         self._pairs: Pairs = self._sampler.epoch(epoch, self._rank, self._world_size).take(slice(self._pairs_of_each))
@@ -168,6 +177,9 @@ class EpochDataModule(LightningDataModule):
 
     A trainer that resumes may ask for the first batches long before it knows which epoch it is in, and keeps them.
 
+    On a GPU with room enough all panoramas lie there, and a batch brings their numbers only, unless its images are
+    changed before; otherwise batches travel there from pinned memory.
+
     Args:
         library: decoded panoramas of all frames.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
@@ -182,6 +194,7 @@ class EpochDataModule(LightningDataModule):
         self.library = library
         self.workers = int(workers)
         self.augmentation = augmentation
+        self._resident: Resident | None = None
 
     def next_epoch(self) -> int:
         """Return the epoch whose batches are asked for."""
@@ -217,10 +230,57 @@ class EpochDataModule(LightningDataModule):
         """Return the files of a training batch of this process, by the name that its images have in the batch."""
         raise NotImplementedError
 
-    def augmented(self, images: Tensor, params: dict[str, Tensor]) -> Tensor:
-        """Apply the augmentation that was put off until the batch is on the device."""
-        assert self.augmentation is not None
-        return self.augmentation.effect.apply(images, params)
+    def needed(self) -> list[FrameTable]:
+        """Return the frames of all batches."""
+        raise NotImplementedError
+
+    def numbers(self, augmentation: BatchAugmentation | None) -> NDArray[np.int64] | None:
+        """Return where the library's rows lie on the device of the trainer; None where images are gathered here.
+
+        The first call brings them there.
+        """
+        changed_here = augmentation is not None and augmentation.where == "cpu"
+        if self.trainer is None or changed_here:
+            return None
+        device = self.trainer.strategy.root_device
+        if self._resident is None or self._resident.images.device != device:
+            rows = np.unique(np.concatenate([self.library.rows(frames) for frames in self.needed()]))
+            if len(rows) * math.prod(self.library.image_shape) > room_for(device):
+                return None
+            self._resident = Resident(self.library, rows, device)
+        return self._resident.numbers
+
+    def teardown(self, stage: str) -> None:
+        """Free the memory of the device."""
+        self._resident = None
+
+    def transfer_batch_to_device(
+        self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
+    ) -> dict[str, Any]:
+        """Bring a batch to the device, but for the parameters of its augmentation, which are read in main memory."""
+        rest = {name: value for name, value in batch.items() if name != "change"}
+        rest = super().transfer_batch_to_device(rest, device, dataloader_idx)
+        return {**rest, "change": batch["change"]} if "change" in batch else rest
+
+    def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
+        """Gather the images, and change them, where both were put off until the batch is on the device."""
+        if "rows" in batch:
+            assert self._resident is not None
+            batch = {**self.parts(self._resident.batch(batch.pop("rows"))), **batch}
+        if "change" in batch:
+            assert self.augmentation is not None
+            images = self.augmentation.effect.apply(self.whole(batch), batch.pop("change"))
+            batch |= self.parts(images)
+        return batch
+
+    def parts(self, images: Tensor) -> dict[str, Tensor]:
+        """Return the images of a batch by their names in it."""
+        return {"images": images}
+
+    def whole(self, batch: dict[str, Any]) -> Tensor:
+        """Return all images of a batch."""
+        images: Tensor = batch["images"]
+        return images
 
     def loader(self, batches: Dataset[Any], epoch: int | None) -> DataLoader[Any]:
         """Make the loader of whole batches, of which item (epoch, i) is one; see `EpochSampler`."""
@@ -230,6 +290,7 @@ class EpochDataModule(LightningDataModule):
             sampler=EpochSampler(batches, epoch, (self._first_epoch, self._first_batch)),  # type: ignore[arg-type]
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
+            pin_memory=self.trainer is not None and self.trainer.strategy.root_device.type == "cuda",
             generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator
         )
 
@@ -316,15 +377,23 @@ class PairDataModule(EpochDataModule):
         files = self.sampler.frames.path
         return {"first": files[pairs.first], "second": files[pairs.second]}
 
-    def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
-        """Apply the augmentation that was put off until the batch is on the device."""
-        if "change" in batch:
-            images = torch.cat([batch["first"], batch["second"]])
-            batch["first"], batch["second"] = self.augmented(images, batch.pop("change")).chunk(2)
-        return batch
+    def needed(self) -> list[FrameTable]:
+        """Return the training frames and those of the validation."""
+        samplers = (self.sampler, self.validation_sampler)
+        return [sampler.frames for sampler in samplers if sampler is not None]
+
+    def parts(self, images: Tensor) -> dict[str, Tensor]:
+        """Return the first and the second images."""
+        first, second = images.chunk(2)
+        return {"first": first, "second": second}
+
+    def whole(self, batch: dict[str, Any]) -> Tensor:
+        """Return the first images and the second ones after them."""
+        return torch.cat([batch["first"], batch["second"]])
 
     def _pair_batches(self, sampler: PairSampler, augmentation: BatchAugmentation | None) -> PairBatches:
-        return PairBatches(self.library, sampler, self._batch_size, augmentation, *self.share())
+        numbers = self.numbers(augmentation)
+        return PairBatches(self.library, sampler, self._batch_size, augmentation, *self.share(), numbers)
 
 
 class _InTurn(Dataset[dict[str, Any]]):

@@ -117,11 +117,40 @@ class MovingAverage(WeightAveraging):
             return average + (1 - decay) * (now - average) if average.is_floating_point() else now
 
         super().__init__(use_buffers=True, avg_fn=moved)
+        self._decay = decay
+        self._begun = False
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Choose the device before the weights have moved there."""
         self._device = trainer.strategy.root_device
         super().setup(trainer, pl_module, stage)
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Move the average; after its first step without a look at numbers on the device, which would wait for them."""
+        average = self._average_model
+        if trainer.global_step <= self._latest_update_step or average is None:
+            return
+        self._begun = self._begun or bool(average.n_averaged > 0)
+        if not self._begun:
+            super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
+            return
+        self._latest_update_step = trainer.global_step
+        average.n_averaged += 1
+        pairs = list(zip(_state(average.module), _state(pl_module), strict=True))
+        averages, weights = zip(*(pair for pair in pairs if pair[0].is_floating_point()), strict=True)
+        steps = torch._foreach_sub(weights, averages)
+        torch._foreach_mul_(steps, 1 - self._decay)
+        torch._foreach_add_(averages, steps)
+        for held, now in pairs:
+            if not held.is_floating_point():
+                held.copy_(now)
+
+
+def _state(module: torch.nn.Module) -> list[Tensor]:
+    """Return all weights and buffers, without gradients."""
+    return [value.detach() for value in (*module.parameters(), *module.buffers())]
 
 
 def images_in(batch: Mapping[str, Any]) -> int:
@@ -132,9 +161,8 @@ def images_in(batch: Mapping[str, Any]) -> int:
 class Pace(Callback):
     """Measure how fast a training goes, without the first steps of each epoch, which start things up.
 
-    Args:
-        synchronize: wait for the device after each step. Without it what a GPU still computes counts as waiting, though
-            the images per second are right over many steps; with it a GPU is slowed a little.
+    On a GPU the times are its own: marks are put between its tasks, and read when the epoch has ended, so that no step
+    waits for them.
 
     Attributes:
         images_per_second: learned from by all processes, while steps follow each other; validation is not in it.
@@ -143,20 +171,22 @@ class Pace(Callback):
 
     _FIRST = 2
 
-    def __init__(self, synchronize: bool = False) -> None:
-        self._synchronize = synchronize
+    def __init__(self) -> None:
         self._images, self._seconds, self._waited = 0, 0.0, 0.0
-        self._ended: float | None = None
-        self._waited_now = 0.0
+        self._begun: _Mark = 0.0
+        self._ended: _Mark | None = None
+        self._steps: list[tuple[_Mark, _Mark, _Mark, int]] = []  # end of the step before, begin, end, images
 
     @property
     def images_per_second(self) -> float:
         """NaN before the third step."""
+        self._read()
         return self._images / self._seconds if self._seconds else math.nan
 
     @property
     def waiting(self) -> float:
         """NaN before the third step."""
+        self._read()
         return self._waited / self._seconds if self._seconds else math.nan
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -164,22 +194,50 @@ class Pace(Callback):
         self._ended = None
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Note how long the batch took to come."""
-        if self._ended is not None:
-            self._waited_now = time.monotonic() - self._ended
+        """Note when the batch has come."""
+        self._begun = _mark(pl_module)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Count the step."""
-        if self._synchronize and pl_module.device.type == "cuda":
-            torch.cuda.synchronize(pl_module.device)
-        now = time.monotonic()
+        now = _mark(pl_module)
         if self._ended is not None and batch_idx >= self._FIRST:
-            self._images += images_in(batch) * trainer.world_size
-            self._seconds += now - self._ended
-            self._waited += self._waited_now
+            self._steps.append((self._ended, self._begun, now, images_in(batch) * trainer.world_size))
         self._ended = now
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Read the marks."""
+        self._read()
+
+    def _read(self) -> None:
+        for before, begun, ended, images in self._steps:
+            self._images += images
+            self._seconds += _between(before, ended)
+            self._waited += _between(before, begun)
+        self._steps.clear()
+
+
+_Mark = float | torch.cuda.Event
+
+
+def _mark(module: LightningModule) -> _Mark:
+    """Return the time; on a GPU a mark after all that it has been given to do."""
+    if module.device.type != "cuda":
+        return time.monotonic()
+    event = torch.cuda.Event(enable_timing=True)
+    event.record(torch.cuda.current_stream(module.device))
+    return event
+
+
+def _between(first: _Mark, second: _Mark) -> float:
+    """Return the seconds between two marks."""
+    if isinstance(first, float) or isinstance(second, float):
+        assert isinstance(first, float)
+        assert isinstance(second, float)
+        return second - first
+    second.synchronize()
+    return first.elapsed_time(second) / 1000
 
 
 class Curves(Checkpoint):
@@ -235,8 +293,7 @@ class Curves(Checkpoint):
             parts.append(self._figures_of(best[1]))
         if math.isfinite(self._pace.images_per_second):
             parts.append(f"{self._pace.images_per_second:.0f} images/s")
-            if pl_module.device.type == "cpu":
-                parts.append(f"{self._pace.waiting:.0%} of the time waiting for data")
+            parts.append(f"{self._pace.waiting:.0%} of the time waiting for data")
         checkpoint = self._run.checkpoints / ("last.ckpt" if best is None else "best.ckpt")
         self._tell(trainer, ", ".join(parts))
         self._tell(trainer, f"checkpoint: {checkpoint}; curves: tensorboard --logdir {self._run.tensorboard}")

@@ -31,6 +31,7 @@ from siamloc.runs import Run
 from siamloc.settings import checked, takes
 from siamloc.training.batches import BatchAugmentation, PairDataModule
 from siamloc.training.checks import check_batches, check_loss, check_network, check_rooms, monitored, usable
+from siamloc.training.compiled import compiled, compiles
 from siamloc.training.debug import Debug, debug_training
 from siamloc.training.place_batches import PlaceDataModule, ValidationDrive
 from siamloc.training.run_folder import (
@@ -45,7 +46,7 @@ from siamloc.training.run_folder import (
 from siamloc.training.seen_frames import note_frames
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import debug_trainer, fast_layout, quiet, run_trainer, steps_of
+from siamloc.training.trainer import debug_trainer, fast_layout, on_gpu, quiet, run_trainer, steps_of
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
@@ -96,7 +97,7 @@ def fit(
             down as it should; "profile" says where the time of a step goes, and writes a trace into the run. Nothing
             else is written.
         settings: the fields of `Training` together, instead of one keyword each: epochs, batch_size, seed, workers,
-            pairs, optimizer, margin, augment_where.
+            pairs, optimizer, margin, augment_where, compile.
 
     Returns:
         The run.
@@ -134,7 +135,10 @@ def fit(
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
     effect, augmented = _effect(augmentation, images)
-    change = None if effect is None else BatchAugmentation(effect, settings.augment_where, settings.seed)
+    gpu = on_gpu(trainer)
+    faster = compiles(settings.compile, gpu)
+    where = settings.augment_where if settings.augment_where != "auto" else "gpu" if gpu else "cpu"
+    change = None if effect is None else BatchAugmentation(effect, where, settings.seed)
     if resume and settings.monitor == "auto":
         settings = replace(settings, monitor=monitor_of(run))
     monitor = monitored(settings, train, validated)
@@ -155,10 +159,11 @@ def fit(
             "validation": None if validated is None else note_frames(images, validated),
         },
     }
+    layout = fast_layout(network, used["trainer"]["precision"] == "auto")
     if debug is not None:
         check_batches(data, module.loss)
         _wake(network)
-        with quiet(), fast_layout(network, used["trainer"]["precision"] == "auto"), interrupts_raised():
+        with quiet(), layout, compiled(module, faster), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
             debug_training(debug, module, data, run, used, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
@@ -182,7 +187,7 @@ def fit(
                 file=sys.stderr,
             )
         start = last if resume and last.is_file() else None
-        with fast_layout(network, used["trainer"]["precision"] == "auto"):
+        with layout, compiled(module, faster):
             _train(lightning, module, data, run, start)
     load(run, network=network)
     return run

@@ -24,6 +24,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
     """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.
 
     Each item is a dictionary: `images` (N, 3, H, W) uint8, `xy` (N, 2) float32, `building`, `room` and `frame` (N,).
+    Where the panoramas lie on the device, it has in place of the images their numbers there, `rows` (N,).
 
     Args:
         library: decoded panoramas.
@@ -31,6 +32,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         augmentation: what happens to the images, if anything.
         rank: number of this process among those that train together.
         world_size: how many those are.
+        numbers: those of the library's rows on the device, `Resident.numbers`; None where images are gathered here.
 
     Raises:
         ConfigError: more places than frames.
@@ -43,6 +45,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         augmentation: BatchAugmentation | None = None,
         rank: int = 0,
         world_size: int = 1,
+        numbers: NDArray[np.int64] | None = None,
     ) -> None:
         sampler.check_processes(world_size)
         self._library = library
@@ -51,6 +54,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         self._origins = origins_of(sampler.frames, by=sampler.settings.by)
         self._augmentation = augmentation
         self._rank, self._world_size = rank, world_size
+        self._numbers = numbers
 
     def __len__(self) -> int:
         return len(self._sampler)
@@ -60,8 +64,8 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         if not 0 <= batch < len(self):
             raise IndexError(f"batch {batch} of {len(self)}")
         rows = self._sampler.batch(epoch, batch, self._rank, self._world_size)
-        images = torch.from_numpy(self._library.batch(self._rows[rows]))
-        item: dict[str, Any] = {"images": images, **{name: value[rows] for name, value in self._origins.items()}}
+        item: dict[str, Any] = dict(_images(self._library, self._rows[rows], self._numbers))
+        item |= {name: value[rows] for name, value in self._origins.items()}
         if self._augmentation is not None:
             mine = slice(self._rank * len(rows), (self._rank + 1) * len(rows))
             images_of_all = len(rows) * self._world_size
@@ -69,7 +73,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
             if self._augmentation.where == "gpu":
                 item["change"] = params
             else:
-                item["images"] = self._augmentation.effect.apply(images, params)
+                item["images"] = self._augmentation.effect.apply(item["images"], params)
         return item
 
 
@@ -80,11 +84,18 @@ class ValidationDrive(Dataset[dict[str, Any]]):
         library: decoded panoramas of all frames.
         known: frames of the map.
         queries: frames that are looked for in it. Of both at most 500 are taken, evenly.
+        numbers: those of the library's rows on the device, as for `PlaceBatches`.
     """
 
-    def __init__(self, library: PanoramaLibrary, known: FrameTable, queries: FrameTable) -> None:
+    def __init__(
+        self,
+        library: PanoramaLibrary,
+        known: FrameTable,
+        queries: FrameTable,
+        numbers: NDArray[np.int64] | None = None,
+    ) -> None:
         known, queries = _evenly(known), _evenly(queries)
-        self._library = library
+        self._library, self._numbers = library, numbers
         self._rows = np.concatenate([library.rows(known), library.rows(queries)])
         parts = origins_of(known, queries)
         self._columns = {**parts, "known": torch.arange(len(self._rows)) < len(known)}
@@ -94,8 +105,15 @@ class ValidationDrive(Dataset[dict[str, Any]]):
 
     def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
         rows = slice(number[1] * _DESCRIBED_AT_ONCE, (number[1] + 1) * _DESCRIBED_AT_ONCE)
-        images = torch.from_numpy(self._library.batch(self._rows[rows]))
-        return {"images": images, **{name: value[rows] for name, value in self._columns.items()}}
+        images = _images(self._library, self._rows[rows], self._numbers)
+        return {**images, **{name: value[rows] for name, value in self._columns.items()}}
+
+
+def _images(library: PanoramaLibrary, rows: NDArray[np.int64], numbers: NDArray[np.int64] | None) -> dict[str, Tensor]:
+    """Return the images, or their numbers where they lie on the device."""
+    if numbers is not None:
+        return {"rows": torch.from_numpy(numbers[rows])}
+    return {"images": torch.from_numpy(library.batch(rows))}
 
 
 class PlaceDataModule(EpochDataModule):
@@ -140,25 +158,25 @@ class PlaceDataModule(EpochDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        batches = PlaceBatches(self.library, self.sampler, self.augmentation, *self.share())
+        numbers = self.numbers(self.augmentation)
+        batches = PlaceBatches(self.library, self.sampler, self.augmentation, *self.share(), numbers)
         return self.loader(batches, self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation; an empty list where there are no validation frames."""
         if self._validation is None:
             return []
-        return self.loader(ValidationDrive(self.library, self.sampler.frames, self._validation), None)
+        numbers = self.numbers(None)
+        return self.loader(ValidationDrive(self.library, self.sampler.frames, self._validation, numbers), None)
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
         """Return the files of the images of a training batch."""
         rows = self.sampler.batch(epoch, batch, *self.share())
         return {"images": self.sampler.frames.path[rows]}
 
-    def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
-        """Apply the augmentation that was put off until the batch is on the device."""
-        if "change" in batch:
-            batch["images"] = self.augmented(batch["images"], batch.pop("change"))
-        return batch
+    def needed(self) -> list[FrameTable]:
+        """Return the training frames and those of the validation."""
+        return [self.sampler.frames, *([] if self._validation is None else [self._validation])]
 
 
 def origins_of(*tables: FrameTable, by: str = "position") -> dict[str, Tensor]:

@@ -19,7 +19,7 @@ from siamloc.training.settings import Monitor, Training
 _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
-    *("training.epochs", "training.workers", "training.augment_where"),
+    *("training.epochs", "training.workers", "training.augment_where", "training.compile"),
     *("training.checkpoint_every", "training.patience", "training.recall_radius"),
 )
 _LEARNED = ("data", "protocol", "model", "loss", "training", "augment")

@@ -41,7 +41,9 @@ class Training(Settings):
         checkpoint_every: steps after which the last checkpoint is written within an epoch as well; at the end of each
             epoch, and when the training is stopped, if None.
         augment_where: "cpu": pictures are changed where batches are gathered; "gpu": after they have come to the
-            device.
+            device; "auto": the second on a GPU. The draws are the same, the pictures up to rounding.
+        compile: let torch compile the network for training steps, which takes a while at the start; "auto" on a GPU
+            only. Results differ by rounding, and by what dropout draws.
 
     Example:
         >>> Training(epochs=2, optimizer={"name": "adam"}).optimizer.name
@@ -61,7 +63,8 @@ class Training(Settings):
     recall_radius: Positive = 0.5
     patience: Count | None = None
     checkpoint_every: Count | None = None
-    augment_where: Literal["cpu", "gpu"] = "cpu"
+    augment_where: Literal["auto", "cpu", "gpu"] = "auto"
+    compile: Literal["auto"] | bool = "auto"
 
     def __post_init__(self) -> None:
         super().__post_init__()

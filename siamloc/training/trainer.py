@@ -52,7 +52,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
         options.setdefault("gradient_clip_val", settings.clip)
     plugins = _listed(options.pop("plugins", None))
     if "sync_batchnorm" not in options and not any(isinstance(one, LayerSync) for one in plugins):
-        plugins.append(OneBatch(gpu=_on_gpu(str(options.get("accelerator", TRAINER["accelerator"])))))
+        plugins.append(OneBatch(gpu=on_gpu(options)))
     own: dict[str, Any] = {
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
@@ -90,7 +90,7 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
     """
     options = {**TRAINER, **options}
     if options.get("precision") == "auto":
-        options["precision"] = _fast_precision(str(options["accelerator"]))
+        options["precision"] = _fast_precision(on_gpu(options))
     try:
         return Trainer(**options, **own)
     except (MisconfigurationException, TypeError, ValueError, RuntimeError) as error:
@@ -98,13 +98,15 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
         raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
 
 
-def _on_gpu(accelerator: str) -> bool:
+def on_gpu(options: Mapping[str, Any] | None) -> bool:
+    """Say whether a trainer with these arguments of `lightning.Trainer` works on a GPU of CUDA."""
+    accelerator = str({**TRAINER, **(options or {})}["accelerator"])
     return accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
 
 
-def _fast_precision(accelerator: str) -> str:
+def _fast_precision(gpu: bool) -> str:
     """Return bfloat16 for most of the network where the device has instructions for it, else full precision."""
-    if _on_gpu(accelerator):
+    if gpu:
         fast = torch.cuda.is_bf16_supported(including_emulation=False)
     else:
         fast = torch.cpu._is_amx_tile_supported()

@@ -140,7 +140,8 @@ def trained_on(library, where="cpu", rank=0, world_size=1, epoch=0, batch_size=4
     augmentation = BatchAugmentation(augment.policy("thesis"), where, seed=0)
     data = PairDataModule(library, library.frames, pairs=ROOM, batch_size=batch_size, augmentation=augmentation)
     fit_loop = SimpleNamespace(epoch_progress=SimpleNamespace(current=SimpleNamespace(processed=epoch)))
-    data.trainer = SimpleNamespace(fit_loop=fit_loop, global_rank=rank, world_size=world_size)
+    strategy = SimpleNamespace(root_device=torch.device("cpu"))
+    data.trainer = SimpleNamespace(fit_loop=fit_loop, global_rank=rank, world_size=world_size, strategy=strategy)
     batches = [data.on_after_batch_transfer(batch, 0) for batch in data.train_dataloader()]
     assert all("change" not in batch for batch in batches)
     return torch.cat([batch["first"] for batch in batches]), torch.cat([batch["second"] for batch in batches])

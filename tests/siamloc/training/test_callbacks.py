@@ -187,6 +187,27 @@ def test_patience_needs_a_validation(images, drives, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+def test_an_average_follows_its_formula_step_by_step(images, drives, tmp_path):
+    class Noted(Callback):
+        """Must stand before the average among the callbacks."""
+
+        def __init__(self):
+            self.weights = []
+
+        def on_train_batch_end(self, trainer, pl_module, *_):
+            self.weights.append([weight.detach().clone() for weight in pl_module.parameters()])
+
+    noted = Noted()
+    net = siamloc.models.build("simple1", "flat", (16, 64), outputs=16, seed=0)
+    options = {"epochs": 1, "average": 0.9, "trainer": {"callbacks": [noted]}}
+    siamloc.training.fit(net, images, drives[0], run=tmp_path / "run", **options, **SETTINGS)
+    average, *later = noted.weights
+    for now in later:
+        average = [held + (1 - 0.9) * (weight - held) for held, weight in zip(average, now, strict=True)]
+    assert len(later) == 5
+    assert all(torch.equal(*pair) for pair in zip(average, net.parameters(), strict=True))
+
+
 def test_an_average_leaves_what_does_not_change_exactly_as_it_is(images, drives, tmp_path):
     """Frozen stages stay as they were, to the last bit, also where the weights that are kept are an average."""
     settings = {**SETTINGS, "optimizer": {"name": "adamw", "learning_rate": 0.01, "frozen_stages": 1}}

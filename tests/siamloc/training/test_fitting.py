@@ -479,7 +479,7 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
         ({"batch_size": 1.5}, ConfigError, "batch_size must be a whole number from 1"),
         ({"seed": None}, ConfigError, "seed must be a whole number from 0, got None"),
         ({"margin": 0}, ConfigError, "margin must be a number above 0"),
-        ({"augment_where": "tpu"}, ConfigError, "augment_where must be cpu or gpu"),
+        ({"augment_where": "tpu"}, ConfigError, "augment_where must be auto or cpu or gpu"),
         ({"epoch": 3}, ConfigError, r"fit has no setting 'epoch': did you mean 'epochs'\?"),
         ({"pairs": {"same_room_share": 7}}, ConfigError, r"pairs\.same_room_share must be a number from 0 to 1"),
         ({"trainer": {"accelerator": "quantum"}}, ConfigError, "the trainer cannot be set up"),

@@ -351,17 +351,17 @@ def test_several_drives_by_their_order_alone_are_said(images, frames, tmp_path, 
 def test_the_pace_counts_images_and_the_time_without_work(monkeypatch):
     clock = [0.0]
     monkeypatch.setattr(callbacks.time, "monotonic", lambda: clock[0])
-    pace = callbacks.Pace()
+    pace, module = callbacks.Pace(), SimpleNamespace(device=torch.device("cpu"))
     assert np.isnan(pace.images_per_second)
     trainer, batch = SimpleNamespace(world_size=2), {"images": torch.zeros(8, 3, 2, 2), "xy": torch.zeros(8, 2)}
     for _ in range(2):
-        pace.on_train_epoch_start(trainer, None)
+        pace.on_train_epoch_start(trainer, module)
         clock[0] += 100  # a validation
         for number in range(5):
             clock[0] += 1 if number >= 2 else 50  # the first batches take long
-            pace.on_train_batch_start(trainer, None, batch, number)
+            pace.on_train_batch_start(trainer, module, batch, number)
             clock[0] += 3
-            pace.on_train_batch_end(trainer, None, None, batch, number)
+            pace.on_train_batch_end(trainer, module, None, batch, number)
     assert pace.waiting == 0.25
     assert pace.images_per_second == 2 * 8 / 4
 

@@ -1,0 +1,91 @@
+"""`Training.compile`: the network of a training step compiled by torch, while its weights keep their names."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from siamloc.errors import ConfigError
+from siamloc.models.module import NetworkModule
+
+BACKEND = "inductor"
+
+
+Wanted = Literal["auto"] | bool
+
+
+def compiles(wanted: Wanted, on_gpu: bool) -> Wanted:
+    """Decide whether the network of a training is compiled: if it is wanted; with "auto" on a GPU alone.
+
+    Raises:
+        ConfigError: it is wanted, and what torch compiles with is missing.
+
+    Example:
+        >>> compiles("auto", on_gpu=False)
+        False
+    """
+    if wanted is False or (wanted == "auto" and not on_gpu):
+        return False
+    missing = _missing(on_gpu)
+    if missing is not None and wanted != "auto":
+        raise ConfigError(f"compile=true needs {missing}, and there is none: install one, or leave compile out")
+    return wanted if missing is None else False
+
+
+def _missing(on_gpu: bool) -> str | None:
+    """Name what torch needs to compile and does not find."""
+    if on_gpu:
+        return None if importlib.util.find_spec("triton") else "triton on a GPU"
+    from torch._inductor import cpp_builder, exc
+
+    try:
+        cpp_builder.get_cpp_compiler()
+    except exc.InvalidCxxCompiler:
+        return "a C++ compiler such as g++ on a CPU"
+    return None
+
+
+@contextmanager
+def compiled(module: NetworkModule, wanted: Wanted) -> Iterator[None]:
+    """Let the steps of a training call the compiled network; validations, and whoever comes later, call it as it is.
+
+    Batches of each size are compiled for themselves. Names of weights, checkpoints and hooks stay as they are. With
+    "auto" a network that cannot be compiled is noted, and called as it is.
+
+    Raises:
+        ConfigError: the network cannot be compiled; seen in the first step.
+    """
+    if not wanted:
+        yield
+        return
+    from torch._dynamo.exc import TorchDynamoException
+    from torch._inductor.exc import InductorError
+
+    network = module.network
+    fast = torch.compile(lambda images: network(images), backend=BACKEND, dynamic=False)
+
+    def call(images: Tensor) -> Tensor:
+        try:
+            found: Tensor = fast(images)
+        except (TorchDynamoException, InductorError) as error:
+            reason = " ".join([line.strip() for line in str(error).splitlines() if line.strip()][:2])
+            if wanted != "auto":
+                raise ConfigError(
+                    f"torch cannot compile this network here: {reason}; leave compile=true out"
+                ) from error
+            print(f"note: training without torch.compile, which fails here: {reason}", file=sys.stderr)
+            module.compiled = None
+            return network(images)  # type: ignore[no-any-return]
+        return found
+
+    module.compiled = call
+    try:
+        yield
+    finally:
+        module.compiled = None

@@ -1,0 +1,178 @@
+"""What a training does for its device: panoramas that lie there, a compiled network, and steps that never wait."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+
+import pytest
+import torch
+
+import siamloc
+from siamloc.data.library import PanoramaLibrary
+from siamloc.errors import ConfigError
+from siamloc.models import ContrastiveLoss, MetricCalibratedLoss, SoftContrastiveLoss
+from siamloc.models.places import PlaceModule
+from siamloc.models.siamese import SiameseModule
+from siamloc.training import batches, compiled
+from siamloc.training.trainer import on_gpu
+
+PAIRS = {"batch_size": 4, "monitor": "loss", "pairs": {"label": "room", "epoch_pairs": 10}}
+PLACES = {"pairs": {"places": 4, "images": 2, "radius": 1.0, "epoch_batches": 2}}
+ADAMW = {"name": "adamw", "learning_rate": 0.01}
+
+
+def network(head="flat", **options):
+    return siamloc.models.build("simple1", head, (16, 64), outputs=16, **options)
+
+
+@pytest.fixture
+def fit(images, drives, tmp_path):
+    """Train for two epochs, and return the run and the weights."""
+
+    def run(name, **more):
+        net = network()
+        options = {"validation": drives[1], "epochs": 2, "optimizer": ADAMW, "augmentation": "lighting", **more}
+        run = siamloc.training.fit(net, images, drives[0], run=tmp_path / name, **options)
+        return run, net.state_dict()
+
+    return run
+
+
+def same(first, second):
+    return list(first) == list(second) and all(torch.equal(first[name], second[name]) for name in first)
+
+
+@pytest.mark.parametrize("settings", [PAIRS, PLACES], ids=["pairs", "places"])
+def test_panoramas_on_the_device_give_the_same_training(fit, monkeypatch, settings):
+    plain = fit("plain", augment_where="gpu", **settings)
+    gathered = []
+    batch = PanoramaLibrary.batch
+    monkeypatch.setattr(PanoramaLibrary, "batch", lambda self, rows: gathered.append(len(rows)) or batch(self, rows))
+    monkeypatch.setattr(batches, "room_for", lambda device: 32 * 3 * 16 * 64)
+    there = fit("there", augment_where="gpu", **settings)
+    assert same(plain[1], there[1])
+    assert plain[0].curves().keys() == there[0].curves().keys()
+    assert all((plain[0].curves()[name] == there[0].curves()[name]).all() for name in ("epoch", "train/loss"))
+    assert gathered.index(32) == len(gathered) - 1  # all of them, once, and then no others; before, batches are checked
+
+
+def test_panoramas_that_are_too_many_or_are_changed_before_stay_where_they_are(fit, monkeypatch):
+    monkeypatch.setattr(batches, "Resident", None)
+    monkeypatch.setattr(batches, "room_for", lambda device: 32 * 3 * 16 * 64 - 1)
+    few = fit("few", augment_where="gpu", **PLACES)
+    monkeypatch.setattr(batches, "room_for", lambda device: 1 << 40)
+    changed = fit("changed", augment_where="cpu", validation=None, **PLACES)
+    assert few[1].keys() == changed[1].keys()
+
+
+@pytest.mark.parametrize("settings", [PAIRS, PLACES], ids=["pairs", "places"])
+def test_a_compiled_network_learns_the_same_under_the_same_names(fit, monkeypatch, settings):
+    monkeypatch.setattr(compiled, "BACKEND", "aot_eager")
+    more = {"average": 0.9, "trainer": {"precision": "auto"}, "epochs": 1, **settings}
+    calls = []
+    make = torch.compile
+    monkeypatch.setattr(torch, "compile", lambda work, **options: calls.append(options) or make(work, **options))
+    (run, weights), (_, plain) = fit("compiled", compile=True, **more), fit("plain", compile=False, **more)
+    assert len(calls) == 1
+    assert list(weights) == list(plain)
+    for name in plain:
+        torch.testing.assert_close(weights[name], plain[name], atol=1e-5, rtol=1e-4)
+    assert same(siamloc.models.load(run).state_dict(), weights)
+    fit("compiled", **{**more, "compile": False, "epochs": 2}, resume=True)
+
+
+def test_looking_at_a_batch_sees_the_compiled_network(fit, monkeypatch, capfd):
+    monkeypatch.setattr(compiled, "BACKEND", "aot_eager")
+    fit("one", compile=True, debug="one_batch", **PLACES)
+    assert "descriptors 8 x 16" in capfd.readouterr().err
+
+
+def refuse(graph, inputs):
+    raise RuntimeError("no such thing")
+
+
+def test_a_network_that_cannot_be_compiled_is_one_sentence_or_a_note(fit, monkeypatch, capfd):
+    monkeypatch.setattr(compiled, "BACKEND", refuse)
+    with pytest.raises(ConfigError, match=r"torch cannot compile this network here: .*no such thing.*leave compile"):
+        fit("run", compile=True, **PLACES)
+    module = PlaceModule(network())
+    images = torch.rand(2, 3, 16, 64, generator=torch.Generator().manual_seed(0))
+    with compiled.compiled(module, "auto"):
+        assert torch.equal(module.computed(images), module.network(images))
+        assert module.compiled is None
+    assert "note: training without torch.compile, which fails here" in capfd.readouterr().err
+
+
+def test_compiling_needs_a_compiler(fit, monkeypatch, tmp_path):
+    from torch._inductor import cpp_builder, exc
+
+    def missing():
+        raise exc.InvalidCxxCompiler
+
+    monkeypatch.setattr(cpp_builder, "get_cpp_compiler", missing)
+    with pytest.raises(ConfigError, match="compile=true needs a C\\+\\+ compiler such as g\\+\\+ on a CPU"):
+        fit("run", compile=True, **PLACES)
+    assert not (tmp_path / "run").exists()
+    assert compiled.compiles("auto", on_gpu=False) is False
+    monkeypatch.setattr(compiled.importlib.util, "find_spec", lambda name: None)
+    assert compiled.compiles("auto", on_gpu=True) is False
+    with pytest.raises(ConfigError, match="compile=true needs triton on a GPU"):
+        compiled.compiles(True, on_gpu=True)
+
+
+def test_what_a_gpu_is(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert on_gpu(None)
+    assert on_gpu({"accelerator": "gpu"})
+    assert not on_gpu({"accelerator": "cpu"})
+
+
+@pytest.fixture
+def without_autocast(monkeypatch):
+    """The device meta has none."""
+    monkeypatch.setattr(torch, "autocast", lambda **_: nullcontext())
+
+
+@pytest.mark.usefixtures("without_autocast")
+@pytest.mark.parametrize("loss", [SoftContrastiveLoss(room=0.5), MetricCalibratedLoss()])
+def test_a_step_on_places_never_waits_for_its_device(loss):
+    """On the device meta there is nothing to wait for: reading a number, or counting what is true, fails."""
+    module = PlaceModule(network("fourier", circular=True), loss).to("meta")
+    whole = {name: torch.zeros(6, device="meta", dtype=torch.int64) for name in ("building", "room", "frame")}
+    images = torch.zeros(6, 3, 16, 64, dtype=torch.uint8, device="meta")
+    found = module.training_step({"images": images, "xy": torch.zeros(6, 2, device="meta"), **whole}, 0)
+    found.backward()
+    assert found.device.type == "meta"
+
+
+@pytest.mark.usefixtures("without_autocast")
+def test_a_step_on_pairs_never_waits_for_its_device():
+    module = SiameseModule(network(), ContrastiveLoss()).to("meta")
+    images = torch.zeros(2, 3, 3, 16, 64, dtype=torch.uint8, device="meta")
+    same_room = torch.zeros(3, dtype=torch.bool, device="meta")
+    batch = {"first": images[0], "second": images[1], "label": torch.zeros(3, device="meta"), "same": same_room}
+    found = module.training_step(batch, 1)
+    found.backward()
+    assert found.device.type == "meta"
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize("settings", [PAIRS, PLACES], ids=["pairs", "places"])
+def test_a_gpu_is_never_waited_for_within_a_step(fit, monkeypatch, settings):
+    """CUDA raises where something waits; the trainer itself may between epochs."""
+    from siamloc.training.callbacks import Pace
+
+    class Strict(Pace):
+        def on_train_batch_start(self, trainer, pl_module, batch, batch_idx):
+            super().on_train_batch_start(trainer, pl_module, batch, batch_idx)
+            torch.cuda.set_sync_debug_mode("error" if batch_idx else "default")
+
+        def on_train_batch_end(self, trainer, pl_module, outputs, batch, batch_idx):
+            torch.cuda.set_sync_debug_mode("default")
+            super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
+
+    pace = Strict()
+    trainer = {"accelerator": "gpu", "precision": "auto", "callbacks": [pace], "log_every_n_steps": 1000}
+    fit("run", trainer=trainer, average=0.9, **settings)
+    assert 0 <= pace.waiting <= 1 or pace.images_per_second != pace.images_per_second
