@@ -42,7 +42,7 @@ def _own(*effects: dict[str, Any]) -> dict[str, Any]:
 _WINDOWS = {"one_of": [{"effect": "windows"}, {"effect": "windows", "level": 255}], "probability": 0.5}
 _ELSEWHERE = ({"effect": "relight", "probability": 0.7}, *({"effect": "doorway", "probability": 0.4},) * 2)
 CHANGES: dict[str, dict[str, Any]] = {
-    "all of it": _changed("any_light"),
+    "ours in two epochs": _changed("any_light"),
     "each image normalized instead of surroundings": _changed("any_light", "image"),
     "policy lighting": _changed("lighting"),
     "policy thesis": _changed("thesis"),
@@ -52,6 +52,10 @@ CHANGES: dict[str, dict[str, Any]] = {
     "each image normalized, policy lighting": _changed("lighting", "image"),
 }
 """What the rows of the ablation change."""
+DRAWN = {
+    **{"fs": "Fourier signature", "hog": "HOG", "wisurf": "WI-SURF", "briefgist": "BRIEF-gist"},
+    **{"radon_fourier": "Radon, Fourier", "hsv": "HSV histograms"},
+}
 
 
 def main() -> None:
@@ -135,7 +139,7 @@ def draw(rows: dict[str, list[dict[str, Any]]], path: Path) -> None:
     axes.set_xscale("log")
     axes.set_xticks([0.02, 0.05, 0.1, 0.2, 0.5, 1, 2], labels=["2 cm", "5", "10", "20", "50 cm", "1 m", "2 m"])
     axes.minorticks_off()
-    axes.set_yticks(range(len(names)), labels=names)
+    axes.set_yticks(range(len(names)), labels=[DRAWN.get(name, name) for name in names])
     axes.set_xlabel("mean error above the floor, trained under clouds alone")
     axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1))
     axes.spines[["top", "right", "left"]].set_visible(False)
