@@ -20,7 +20,8 @@ from siamloc.training import Run
 from tests.drawn import draw_panorama, draw_sequence, write_manifest
 
 EXPERIMENTS = sorted(path.stem for path in (config_folder() / "experiment").glob("*.yaml"))
-PUBLISHED = Path(__file__).parents[3] / "docs/results/published.md"
+RESULTS = Path(__file__).parents[3] / "docs/results"
+PUBLISHED = RESULTS / "published.md"
 DRIVES = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
 
 
@@ -110,3 +111,19 @@ def test_every_published_row_can_be_trained():
                 assert (config_folder() / key / f"{value}.yaml").is_file(), word
             else:
                 assert type(OmegaConf.select(config, key, throw_on_missing=True)) in (int, float, str), word
+
+
+def test_every_row_of_what_to_expect_can_be_trained():
+    text = (RESULTS / "index.md").read_text(encoding="utf-8")
+    table = text.partition("## What to expect of a rerun")[2].partition("\n## ")[0]
+    rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| `")][1:]
+    assert len(rows) > 3
+    for row in rows:
+        words = re.findall(r"`([^`]+)`", row[0])[0].split()
+        words += [word for part in re.findall(r"`([^`]+=[^`]+)`", row[1]) for word in part.split()]
+        name = words[0]
+        needs = [] if any(word.startswith("data=") for word in words) else ["data.manifest=x"]
+        config = composed("train", [f"experiment={name}", *words[1:], *needs])
+        assert config.epochs > 0, words
+        assert re.search(r"\d", row[3]), row
+        assert float(row[4].split()[0]) > 0, row
