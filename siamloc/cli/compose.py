@@ -244,7 +244,9 @@ def _explained(error: Exception, words: list[str], name: str) -> Exception:
     text = " ".join(str(error).split())
     if found := re.search(r"Could not override '([^']+)'", text):
         key = found[1].lstrip("+~").partition("@")[0]
-        return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, name, words)}")
+        added = f"; what else Lightning's Trainer takes is added with a plus: +{key}=..."
+        more = added if key.startswith("trainer.") else ""
+        return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, name, words)}{more}")
     if found := re.search(r"(?:Could not find|In '[^']*': Could not find) '([^']+)'", text):
         group, _, option = found[1].rpartition("/")
         folder = config_folder() / group

@@ -68,6 +68,14 @@ def test_compose_raises_what_the_command_line_prints():
         composed("train", ["model/branch=vg16"])
 
 
+def test_other_arguments_of_the_trainer_are_added_with_a_plus():
+    words = ["experiment=modern", "data.manifest=x", "trainer.limit_train_batches=3"]
+    with pytest.raises(ConfigError, match=r"added with a plus: \+trainer\.limit_train_batches="):
+        composed("train", words)
+    config = composed("train", [*words[:2], f"+{words[2]}"])
+    assert config.trainer.limit_train_batches == 3
+
+
 def test_configuration_lies_in_the_package_or_beside_it():
     assert (config_folder() / "config.yaml").is_file()
     assert config_folder().parent in (Path(__file__).parents[3], Path(__file__).parents[3] / "siamloc")
