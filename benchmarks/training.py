@@ -37,7 +37,7 @@ from benchmarks.report import Report, hardware, parser
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.models import ContrastiveLoss
 from siamloc.training import PairSampler, PairSettings
-from siamloc.training.callbacks import Pace
+from siamloc.training.pace import Pace
 
 SIZE = (128, 512)
 PAIRS = PairSettings(label="room", same_room_share=0.5)

@@ -17,8 +17,9 @@ from siamloc.training.recipes import RECIPES, Recipe, recipe
 from siamloc.training.settings import Training
 
 if TYPE_CHECKING:
-    from siamloc.training.batches import BatchAugmentation, PairDataModule
+    from siamloc.training.batches import BatchAugmentation
     from siamloc.training.fitting import fit
+    from siamloc.training.pair_batches import PairDataModule
     from siamloc.training.place_batches import PlaceDataModule
 
 __all__ = [
@@ -42,7 +43,7 @@ __all__ = [
 
 _HOMES = {
     "BatchAugmentation": "batches",
-    "PairDataModule": "batches",
+    "PairDataModule": "pair_batches",
     "PlaceDataModule": "place_batches",
     "fit": "fitting",
 }

@@ -1,11 +1,11 @@
-"""`PairDataModule`: batches of pairs for training and validation, new ones in every epoch; and what it is built on."""
+"""What all batches of a training have in common: their numbers, augmentation, and way to the device."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence, Sized
-from dataclasses import dataclass, replace
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,14 +17,11 @@ from augment.base import Effect
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.pairs import Pairs, PairSampler, PairSettings
-from siamloc.errors import ConfigError, SiamlocError
+from siamloc.errors import ConfigError
 from siamloc.training.resident import Resident, room_for
 
 ensure_torchvision()
 from lightning.pytorch import LightningDataModule  # noqa: E402
-
-_STREAM = 0xA06  # sets the draws of the augmentation apart from those of the pairs
 
 
 @dataclass(frozen=True)
@@ -57,92 +54,6 @@ class BatchAugmentation:
         words = np.random.SeedSequence([self.seed, *stream]).generate_state(1, np.uint64)
         drawn = self.effect.draw(torch.Generator().manual_seed(int(words[0] >> np.uint64(1))), whole)
         return {name: value[mine] for name, value in drawn.items()}
-
-
-class PairBatches(Dataset[dict[str, Any]]):
-    """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.
-
-    Each item is a dictionary: `first` and `second` (B, 3, H, W) uint8, `label` (B,) float32, `same` (B,) bool. Where
-    the panoramas lie on the device, it has in place of the images their numbers there, those of both: `rows` (2 B,).
-
-    Args:
-        library: decoded panoramas.
-        sampler: draws the pairs.
-        batch_size: pairs in a batch; the last batch may be smaller.
-        augmentation: what happens to the images, if anything.
-        rank: number of this process among those that train together.
-        world_size: how many those are. All get the same number of pairs, and no two the same pair.
-        numbers: those of the library's rows on the device, `Resident.numbers`; None where images are gathered here.
-
-    Raises:
-        ConfigError: fewer pairs than processes.
-    """
-
-    def __init__(
-        self,
-        library: PanoramaLibrary,
-        sampler: PairSampler,
-        batch_size: int,
-        augmentation: BatchAugmentation | None = None,
-        rank: int = 0,
-        world_size: int = 1,
-        numbers: NDArray[np.int64] | None = None,
-    ) -> None:
-        check_pairs_of_each(len(sampler), world_size)
-        self._pairs_of_each = len(sampler) // world_size
-        self._library = library
-        self._sampler = sampler
-        self._rows = library.rows(sampler.frames)
-        self._batch_size = batch_size
-        self._augmentation = augmentation
-        self._rank, self._world_size = rank, world_size
-        self._numbers = numbers
-        self._epoch = -1
-
-    def __len__(self) -> int:
-        return -(-self._pairs_of_each // self._batch_size)
-
-    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
-        epoch, batch = number
-        if not 0 <= batch < len(self):
-            raise IndexError(f"batch {batch} of {len(self)}")
-        if epoch != self._epoch:
-            self._draw(epoch)
-        rows = slice(batch * self._batch_size, (batch + 1) * self._batch_size)
-        pairs = self._pairs.take(rows)
-        wanted = self._rows[np.concatenate([pairs.first, pairs.second])]
-        item: dict[str, Any] = {"label": torch.from_numpy(pairs.label), "same": torch.from_numpy(pairs.same)}
-        params: dict[str, Tensor] = {}
-        if self._augmentation is not None:
-            params = {name: torch.cat([side[name][rows] for side in self._drawn]) for name in self._drawn[0]}
-            if self._augmentation.where == "gpu":
-                item["change"] = params
-        if self._numbers is not None:
-            return {**item, "rows": torch.from_numpy(self._numbers[wanted])}
-        images = torch.from_numpy(self._library.batch(wanted))
-        if self._augmentation is not None and self._augmentation.where == "cpu":
-            images = self._augmentation.effect.apply(images, params)
-        first, second = images.chunk(2)
-        return {**item, "first": first, "second": second}
-
-    def _draw(self, epoch: int) -> None:
-        self._pairs: Pairs = self._sampler.epoch(epoch, self._rank, self._world_size).take(slice(self._pairs_of_each))
-        if self._augmentation is not None:
-            mine = slice(self._rank, self._pairs_of_each * self._world_size, self._world_size)
-            pairs, shape = len(self._sampler), self._library.image_shape
-            self._drawn = [self._augmentation.draw((epoch, side, _STREAM), pairs, shape, mine) for side in (0, 1)]
-        self._epoch = epoch
-
-
-def check_pairs_of_each(
-    pairs: int, processes: int, what: str = "pairs", more: str = "ask for more by pairs.epoch_pairs"
-) -> None:
-    """Raise ConfigError where there are fewer pairs than processes."""
-    if pairs < processes:
-        raise ConfigError(
-            f"{pairs} {what} are fewer than the {processes} processes that train together: {more}, or train with fewer "
-            "processes (trainer.devices, trainer.num_nodes)"
-        )
 
 
 class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
@@ -293,119 +204,3 @@ class EpochDataModule(LightningDataModule):
             pin_memory=self.trainer is not None and self.trainer.strategy.root_device.type == "cuda",
             generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator
         )
-
-
-class PairDataModule(EpochDataModule):
-    """Serve pairs of panoramas to a `SiameseModule`.
-
-    The training pairs of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the
-    pairs it would have seen. Under several processes each gets its own share, all of them of one length. It works
-    with any `Trainer` as it is.
-
-    Args:
-        library: decoded panoramas of all frames.
-        train: training frames, among those of the library.
-        validation: validation frames, or None.
-        pairs: which pairs, for both; the defaults of `PairSettings` if None.
-        batch_size: pairs in a batch.
-        drive: map frames and queries that are described after the validation pairs, such as a `ValidationDrive`.
-        validation_pairs: how many validation pairs; they are the same in every epoch. As many as there are
-            validation frames if None.
-        workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: what happens to training images; nothing if None.
-        seed: of the pairs.
-
-    Raises:
-        ConfigError: a batch size below 1.
-    """
-
-    def __init__(
-        self,
-        library: PanoramaLibrary,
-        train: FrameTable,
-        validation: FrameTable | None = None,
-        *,
-        pairs: PairSettings | None = None,
-        batch_size: int = 16,
-        drive: Dataset[Any] | None = None,
-        validation_pairs: int | None = None,
-        workers: int = 0,
-        augmentation: BatchAugmentation | None = None,
-        seed: int = 0,
-    ) -> None:
-        super().__init__(library, workers, augmentation)
-        if int(batch_size) < 1:
-            raise ConfigError(f"batch_size must be a whole number from 1, got {batch_size}")
-        self._batch_size = int(batch_size)
-        self._drive = drive
-        self.sampler = PairSampler(train, pairs, seed=seed)
-        self.validation_sampler: PairSampler | None = None
-        if validation is not None:
-            # Labels mean the same in both: distances are divided by one scale.
-            scale = self.sampler.scale if self.sampler.label == "distance" else None
-            settings = replace(
-                self.sampler.settings, label=self.sampler.label, epoch_pairs=validation_pairs, scale=scale
-            )
-            try:
-                self.validation_sampler = PairSampler(validation, settings, seed=seed)
-            except SiamlocError as error:
-                raise type(error)(f"of the validation: {error}") from error
-
-    def check_processes(self, processes: int) -> None:
-        """Raise ConfigError where there are fewer pairs than processes."""
-        check_pairs_of_each(len(self.sampler), processes)
-        if self.validation_sampler is not None:
-            check_pairs_of_each(len(self.validation_sampler), processes, "validation pairs", "give more frames")
-
-    def train_dataloader(self) -> DataLoader[Any]:
-        """Make the loader of the training batches."""
-        return self.loader(self._pair_batches(self.sampler, self.augmentation), self.next_epoch())
-
-    def val_dataloader(self) -> DataLoader[Any] | list[Any]:
-        """Make the loader of the validation batches; an empty list where there are no validation frames."""
-        if self.validation_sampler is None:
-            return []
-        pairs = self._pair_batches(self.validation_sampler, None)
-        return self.loader(pairs if self._drive is None else _InTurn(pairs, self._drive), None)
-
-    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
-        """Return the files of the first and the second images of a training batch."""
-        rank, world_size = self.share()
-        mine = len(self.sampler) // world_size
-        rows = slice(batch * self._batch_size, min((batch + 1) * self._batch_size, mine))
-        pairs = self.sampler.epoch(epoch, rank, world_size).take(rows)
-        files = self.sampler.frames.path
-        return {"first": files[pairs.first], "second": files[pairs.second]}
-
-    def needed(self) -> list[FrameTable]:
-        """Return the training frames and those of the validation."""
-        samplers = (self.sampler, self.validation_sampler)
-        return [sampler.frames for sampler in samplers if sampler is not None]
-
-    def parts(self, images: Tensor) -> dict[str, Tensor]:
-        """Return the first and the second images."""
-        first, second = images.chunk(2)
-        return {"first": first, "second": second}
-
-    def whole(self, batch: dict[str, Any]) -> Tensor:
-        """Return the first images and the second ones after them."""
-        return torch.cat([batch["first"], batch["second"]])
-
-    def _pair_batches(self, sampler: PairSampler, augmentation: BatchAugmentation | None) -> PairBatches:
-        numbers = self.numbers(augmentation)
-        return PairBatches(self.library, sampler, self._batch_size, augmentation, *self.share(), numbers)
-
-
-class _InTurn(Dataset[dict[str, Any]]):
-    """All batches of one data set, then those of another."""
-
-    def __init__(self, first: PairBatches, second: Dataset[Any]) -> None:
-        self._first, self._second = first, second
-
-    def __len__(self) -> int:
-        return len(self._first) + len(cast(Sized, self._second))
-
-    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
-        epoch, batch = number
-        before = len(self._first)
-        return self._first[number] if batch < before else self._second[epoch, batch - before]

@@ -20,6 +20,7 @@ from siamloc.files import atomic_path, write_text
 from siamloc.models.describing import margin_of
 from siamloc.models.places import PlaceModule
 from siamloc.runs import Run, higher_is_better
+from siamloc.training.pace import Pace
 
 ensure_torchvision()
 from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
@@ -151,93 +152,6 @@ class MovingAverage(WeightAveraging):
 def _state(module: torch.nn.Module) -> list[Tensor]:
     """Return all weights and buffers, without gradients."""
     return [value.detach() for value in (*module.parameters(), *module.buffers())]
-
-
-def images_in(batch: Mapping[str, Any]) -> int:
-    """Count the images of a batch, those of all its parts."""
-    return sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
-
-
-class Pace(Callback):
-    """Measure how fast a training goes, without the first steps of each epoch, which start things up.
-
-    On a GPU the times are its own: marks are put between its tasks, and read when the epoch has ended, so that no step
-    waits for them.
-
-    Attributes:
-        images_per_second: learned from by all processes, while steps follow each other; validation is not in it.
-        waiting: share of that time in which the next batch was gathered and changed, and nothing was learned.
-    """
-
-    _FIRST = 2
-
-    def __init__(self) -> None:
-        self._images, self._seconds, self._waited = 0, 0.0, 0.0
-        self._begun: _Mark = 0.0
-        self._ended: _Mark | None = None
-        self._steps: list[tuple[_Mark, _Mark, _Mark, int]] = []  # end of the step before, begin, end, images
-
-    @property
-    def images_per_second(self) -> float:
-        """NaN before the third step."""
-        self._read()
-        return self._images / self._seconds if self._seconds else math.nan
-
-    @property
-    def waiting(self) -> float:
-        """NaN before the third step."""
-        self._read()
-        return self._waited / self._seconds if self._seconds else math.nan
-
-    def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Leave out what lies between epochs."""
-        self._ended = None
-
-    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Note when the batch has come."""
-        self._begun = _mark(pl_module)
-
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
-        """Count the step."""
-        now = _mark(pl_module)
-        if self._ended is not None and batch_idx >= self._FIRST:
-            self._steps.append((self._ended, self._begun, now, images_in(batch) * trainer.world_size))
-        self._ended = now
-
-    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Read the marks."""
-        self._read()
-
-    def _read(self) -> None:
-        for before, begun, ended, images in self._steps:
-            self._images += images
-            self._seconds += _between(before, ended)
-            self._waited += _between(before, begun)
-        self._steps.clear()
-
-
-_Mark = float | torch.cuda.Event
-
-
-def _mark(module: LightningModule) -> _Mark:
-    """Return the time; on a GPU a mark after all that it has been given to do."""
-    if module.device.type != "cuda":
-        return time.monotonic()
-    event = torch.cuda.Event(enable_timing=True)
-    event.record(torch.cuda.current_stream(module.device))
-    return event
-
-
-def _between(first: _Mark, second: _Mark) -> float:
-    """Return the seconds between two marks."""
-    if isinstance(first, float) or isinstance(second, float):
-        assert isinstance(first, float)
-        assert isinstance(second, float)
-        return second - first
-    second.synchronize()
-    return first.elapsed_time(second) / 1000
 
 
 class Curves(Checkpoint):

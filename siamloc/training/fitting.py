@@ -29,10 +29,11 @@ from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import checked, takes
-from siamloc.training.batches import BatchAugmentation, PairDataModule
+from siamloc.training.batches import BatchAugmentation
 from siamloc.training.checks import check_batches, check_loss, check_network, check_rooms, monitored, usable
 from siamloc.training.compiled import compiled, compiles
 from siamloc.training.debug import Debug, debug_training
+from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, ValidationDrive
 from siamloc.training.run_folder import (
     KEPT,

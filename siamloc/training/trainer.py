@@ -18,8 +18,9 @@ from siamloc.files import content_key
 from siamloc.models.network import Network
 from siamloc.runs import Run
 from siamloc.training.batch_norm import OneBatch
-from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, Pace, checkpoint_callbacks
+from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
 from siamloc.training.guard import FiniteGuard
+from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints
 

@@ -18,8 +18,8 @@ from siamloc.files import atomic_path
 from siamloc.models.module import NetworkModule
 from siamloc.runs import Run
 from siamloc.training.batches import EpochDataModule
-from siamloc.training.callbacks import images_in
 from siamloc.training.debug.console import Clock, milliseconds, say
+from siamloc.training.pace import images_in
 from siamloc.training.run_folder import PROFILE
 
 ensure_torchvision()

@@ -11,7 +11,8 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.errors import ConfigError
-from siamloc.training.batches import BatchAugmentation, PairBatches, PairDataModule
+from siamloc.training.batches import BatchAugmentation
+from siamloc.training.pair_batches import PairBatches, PairDataModule
 
 ensure_torchvision()
 from lightning.pytorch import LightningModule, Trainer  # noqa: E402

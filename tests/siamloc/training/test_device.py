@@ -161,7 +161,7 @@ def test_a_step_on_pairs_never_waits_for_its_device():
 @pytest.mark.parametrize("settings", [PAIRS, PLACES], ids=["pairs", "places"])
 def test_a_gpu_is_never_waited_for_within_a_step(fit, monkeypatch, settings):
     """CUDA raises where something waits; the trainer itself may between epochs."""
-    from siamloc.training.callbacks import Pace
+    from siamloc.training.pace import Pace
 
     class Strict(Pace):
         def on_train_batch_start(self, trainer, pl_module, batch, batch_idx):
