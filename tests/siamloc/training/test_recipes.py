@@ -30,7 +30,7 @@ def test_the_experiment_of_the_command_line_is_the_recipe(name):
 def test_a_group_on_the_command_line_takes_the_place_of_the_recipes():
     words = ["experiment=modern", "data=manifest", "data.manifest=frames.csv"]
     config = composed("train", [*words, "augment=none", "optimizer=sgd"])
-    assert plain(config)["augment"] == {"name": "none", "where": "cpu"}
+    assert plain(config)["augment"] == {"name": "none", "where": "auto"}
     assert training_of(config).optimizer == siamloc.training.Optimizer()
     config = composed("train", [*words, "pairs=room", "loss=contrastive"])
     assert loss_of(config) is None
