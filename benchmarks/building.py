@@ -45,6 +45,11 @@ def report_name(name: str, folder: Path) -> str:
     return name if building == USUAL else f"{name}_{building}"
 
 
+def begun(run: Path) -> bool:
+    """Say whether there is a run to go on with."""
+    return siamloc.training.Run(run).record.is_file()
+
+
 def mean_and_range(values: Sequence[float], digits: int = 2) -> str:
     """Return the mean over seeds with the lowest and the highest, as text."""
     mean = f"{statistics.mean(values):.{digits}f}"

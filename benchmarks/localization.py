@@ -21,7 +21,7 @@ from typing import Any
 
 import siamloc
 from benchmarks.baselines import named
-from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, VALIDATION, Building
+from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, VALIDATION, Building, begun
 from benchmarks.report import Report, parser
 from siamloc.maps import VisualMap
 from siamloc.models.batch_losses import make_loss
@@ -149,7 +149,8 @@ class Bench:
         train, validation = building.drives(TRAIN), building.drives(VALIDATION)
         loss = make_loss(**{**(RECIPE.loss or {}), **TRAINED[name]})
         run = self._runs / name
-        RECIPE.fit(network, building.images, train, run=run, validation=validation, seed=0, loss=loss, resume=True)
+        options = {"run": run, "validation": validation, "seed": 0, "loss": loss, "resume": begun(run)}
+        RECIPE.fit(network, building.images, train, **options)
         return network
 
     def _map(self, name: str, every: int, small: bool) -> VisualMap:

@@ -32,7 +32,7 @@ import cv2
 import numpy as np
 
 import siamloc
-from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, Building, mean_and_range, report_name
+from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, Building, begun, mean_and_range, report_name
 from benchmarks.report import Report, hardware, parser
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.maps import VisualMap
@@ -105,7 +105,9 @@ def trained(building: Building, way: str, seed: int, run: Path) -> Any:
     if way == "rooms alone":
         frames = FrameTable(path=frames.path, sequence=frames.sequence, room=frames.room, lighting=frames.lighting)
     loss = make_loss(**{**(RECIPE.loss or {}), **WAYS[way]["loss"]})
-    RECIPE.fit(network, building.images, frames, run=run, seed=seed, loss=loss, pairs=WAYS[way]["pairs"], resume=True)
+    RECIPE.fit(
+        network, building.images, frames, run=run, seed=seed, loss=loss, pairs=WAYS[way]["pairs"], resume=begun(run)
+    )
     return network
 
 
@@ -119,7 +121,8 @@ def photographed(building: Building, seeds: int, folder: Path) -> dict[str, list
     for seed in range(seeds):
         network = recipe.build(seed=seed)
         drives = frames.select(sequence=list(TRAIN))
-        recipe.fit(network, small, drives, run=folder / f"{PHOTOGRAPHS}{seed}", seed=seed, resume=True)
+        run = folder / f"{PHOTOGRAPHS}{seed}"
+        recipe.fit(network, small, drives, run=run, seed=seed, resume=begun(run))
         found[PHOTOGRAPHS].append(shares(small, mapped(small, network)))
         print(f"{PHOTOGRAPHS}, seed {seed}: {found[PHOTOGRAPHS][-1]}", flush=True)
     return found | {name: [shares(large, mapped(large, name))] for name in ANALYTIC}

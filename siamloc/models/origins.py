@@ -51,6 +51,11 @@ class ScheduledLoss(nn.Module):
         names = {key.removesuffix("_start"): value for key, value in starts.items()}
         self._courses = {name: (start, getattr(settings, name)) for name, start in names.items()}
 
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Return the least and the most that a number is along the training."""
+        course = self._courses.get(name, (getattr(self, name),))
+        return min(course), max(course)
+
     def progress(self, share: float) -> None:
         """Set what changes to what it is after a share of the training, from 0 in the first step to 1 in the last."""
         for name, (first, last) in self._courses.items():

@@ -35,12 +35,13 @@ def usable(
 ) -> tuple[FrameTable, FrameTable | None]:
     """Select the frames whose image can be read; for distance labels those that have a position.
 
-    Frames without a room label that pairs are drawn of are left out where others of their building have one: nobody
-    knows which rooms they show.
+    Where pairs are labelled by rooms, frames without a room label are left out where others of their building have one:
+    nobody knows which rooms they show.
     """
     found: list[FrameTable | None] = []
     pairs = settings.pairs
     distance = pairs.by == "position" if isinstance(pairs, PlaceSettings) else pairs.label == "distance"
+    by_rooms = False
     for name, table in (("training", frames), ("validation", validation)):
         if table is None:
             found.append(None)
@@ -49,7 +50,9 @@ def usable(
         if not len(readable):
             raise DataError(f"there are no {name} frames" if not len(table) else f"no {name} image can be read")
         strict = str(images.settings()["on_error"])
-        if isinstance(pairs, PairSettings):
+        if name == "training" and isinstance(pairs, PairSettings):
+            by_rooms = pairs.label == "room" or (pairs.label == "auto" and _rooms(readable) >= _ROOMS)
+        if by_rooms:
             labelled = readable.room != ""
             unknown = ~labelled & np.isin(readable.building, readable.building[labelled])
             missing = readable.path[unknown].tolist()
@@ -171,13 +174,13 @@ def monitored(settings: Training, train: FrameTable, validated: FrameTable | Non
                 "give validation frames, or leave patience out"
             )
         return None
-    placed = bool(train.has_position.any() and validated.has_position.any())
+    placed = bool(_buildings(train) & _buildings(validated))
     roomed = _rooms(train) >= _ROOMS and _rooms(validated) > 0
     monitor = settings.monitor
     if monitor in ("error", "recall") and not placed:
         raise DataError(
-            f"monitor={monitor} needs positions, and training and validation frames do not both have them: give them, "
-            "or choose monitor=auto"
+            f"monitor={monitor} needs positions, and training and validation frames do not both have them in one "
+            "building: give them, or choose monitor=auto"
         )
     if monitor == "room" and not roomed:
         raise DataError(
@@ -194,8 +197,8 @@ def monitored(settings: Training, train: FrameTable, validated: FrameTable | Non
         return "room"
     raise DataError(
         "the checkpoint is chosen by the error of localization or by the rooms found, but training and validation "
-        f"frames do not both have positions, or both rooms ({_ROOMS} or more in training): give either, or leave the "
-        "validation out"
+        f"frames do not both have positions in one building, or both rooms ({_ROOMS} or more in training): give "
+        "either, or leave the validation out"
     )
 
 
@@ -206,7 +209,12 @@ def _another_drive(train: FrameTable, validated: FrameTable) -> bool:
     """
     known, asked = train.take(train.has_position), validated.take(validated.has_position)
     same_drives = set(known.sequence.tolist()) & set(asked.sequence.tolist())
-    return not same_drives and bool(set(known.building.tolist()) & set(asked.building.tolist()))
+    return not same_drives and bool(_buildings(train) & _buildings(validated))
+
+
+def _buildings(frames: FrameTable) -> set[str]:
+    """Return the buildings of the frames that have a position."""
+    return set(frames.building[frames.has_position].tolist())
 
 
 def _rooms(frames: FrameTable) -> int:

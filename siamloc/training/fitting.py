@@ -43,6 +43,7 @@ from siamloc.training.run_folder import (
     monitor_of,
     open_run,
     progress,
+    same_kind_of_pairs,
 )
 from siamloc.training.seen_frames import note_frames
 from siamloc.training.settings import Training
@@ -98,7 +99,7 @@ def fit(
             down as it should; "profile" says where the time of a step goes, and writes a trace into the run. Nothing
             else is written.
         settings: the fields of `Training` together, instead of one keyword each: epochs, batch_size, seed, workers,
-            pairs, optimizer, margin, augment_where, compile.
+            pairs, optimizer, and all others.
 
     Returns:
         The run.
@@ -140,7 +141,7 @@ def fit(
     faster = compiles(settings.compile, gpu)
     where = settings.augment_where if settings.augment_where != "auto" else "gpu" if gpu else "cpu"
     change = None if effect is None else BatchAugmentation(effect, where, settings.seed)
-    if resume and settings.monitor == "auto":
+    if resume and settings.monitor == "auto" and same_kind_of_pairs(run, settings):
         settings = replace(settings, monitor=monitor_of(run))
     monitor = monitored(settings, train, validated)
     settings = settings if monitor is None else replace(settings, monitor=monitor)

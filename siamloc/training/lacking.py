@@ -12,7 +12,7 @@ from siamloc.models.origins import Origins
 def what_is_lacking(loss: object, origins: Origins) -> str | None:
     """Say in words which images the batch of a loss lacks, and what to do; None where it has them, or nobody knows.
 
-    One frame that is drawn twice teaches nothing: two different ones are looked for.
+    Two different frames are looked for, by their numbers among the origins.
 
     Example:
         >>> from siamloc.models import TripletLoss
@@ -23,13 +23,16 @@ def what_is_lacking(loss: object, origins: Origins) -> str | None:
     if isinstance(loss, SoftContrastiveLoss):
         return None if bool(loss.positives(origins).any()) else _without_neighbours(loss, origins)
     apart, different = origins.distances(), origins.frame[:, None] != origins.frame[None]
-    if isinstance(loss, MetricCalibratedLoss) and not bool(((apart < loss.cap) & different).any()):
-        return f"two frames less than loss.cap={loss.cap:g} apart, {_nearest(origins, 'loss.cap')}"
+    if isinstance(loss, MetricCalibratedLoss):
+        cap = loss.bounds("cap")[1]
+        if not bool(((apart < cap) & different).any()):
+            return f"two frames less than loss.cap={cap:g} apart, {_nearest(origins, 'loss.cap')}"
     if isinstance(loss, NearAndFarLoss):
-        if not bool(((apart <= loss.near) & different).any()):
-            return f"two frames up to loss.near={loss.near:g} apart, {_nearest(origins, 'loss.near')}"
-        if not bool((apart > loss.far).any()):
-            return f"two frames more than loss.far={loss.far:g} apart: set loss.far smaller"
+        near, far = loss.bounds("near")[1], loss.bounds("far")[0]
+        if not bool(((apart <= near) & different).any()):
+            return f"two frames up to loss.near={near:g} apart, {_nearest(origins, 'loss.near')}"
+        if not bool((apart > far).any()):
+            return f"two frames more than loss.far={far:g} apart: set loss.far smaller"
     return None
 
 
@@ -48,4 +51,7 @@ def _nearest(origins: Origins, key: str) -> str:
     apart = origins.distances()[origins.frame[:, None] != origins.frame[None]]
     known = apart[torch.isfinite(apart)]
     least = f"the nearest are {float(known.min()):.3g} apart" if len(known) else "no two of a building with positions"
-    return f"{least}: set {key} larger, or draw frames nearer each other (pairs.images above 1, or pairs.near above 0)"
+    return (
+        f"{least}: set {key} larger, draw frames nearer each other (pairs.images above 1 within a larger pairs.radius, "
+        "or pairs.near above 0), or let an augmentation make views of one image"
+    )

@@ -161,6 +161,8 @@ class PairDataModule(EpochDataModule):
             settings = replace(
                 self.sampler.settings, label=self.sampler.label, epoch_pairs=validation_pairs, scale=scale
             )
+            if settings.same_room_share is None and len(set(validation.place.tolist())) == 1:
+                settings = replace(settings, same_room_share=1.0)  # it has no others
             try:
                 self.validation_sampler = PairSampler(validation, settings, seed=seed)
             except SiamlocError as error:

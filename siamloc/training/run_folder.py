@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from siamloc.data.places import PlaceSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
 from siamloc.models.checkpoint_file import read_checkpoint
@@ -123,6 +124,11 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
         raise ConfigError(f"{run.folder} has {has}, more than epochs={epochs}: ask for more epochs")
     if done == steps == 0:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
+
+
+def same_kind_of_pairs(run: Run, settings: Training) -> bool:
+    """Say whether a run learned from pairs, or from batches of places, as these settings do."""
+    return ("places" in run.settings["training"].get("pairs", {})) == isinstance(settings.pairs, PlaceSettings)
 
 
 def monitor_of(run: Run) -> Monitor:

@@ -283,7 +283,7 @@ def test_what_the_checkpoint_is_chosen_by_must_be_known_of_both_sides(images, dr
     placed = FrameTable(path=tuesday.path, sequence=tuesday.sequence, x=tuesday.x, y=tuesday.y)
     labelled = FrameTable(path=monday.path, sequence=monday.sequence, room=monday.room)
     settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1}, "epochs": 1}
-    with pytest.raises(DataError, match="do not both have positions, or both rooms"):
+    with pytest.raises(DataError, match="do not both have positions in one building, or both rooms"):
         siamloc.training.fit(network(), images, labelled, validation=placed, run=tmp_path / "run", **settings)
     assert not (tmp_path / "run").exists()
 
