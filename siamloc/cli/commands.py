@@ -83,7 +83,7 @@ def train(config: DictConfig) -> None:
         settings=training_of(config),
     )
     if process_rank() == 0 and config.debug is None:
-        print(f"checkpoint: {run.checkpoint('best')}; next: siamloc map run={run.folder}")
+        print(f"next: siamloc map run={run.folder}")
 
 
 def map_frames(config: DictConfig) -> None:

@@ -174,7 +174,7 @@ def expose(brightness: Array, colour: Array, time: Array, offset: float) -> Expo
         time: seconds (n,).
         offset: exposure compensation of the run in stops.
     """
-    wanted = np.array([_metered(values) for values in brightness]) * 2.0**offset
+    wanted = np.array([metered(values) for values in brightness]) * 2.0**offset
     wanted = np.log(np.clip(wanted, *_GAINS))
     gain = wanted.copy()
     for row in range(1, len(gain)):
@@ -186,10 +186,10 @@ def expose(brightness: Array, colour: Array, time: Array, offset: float) -> Expo
     return Exposure(gain, balance, seconds)
 
 
-def _metered(values: Array) -> float:
-    """Return the gain at which the mean of the clipped pixels is mid grey."""
+def metered(values: Array, steps: int = 24) -> float:
+    """Return the gain at which the mean of the clipped pixels is mid grey, the more exactly the more steps."""
     low, high = np.log(1e-3), np.log(1e2)
-    for _ in range(24):
+    for _ in range(steps):
         middle = (low + high) / 2
         if np.mean(np.clip(values * np.exp(middle), 0, 1) ** (1 / 2.2)) < _KEY + 0.12:
             low = middle
@@ -228,10 +228,11 @@ def _glare(value: Array, wraps: bool) -> None:
     excess = np.clip(small - 1, 0, 40)
     if not excess.any():
         return
-    pad = 24
+    scale = height / 128 if wraps else 1.0  # a panorama of fewer rows has fewer pixels to a degree
+    pad = round(24 * scale)
     mode = "wrap" if wraps else "edge"
     excess = np.pad(excess, ((0, 0), (pad, pad), (0, 0)), mode=mode)  # type: ignore[call-overload]
-    halo = 0.03 * cv2.GaussianBlur(excess, (0, 0), 6) + 0.03 * cv2.GaussianBlur(excess, (0, 0), 1.5)
+    halo = 0.03 * cv2.GaussianBlur(excess, (0, 0), 6 * scale) + 0.03 * cv2.GaussianBlur(excess, (0, 0), 1.5 * scale)
     value += cv2.resize(halo[:, pad:-pad], (width, height), interpolation=cv2.INTER_LINEAR)
 
 

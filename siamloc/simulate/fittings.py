@@ -7,7 +7,7 @@ import numpy as np
 from siamloc.simulate.furniture import BLACKISH, CLOTHES, STEEL, Builder, Kind, Rng, colour_of
 from siamloc.simulate.layout import Item
 from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
-from siamloc.simulate.prints import BOARDS, NOTICES, POSTERS
+from siamloc.simulate.prints import BOARDS, NOTICES, POSTERS, SCREENS
 
 _PORCELAIN = (0.9, 0.9, 0.9)
 _SKIN = ((0.60, 0.40, 0.29), (0.42, 0.25, 0.16), (0.20, 0.11, 0.07), (0.68, 0.48, 0.36))
@@ -203,6 +203,18 @@ def poster(b: MeshBuilder, item: Item, rng: Rng) -> None:
     _board(b, item, f"poster{int(number) % POSTERS}")
 
 
+def television(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A large flat screen, on or off."""
+    w, d, h = item.size
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2 - 0.005, h), "plastic", BLACKISH, skip=("back",))
+    on = rng.random() < 0.5
+    face = ((w / 2, d / 2, 0), (-w / 2, d / 2, 0), (-w / 2, d / 2, h), (w / 2, d / 2, h))
+    if on:
+        b.quad(*face, f"screen{rng.integers(SCREENS)}", (0.3, 0.3, 0.3), (1.0, 1.0, 1.1))
+    else:
+        b.quad(*face, "plastic", BLACKISH)
+
+
 def whiteboard(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A whiteboard with writing and a tray."""
     _board(b, item, f"board{rng.integers(BOARDS)}", STEEL)
@@ -306,6 +318,7 @@ FITTINGS: dict[str, Kind] = {
     "person": Kind(person, (0.5, 0.4, 1.75), options=("colour",)),
     "poster": hung(poster, 0.6, 0.85, 1.1, options=("picture",)),
     "picture": hung(poster, 0.9, 0.6, 1.35, options=("picture",)),
+    "television": hung(television, 1.1, 0.65, 1.1, 0.06),
     "whiteboard": hung(whiteboard, 1.8, 1.1, 0.95, 0.05),
     "notice_board": hung(notice_board, 1.2, 0.9, 1.1, 0.04),
     "clock": hung(block("plain", (0.2, 0.2, 0.2), skip=("back",), front="clock"), 0.35, 0.35, 2.05),

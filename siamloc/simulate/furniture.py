@@ -321,7 +321,77 @@ def floor_lamp(b: MeshBuilder, item: Item, _: Rng) -> None:
     b.prism(0, 0, (h - 0.3, h), (0.2, 0.13), "fabric", (0.85, 0.8, 0.65))
 
 
-#: The kinds that belong in offices, with their usual sizes.
+def bed(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A bed, its head at its back."""
+    w, d, h = item.size
+    colour = colour_of(item, rng, SEATS)
+    wood = str(item.options.get("wood", "beech"))
+    b.box((-w / 2, -d / 2, 0), (w / 2, -d / 2 + 0.05, h), wood, skip=("bottom",))
+    b.box((-w / 2, -d / 2 + 0.05, 0.12), (w / 2, d / 2, 0.3), wood, skip=("bottom",))
+    b.box((-w / 2 + 0.03, -d / 2 + 0.05, 0.3), (w / 2 - 0.03, d / 2 - 0.02, 0.48), "fabric", (0.8, 0.8, 0.78))
+    b.box((-w / 2, -d / 2 + 0.65, 0.32), (w / 2, d / 2, 0.53), "fabric", colour, skip=("bottom",))
+    count = 2 if w > 1.3 else 1
+    for i in range(count):
+        x = w * ((i + 0.5) / count - 0.5)
+        b.box((x - 0.3, -d / 2 + 0.1, 0.48), (x + 0.3, -d / 2 + 0.5, 0.58), "fabric", (0.85, 0.85, 0.85))
+
+
+def armchair(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """An armchair."""
+    w, d, h = item.size
+    colour = colour_of(item, rng, SEATS)
+    b.box((-w / 2, -d / 2, 0.1), (w / 2, d / 2, 0.4), "fabric", colour, skip=("bottom",))
+    b.box((-w / 2, -d / 2, 0.4), (w / 2, -d / 2 + 0.2, h), "fabric", colour, skip=("bottom",))
+    for x in (-w / 2, w / 2 - 0.15):
+        b.box((x, -d / 2 + 0.2, 0.4), (x + 0.15, d / 2, 0.6), "fabric", colour, skip=("bottom",))
+
+
+def rug(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A rug with a border; a robot drives over it."""
+    w, d, _ = item.size
+    colour = np.array(colour_of(item, rng, SEATS))
+    border = tuple(np.clip(colour * rng.uniform(0.3, 2.5, 3), 0.01, 0.9))
+    b.quad(
+        (-w / 2, -d / 2, 0.004), (w / 2, -d / 2, 0.004), (w / 2, d / 2, 0.004), (-w / 2, d / 2, 0.004), "fabric", border
+    )
+    x, y = w / 2 - 0.12, d / 2 - 0.12
+    b.quad((-x, -y, 0.006), (x, -y, 0.006), (x, y, 0.006), (-x, y, 0.006), "fabric", tuple(colour))
+
+
+def wardrobe(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    """A wardrobe of wood with its doors."""
+    w, d, h = item.size
+    wood = str(item.options.get("wood", "beech"))
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), wood, skip=("bottom", "back"))
+    count = max(2, round(w / 0.5))
+    for i in range(1, count):
+        x = w * (i / count - 0.5)
+        b.box(
+            (x - 0.005, d / 2, 0.08), (x + 0.005, d / 2 + 0.004, h - 0.05), "plain", (0.05, 0.05, 0.05), skip=("back",)
+        )
+        if i % 2:
+            b.box((x + 0.03, d / 2, 0.95), (x + 0.05, d / 2 + 0.03, 1.2), "metal", skip=("back",))
+    b.box((-w / 2, -d / 2, h), (w / 2, d / 2 + 0.03, h + 0.04), wood)
+
+
+def bathtub(b: MeshBuilder, item: Item, _: Rng) -> None:
+    """A bathtub."""
+    w, d, h = item.size
+    white = (0.88, 0.88, 0.88)
+    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plastic", white, skip=("bottom", "top"))
+    x, y = w / 2 - 0.08, d / 2 - 0.08
+    for low, high in (
+        ((-w / 2, -d / 2), (w / 2, -y)),
+        ((-w / 2, y), (w / 2, d / 2)),
+        ((-w / 2, -y), (-x, y)),
+        ((x, -y), (w / 2, y)),
+    ):
+        b.quad((*low, h), (high[0], low[1], h), (*high, h), (low[0], high[1], h), "plastic", white)
+    b.quad((-x, -y, h - 0.3), (x, -y, h - 0.3), (x, y, h - 0.3), (-x, y, h - 0.3), "plastic", (0.7, 0.7, 0.7))
+    b.box((-w / 2 + 0.1, -0.03, h), (-w / 2 + 0.14, 0.03, h + 0.2), "metal")
+
+
+#: The kinds that belong in offices and flats, with their usual sizes.
 FURNITURE: dict[str, Kind] = {
     "desk": Kind(desk, (1.6, 0.8, 0.74), options=("screens", "wood", "drawers")),
     "chair": Kind(chair, (0.56, 0.56, 1.0), moves=0.25, turns=60, options=("colour",)),
@@ -339,5 +409,10 @@ FURNITURE: dict[str, Kind] = {
     "carton": Kind(carton, (0.5, 0.4, 0.4), moves=0.3, turns=40),
     "plant": Kind(plant, (0.5, 0.5, 1.5), turns=180),
     "floor_lamp": Kind(floor_lamp, (0.4, 0.4, 1.7)),
+    "bed": Kind(bed, (1.4, 2.0, 0.95), options=("colour", "wood")),
+    "armchair": Kind(armchair, (0.85, 0.8, 0.85), options=("colour",)),
+    "rug": Kind(rug, (2.0, 1.4, 0.01), blocks=False, options=("colour",)),
+    "wardrobe": Kind(wardrobe, (1.4, 0.6, 2.05), options=("wood",)),
+    "bathtub": Kind(bathtub, (1.7, 0.75, 0.56)),
     "shelf_board": Kind(shelf_board, (1.0, 0.28, 0.35), 1.5, blocks=False, options=("wood", "content")),
 }

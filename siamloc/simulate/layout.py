@@ -190,6 +190,7 @@ class Building:
         items: everything in the rooms.
         paths: by name.
         part: COLD's part letter, "a" or "b".
+        materials: "standard", or "drawn": the colours of its floors, walls and woods follow from the seed, too.
     """
 
     name: str
@@ -201,6 +202,7 @@ class Building:
     items: tuple[Item, ...]
     paths: dict[str, Path]
     part: str = "a"
+    materials: str = "standard"
 
     def __repr__(self) -> str:
         rooms, paths = ", ".join(self.codes), ", ".join(self.paths)

@@ -17,11 +17,35 @@ from siamloc.simulate.shell import Lamp, wall_frame
 from siamloc.simulate.sky import Sky
 from siamloc.simulate.textures import sample
 
-_FINE, _COARSE = 0.11, 0.35
-_GATHER_RAYS = 64
-_BOUNCES = 4
 _LIFT = 0.004
 _FAINT = 0.003
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How finely light is computed.
+
+    Attributes:
+        fine: metres between the nodes that receive light directly; edges shorter than `fine_single` get one node.
+        fine_single: metres.
+        coarse: metres between the nodes that gather what surfaces throw back.
+        coarse_single: metres.
+        rays: cast from each node that gathers.
+        bounces: how often light is thrown back.
+        sky: rows of the image of what lies outside.
+    """
+
+    fine: float = 0.11
+    fine_single: float = 0.12
+    coarse: float = 0.35
+    coarse_single: float = 0.45
+    rays: int = 64
+    bounces: int = 4
+    sky: int = 512
+
+
+#: For pictures of 512 columns, and for those of 256.
+FULL, ROUGH = Detail(), Detail(0.2, 0.2, 0.5, 0.6, 32, 3, 192)
 
 
 @dataclass(frozen=True)
@@ -39,42 +63,122 @@ class BakedLight:
     sunny: Array | None
 
 
-def bake(
-    building: Building,
-    mesh: QuadMesh,
-    caster: Caster,
-    albedo: Array,
-    lamps: list[Lamp],
-    sky: Sky,
-    rng: np.random.Generator,
-) -> BakedLight:
-    """Compute the light on every quad.
+@dataclass(frozen=True)
+class _Reach:
+    """Where the light of a lamp or of a piece of a window arrives: nodes, its share, and the way towards it."""
+
+    nodes: Array
+    share: Array
+    towards: Array
+
+
+class LightTransport:
+    """How light spreads in a building whose things stay where they are, whatever shines.
+
+    What every lamp, every window and every surface can see is found once; `bake` is then quick for every light.
 
     Args:
         building: rooms and windows.
         mesh: everything in it.
         caster: rays against that mesh.
-        albedo: mean colour of every quad (Q, 3).
-        lamps: those that are lit.
-        sky: what shines in through the windows.
-        rng: draws the gathering directions.
+        detail: how finely.
     """
-    fine = LightGrid.over(mesh, _FINE, 0.12)
-    coarse = LightGrid.over(mesh, _COARSE, 0.45)
-    direct = _direct(building, mesh, caster, fine, lamps, sky)
-    direct_image = fine.image(direct)
-    sunny, sun_share = (None, None)
-    if sky.sun is not None:
-        sunny, sun_share = _sun_patches(mesh, caster, fine, sky.sun, rng)
-    start = _averaged(direct_image, fine, coarse)
-    if sun_share is not None and sky.sun is not None:
-        facing = np.clip(mesh.normals @ sky.sun, 0, None)[coarse.quad]
-        start += _averaged(fine.image(sun_share), fine, coarse)[:, None] * facing[:, None] * sky.sun_radiosity
-    indirect = _indirect(mesh, caster, coarse, albedo, start, rng)
-    smooth = _smoothed(coarse, indirect)
-    x, y = coarse.position(fine.quad, fine.place[:, 0], fine.place[:, 1])
-    light = direct + sample(smooth, x, y)
-    return BakedLight(fine, fine.image(light), sunny)
+
+    def __init__(self, building: Building, mesh: QuadMesh, caster: Caster, detail: Detail = FULL) -> None:
+        self.building, self.mesh, self.caster, self.detail = building, mesh, caster, detail
+        self.fine = LightGrid.over(mesh, detail.fine, detail.fine_single)
+        self.coarse = LightGrid.over(mesh, detail.coarse, detail.coarse_single)
+        rooms = mesh.room[self.fine.quad]
+        self._by_room = [np.flatnonzero(rooms == index) for index in range(len(building.rooms))]
+        self._points = _world(mesh, self.fine.quad, self.fine.place).astype(np.float32)
+        self._normals = mesh.normals[self.fine.quad].astype(np.float32)
+        self._lamps: dict[tuple[float, float, float], tuple[float, _Reach]] = {}
+        self._portals: list[_Reach] | None = None
+        self._seen: Array | None = None
+
+    def bake(self, albedo: Array, lamps: list[Lamp], sky: Sky, rng: np.random.Generator) -> BakedLight:
+        """Compute the light on every quad.
+
+        Args:
+            albedo: mean colour of every quad (Q, 3).
+            lamps: those that are lit.
+            sky: what shines in through the windows.
+            rng: draws the gathering directions, once, and those that look for the sun.
+        """
+        mesh, fine, coarse = self.mesh, self.fine, self.coarse
+        direct = self._direct(lamps, sky)
+        sunny, sun_share = (None, None)
+        if sky.sun is not None:
+            sunny, sun_share = _sun_patches(mesh, self.caster, fine, sky.sun, rng)
+        start = self._averaged(fine.image(direct))
+        if sun_share is not None and sky.sun is not None:
+            facing = np.clip(mesh.normals @ sky.sun, 0, None)[coarse.quad]
+            start += self._averaged(fine.image(sun_share))[:, None] * facing[:, None] * sky.sun_radiosity
+        if self._seen is None:
+            self._seen = _gathered_from(mesh, self.caster, coarse, self.detail.rays, rng)
+        indirect = _indirect(self._seen, albedo[coarse.quad], start, self.detail.bounces)
+        smooth = _smoothed(coarse, indirect)
+        x, y = coarse.position(fine.quad, fine.place[:, 0], fine.place[:, 1])
+        light = direct + sample(smooth, x, y)
+        return BakedLight(fine, fine.image(light), sunny)
+
+    def _direct(self, lamps: list[Lamp], sky: Sky) -> Array:
+        light = np.zeros((len(self._points), 3), dtype=np.float32)
+        for lamp in lamps:
+            radiosity = np.array(lamp.radiosity)
+            least = _FAINT / max(float(radiosity.max()), 1e-6)
+            found = self._of_lamp(lamp, least)
+            bright = found.share > least
+            light[found.nodes[bright]] += found.share[bright, None] * radiosity.astype(np.float32)
+        if self._portals is None:
+            self._portals = [
+                self._reach(position, axis, area, room, _FAINT, ends=False)
+                for position, axis, area, room in _portals(self.building)
+            ]
+        outside = sky.softened()
+        for found in self._portals:
+            light[found.nodes] += found.share[:, None] * outside.look(found.towards)
+        return light
+
+    def _of_lamp(self, lamp: Lamp, least: float) -> _Reach:
+        """Return where a lamp's light arrives; computed again only if it shines brighter than before."""
+        key = (lamp.x, lamp.y, lamp.z)
+        if key not in self._lamps or self._lamps[key][0] > least:
+            down = np.array([0, 0, -1.0])
+            self._lamps[key] = (least, self._reach(np.array(key), down, lamp.area, lamp.room, least, ends=True))
+        return self._lamps[key][1]
+
+    def _reach(self, position: Array, axis: Array, area: float, room: str, least: float, ends: bool) -> _Reach:
+        """Find the nodes that see a surface which shines along an axis; `ends` if nothing beyond it counts."""
+        building, caster, points = self.building, self.caster, self._points
+        nodes = np.concatenate([self._by_room[building.room_index(name)] for name in building.neighbours(room)])
+        towards = position.astype(np.float32) - points[nodes]
+        distance = np.sqrt(np.einsum("ij,ij->i", towards, towards))
+        towards /= np.maximum(distance, 1e-4)[:, None]
+        arriving = np.einsum("ij,ij->i", towards, self._normals[nodes])
+        leaving = -(towards @ axis.astype(np.float32))
+        share = area * np.clip(arriving, 0, None) * np.clip(leaving, 0, None) / (np.pi * distance**2 + area)
+        keep = share > least
+        nodes, towards, distance, share = nodes[keep], towards[keep], distance[keep], share[keep]
+        until = np.maximum(distance - 0.03, 0.0).astype(np.float32) if ends else None
+        seen = ~caster.blocked(points[nodes], towards, until)
+        return _Reach(nodes[seen], share[seen], towards[seen])
+
+    def _averaged(self, image: Array) -> Array:
+        """Return the means of a fine image around the coarse nodes (N, ...)."""
+        fine, coarse = self.fine, self.coarse
+        radius = max(1, round(self.detail.coarse / self.detail.fine / 2))
+        total = np.zeros((len(coarse.quad), *image.shape[2:]), dtype=np.float32)
+        steps = np.maximum(fine.count[coarse.quad] - 1, 1)
+        reach = np.where(fine.count[coarse.quad] > 1, radius / steps, 0.0)
+        reach = np.where(coarse.count[coarse.quad] == 1, 0.5, reach)
+        offsets = np.array([-0.8, -0.4, 0.0, 0.4, 0.8])
+        for ds in offsets:
+            for dt in offsets:
+                place = np.clip(coarse.place + reach * (ds, dt), 0, 1)
+                x, y = fine.position(coarse.quad, place[:, 0], place[:, 1])
+                total += sample(image, x, y)
+        return total / len(offsets) ** 2
 
 
 def _world(mesh: QuadMesh, quad: Array, place: Array, lift: float = _LIFT) -> Array:
@@ -87,39 +191,6 @@ def _world(mesh: QuadMesh, quad: Array, place: Array, lift: float = _LIFT) -> Ar
     lower = s + t <= 1
     point = np.where(lower, a + s * (b - a) + t * (d - a), c + (1 - s) * (d - c) + (1 - t) * (b - c))
     return point + lift * mesh.normals[quad]
-
-
-def _direct(building: Building, mesh: QuadMesh, caster: Caster, grid: LightGrid, lamps: list[Lamp], sky: Sky) -> Array:
-    points = _world(mesh, grid.quad, grid.place).astype(np.float32)
-    normals = mesh.normals[grid.quad].astype(np.float32)
-    rooms = mesh.room[grid.quad]
-    by_room = [np.flatnonzero(rooms == index) for index in range(len(building.rooms))]
-    light = np.zeros((len(points), 3), dtype=np.float32)
-    outside = sky.softened()
-
-    def add(position: Array, axis: Array, area: float, room: str, radiosity: Array | None) -> None:
-        nodes = np.concatenate([by_room[building.room_index(name)] for name in building.neighbours(room)])
-        towards = position.astype(np.float32) - points[nodes]
-        distance = np.sqrt(np.einsum("ij,ij->i", towards, towards))
-        towards /= np.maximum(distance, 1e-4)[:, None]
-        arriving = np.einsum("ij,ij->i", towards, normals[nodes])
-        leaving = -(towards @ axis.astype(np.float32))
-        share = area * np.clip(arriving, 0, None) * np.clip(leaving, 0, None) / (np.pi * distance**2 + area)
-        keep = share > (_FAINT if radiosity is None else _FAINT / max(float(radiosity.max()), 1e-6))
-        nodes, towards, distance, share = nodes[keep], towards[keep], distance[keep], share[keep]
-        if radiosity is None:
-            seen = ~caster.blocked(points[nodes], towards)
-            nodes, towards, share = nodes[seen], towards[seen], share[seen]
-            light[nodes] += share[:, None] * outside.look(towards)
-        else:
-            seen = ~caster.blocked(points[nodes], towards, np.maximum(distance - 0.03, 0.0).astype(np.float32))
-            light[nodes[seen]] += share[seen, None] * radiosity.astype(np.float32)
-
-    for lamp in lamps:
-        add(np.array([lamp.x, lamp.y, lamp.z]), np.array([0, 0, -1.0]), lamp.area, lamp.room, np.array(lamp.radiosity))
-    for position, axis, area, room in _portals(building):
-        add(position, axis, area, room, None)
-    return light
 
 
 def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
@@ -165,26 +236,8 @@ def _sun_patches(
     return np.where(cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0, 255, 0).astype(np.uint8), share
 
 
-def _averaged(image: Array, fine: LightGrid, coarse: LightGrid) -> Array:
-    """Return the means of a fine image around the coarse nodes (N, ...)."""
-    radius = max(1, round(_COARSE / _FINE / 2))
-    total = np.zeros((len(coarse.quad), *image.shape[2:]), dtype=np.float32)
-    steps = np.maximum(fine.count[coarse.quad] - 1, 1)
-    reach = np.where(fine.count[coarse.quad] > 1, radius / steps, 0.0)
-    reach = np.where(coarse.count[coarse.quad] == 1, 0.5, reach)
-    offsets = np.array([-0.8, -0.4, 0.0, 0.4, 0.8])
-    for ds in offsets:
-        for dt in offsets:
-            place = np.clip(coarse.place + reach * (ds, dt), 0, 1)
-            x, y = fine.position(coarse.quad, place[:, 0], place[:, 1])
-            total += sample(image, x, y)
-    return total / len(offsets) ** 2
-
-
-def _indirect(
-    mesh: QuadMesh, caster: Caster, grid: LightGrid, albedo: Array, start: Array, rng: np.random.Generator
-) -> Array:
-    """Gather what all surfaces throw back; `start` is the light they get directly (N, 3)."""
+def _gathered_from(mesh: QuadMesh, caster: Caster, grid: LightGrid, rays: int, rng: np.random.Generator) -> Array:
+    """Return which node each ray of each node meets (rays, N); N where it leaves the building."""
     n = len(grid.quad)
     points = _world(mesh, grid.quad, grid.place).astype(np.float32)
     normals = mesh.normals
@@ -194,11 +247,11 @@ def _indirect(
     bitangent = np.cross(normals, tangent)
     frame = np.stack([tangent, bitangent, normals], axis=1).astype(np.float32)[grid.quad]
     turn = rng.random(n).astype(np.float32)
-    seen = np.empty((_GATHER_RAYS, n), dtype=np.int64)
+    seen = np.empty((rays, n), dtype=np.int64)
     first = np.cumsum(grid.count[:, 0] * grid.count[:, 1]) - grid.count[:, 0] * grid.count[:, 1]
-    for ray in range(_GATHER_RAYS):
+    for ray in range(rays):
         angle = 2 * np.pi * ((ray * 0.61803399 + turn) % 1)
-        radius = np.float32(np.sqrt((ray + 0.5) / _GATHER_RAYS))
+        radius = np.float32(np.sqrt((ray + 0.5) / rays))
         local = (radius * np.cos(angle), radius * np.sin(angle), np.full(n, np.sqrt(1 - radius**2), dtype=np.float32))
         directions = np.stack([sum(local[k] * frame[:, k, axis] for k in range(3)) for axis in range(3)], axis=1)
         quad, s, t, _ = caster.first_hit(points, directions.astype(np.float32))
@@ -206,15 +259,21 @@ def _indirect(
         node = first[quad] + np.rint(t * (count[:, 1] - 1)).astype(np.int64) * count[:, 0]
         node += np.rint(s * (count[:, 0] - 1)).astype(np.int64)
         seen[ray] = np.where(quad < 0, n, node)
-    colour = np.concatenate([albedo[grid.quad], np.zeros((1, 3))]).astype(np.float32)
+    return seen
+
+
+def _indirect(seen: Array, albedo: Array, start: Array, bounces: int) -> Array:
+    """Gather what all surfaces throw back: `seen` (rays, N), `albedo` (N, 3), `start` the light they get directly."""
+    rays, n = seen.shape
+    colour = np.concatenate([albedo, np.zeros((1, 3))]).astype(np.float32)
     lit = np.concatenate([start, np.zeros((1, 3))]).astype(np.float32)
     gathered: Array = np.zeros((n, 3), dtype=np.float32)
-    for _ in range(_BOUNCES):
+    for _ in range(bounces):
         thrown = colour * (lit + np.concatenate([gathered, np.zeros((1, 3), dtype=np.float32)]))
         total = np.zeros((n, 3), dtype=np.float32)
-        for ray in range(_GATHER_RAYS):
+        for ray in range(rays):
             total += thrown[seen[ray]]
-        gathered = total / _GATHER_RAYS
+        gathered = total / rays
     return gathered
 
 

@@ -42,6 +42,7 @@ class QuadMesh:
         tint: colour that multiplies the texture (Q, 3), linear.
         emission: radiosity that the quad sends out by itself where its texture is white (Q, 3).
         room: index of the room that the quad belongs to (Q,).
+        lamp: share of the radiosity of its room's lamps that the quad sends out besides while they are lit (Q,).
     """
 
     corners: Array
@@ -51,6 +52,7 @@ class QuadMesh:
     tint: Array
     emission: Array
     room: Array
+    lamp: Array
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -111,8 +113,12 @@ class MeshBuilder:
         tint: Point = WHITE,
         emission: Point = BLACK,
         phase: Point = (0.0, 0.0),
+        lamp: float = 0.0,
     ) -> None:
-        """Add a planar convex quad; the corners run counter-clockwise from the texture's lower left corner."""
+        """Add a planar convex quad; the corners run counter-clockwise from the texture's lower left corner.
+
+        It emits light of its own, or the share `lamp` of what the lamps of its room do while they are lit.
+        """
         corners = np.array([a, b, c, d], dtype=np.float64)
         index, tile = self.textures[texture]
         repeat = (1.0, 1.0)
@@ -122,7 +128,7 @@ class MeshBuilder:
                 float(np.linalg.norm(corners[3] - corners[0])) / tile[1],
             )
         self._corners.append(corners @ self._axes + self._origin)
-        self._rows.append((index, repeat, tuple(phase), tuple(tint), tuple(emission), self.room))
+        self._rows.append((index, repeat, tuple(phase), tuple(tint), tuple(emission), self.room, lamp))
 
     def box(
         self,
@@ -152,7 +158,7 @@ class MeshBuilder:
         tint: Point = WHITE,
         sides: int = 8,
         stretch: float = 1.0,
-        emission: Point = BLACK,
+        lamp: float = 0.0,
     ) -> None:
         """Add an upright prism or frustum with a lid; `stretch` scales its depth (y) for flat bodies."""
         below, above = radius if isinstance(radius, tuple) else (radius, radius)
@@ -161,13 +167,13 @@ class MeshBuilder:
         low = np.column_stack([ring * below + (x, y), np.full(sides + 1, z[0])])
         high = np.column_stack([ring * above + (x, y), np.full(sides + 1, z[1])])
         for i in range(sides):
-            self.quad(low[i], low[i + 1], high[i + 1], high[i], texture, tint, emission)
+            self.quad(low[i], low[i + 1], high[i + 1], high[i], texture, tint, lamp=lamp)
         for i in range(1, sides - 1, 2):
-            self.quad(high[0], high[i], high[i + 1], high[min(i + 2, sides)], texture, tint, emission)
+            self.quad(high[0], high[i], high[i + 1], high[min(i + 2, sides)], texture, tint, lamp=lamp)
 
     def build(self) -> QuadMesh:
         """Return everything added so far."""
-        index, repeat, phase, tint, emission, room = zip(*self._rows, strict=True)
+        index, repeat, phase, tint, emission, room, lamp = zip(*self._rows, strict=True)
         return QuadMesh(
             np.stack(self._corners),
             np.array(index, dtype=np.int32),
@@ -176,6 +182,7 @@ class MeshBuilder:
             np.array(tint, dtype=np.float32),
             np.array(emission, dtype=np.float32),
             np.array(room, dtype=np.int32),
+            np.array(lamp, dtype=np.float64),
         )
 
 

@@ -20,6 +20,7 @@ _SURFACE = one_of(SURFACES)
 _BUILDING = {
     "name": WORD,
     "part": one_of(("a", "b")),
+    "materials": one_of(("standard", "drawn")),
     "north": number(),
     "height": number(above=0),
     "rooms": MAPPING,
@@ -161,6 +162,7 @@ class _Parser:
             items=tuple(items),
             paths=paths,
             part=given.get("part", "a"),
+            materials=given.get("materials", "standard"),
         )
 
     def room(self, name: str, entry: Any, height: float) -> tuple[Room, dict[str, Any]]:

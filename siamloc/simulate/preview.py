@@ -77,7 +77,7 @@ def contact_sheet(building: Building, runs: list[Run]) -> bytes:
             axis.set_yticks([])
             if column == 0:
                 axis.set_ylabel(first.codes[row], fontsize=10)
-        axes[0, column].set_title(f"{run.lighting} ({_clock(scene.state.hour)})", fontsize=11)
+        axes[0, column].set_title(f"{run.lighting} ({_clock(scene.state.light.hour)})", fontsize=11)
     return _png(figure)
 
 

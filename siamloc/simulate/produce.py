@@ -136,7 +136,8 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
     """Describe the images of a sequence; equal descriptions mean equal bytes."""
     camera = make_camera(config.camera)
     lens = camera.view if isinstance(camera, PanoramaCamera) else camera.mirror
-    layout = _without_lines({key: value for key, value in asdict(building).items() if key != "source"})
+    aside = ("source", "materials") if building.materials == "standard" else ("source",)
+    layout = _without_lines({key: value for key, value in asdict(building).items() if key not in aside})
     layout["paths"] = {name: path.points for name, path in building.paths.items()}
     return {
         "schema": _SCHEMA,

@@ -12,6 +12,7 @@ from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building, Item, Room, seeded
 from siamloc.simulate.plan import clearance, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
+from siamloc.simulate.sky import sun_direction
 from siamloc.simulate.trajectory import Track, drive, listed
 
 LIGHTINGS = ("cloudy", "night", "sunny")
@@ -89,24 +90,41 @@ class Walker:
 
 
 @dataclass(frozen=True)
+class Light:
+    """What shines.
+
+    Attributes:
+        lighting: "cloudy", "night" or "sunny".
+        hour: solar time.
+        declination: of the sun in degrees.
+        lamps_on: radiosity of the lit lamps by room name; absent where they are off.
+        number: draws the clouds and their brightness.
+    """
+
+    lighting: str
+    hour: float
+    declination: float
+    lamps_on: dict[str, tuple[float, float, float]]
+    number: int
+
+
+@dataclass(frozen=True)
 class RunState:
     """Everything that was drawn for one run.
 
     Attributes:
         track: the drive.
         items: everything in its place, people included.
-        fixtures: doors, blinds, lamps.
+        fixtures: doors and blinds.
         walkers: people who walk.
-        hour: solar time.
-        declination: of the sun in degrees.
+        light: what shines.
     """
 
     track: Track
     items: tuple[Item, ...]
     fixtures: Fixtures
     walkers: tuple[Walker, ...]
-    hour: float
-    declination: float
+    light: Light
 
 
 def draw_run(building: Building, run: Run) -> RunState:
@@ -120,9 +138,29 @@ def draw_run(building: Building, run: Run) -> RunState:
         day = 86400.0 * (3 * (run.number - 1) + LIGHTINGS.index(run.lighting))
         track = drive(building, run.path, run.spacing, rng, round(_EPOCH + day + 3600 * hour, 6))
     angles = _door_angles(building, track, rng)
-    fixtures = Fixtures(angles, _blinds(building, run, rng), _lamps_on(building, run, rng))
+    fixtures = Fixtures(angles, _blinds(building, run.lighting, rng))
+    light = Light(run.lighting, hour, declination, _lamps_on(building, run.lighting, rng), run.number)
     items = [*_moved_items(building, track, angles, rng), *_standing_people(building, track, rng)]
-    return RunState(track, tuple(items), fixtures, _walkers(building, track, rng), hour, declination)
+    return RunState(track, tuple(items), fixtures, _walkers(building, track, rng), light)
+
+
+def draw_light(building: Building, lighting: str, rng: np.random.Generator) -> Light:
+    """Draw any hour of any day, and which lamps are lit: a lighting more varied than those of the runs.
+
+    The sun, where it shines, stands above the horizon.
+    """
+    hour, declination = float(rng.uniform(8.0, 18.0)), float(rng.uniform(-23.0, 23.0))
+    while lighting == "sunny" and sun_direction(hour, building.north, declination)[2] < 0.08:
+        hour = float(rng.uniform(8.0, 18.0))
+    share = {"night": rng.uniform(0.8, 1.0), "cloudy": rng.uniform(0.3, 1.0), "sunny": rng.uniform(0.0, 0.5)}[lighting]
+    level, warmth = rng.uniform(0.6, 1.3), rng.uniform(0.0, 1.4)
+    lamps: dict[str, tuple[float, float, float]] = {}
+    for room in building.rooms.values():
+        windows = any(opening.kind == "window" for opening in building.openings_of(room.name))
+        bright = _LAMP[room.lamps[0]] * float(level * rng.uniform(0.8, 1.2))
+        if rng.random() < share or (not windows and rng.random() < 0.9):
+            lamps[room.name] = (bright, bright * float(0.86 - 0.05 * warmth), bright * float(0.66 - 0.12 * warmth))
+    return Light(lighting, hour, declination, lamps, int(rng.integers(1, 1_000_000)))
 
 
 def _door_angles(building: Building, track: Track, rng: np.random.Generator) -> dict[int, float]:
@@ -141,7 +179,7 @@ def _door_angles(building: Building, track: Track, rng: np.random.Generator) -> 
     return angles
 
 
-def _blinds(building: Building, run: Run, rng: np.random.Generator) -> dict[int, float]:
+def _blinds(building: Building, lighting: str, rng: np.random.Generator) -> dict[int, float]:
     usual = seeded(building.seed, building.name, "blinds")
     blinds = {}
     for index, opening in enumerate(building.openings):
@@ -149,20 +187,20 @@ def _blinds(building: Building, run: Run, rng: np.random.Generator) -> dict[int,
             continue
         share = float(usual.choice([0.0, 0.0, 0.12, 0.25]))
         drawn, changed = float(rng.uniform(0.1, 0.6)), rng.random()
-        if changed < {"cloudy": 0.05, "night": 0.2, "sunny": 0.7}[run.lighting]:
+        if changed < {"cloudy": 0.05, "night": 0.2, "sunny": 0.7}[lighting]:
             share = drawn
         blinds[index] = share
     return blinds
 
 
-def _lamps_on(building: Building, run: Run, rng: np.random.Generator) -> dict[str, tuple[float, float, float]]:
+def _lamps_on(building: Building, lighting: str, rng: np.random.Generator) -> dict[str, tuple[float, float, float]]:
     usual = seeded(building.seed, building.name, "lamps")
     lamps = {}
     for room in building.rooms.values():
         windows = any(opening.kind == "window" for opening in building.openings_of(room.name))
         by_day = usual.random() < (0.97 if windows else 1.0)
         change, warmth, level = rng.random(), usual.uniform(0.0, 1.0), usual.uniform(0.85, 1.15)
-        on = {"night": True, "cloudy": by_day, "sunny": change < 0.06 or not windows}[run.lighting]
+        on = {"night": True, "cloudy": by_day, "sunny": change < 0.06 or not windows}[lighting]
         if on:
             b = _LAMP[room.lamps[0]] * level
             lamps[room.name] = (b, b * (0.86 - 0.05 * warmth), b * (0.66 - 0.12 * warmth))

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
 from siamloc.simulate.items import add_items
 from siamloc.simulate.layout import Array, Building, Item, seeded
-from siamloc.simulate.light import BakedLight, bake
+from siamloc.simulate.light import FULL, BakedLight, Detail, LightTransport
 from siamloc.simulate.mesh import Caster, MeshBuilder, QuadMesh
 from siamloc.simulate.prints import print_textures
-from siamloc.simulate.run import Run, RunState, draw_run
-from siamloc.simulate.shell import add_shell, draw_style
+from siamloc.simulate.run import Light, Run, RunState, draw_run
+from siamloc.simulate.shell import Lamp, add_shell, draw_style
 from siamloc.simulate.sky import Sky, make_sky
-from siamloc.simulate.textures import TextureAtlas, base_textures, sample
+from siamloc.simulate.textures import TextureAtlas, base_textures, pattern_textures, recoloured, sample
 
 LOOKS = 6
 
@@ -53,13 +54,47 @@ class Surfaces:
             texels.astype(np.float32),
         )
 
-    def colour(self, atlas: TextureAtlas, quad: Array, s: Array, t: Array, footprint: Array) -> Array:
+    def lit(self, lamps: Array) -> Surfaces:
+        """Return the same surfaces with lamps of some radiosity in each of the R rooms (R, 3)."""
+        emission = self.mesh.emission + self.mesh.lamp[:, None] * lamps[self.mesh.room]
+        return replace(self, emission=emission.astype(np.float32), glows=emission.max(axis=1) > 0)
+
+    def colour(
+        self, atlas: TextureAtlas, quad: Array, s: Array, t: Array, footprint: Array, smooth: bool = True
+    ) -> Array:
         """Return the texture's linear colour (n, 3) without tint; `footprint` is the pixel's size in metres (n,)."""
         s, t = np.clip(s, 0, 0.99999), np.clip(t, 0, 0.99999)
         u = self.phase[quad, 0] + s * self.repeat[quad, 0]
         v = self.phase[quad, 1] + t * self.repeat[quad, 1]
         level = np.log2(np.maximum(footprint * self.texels[quad], 1.0))
-        return atlas.lookup(self.texture[quad], u, v, level)
+        return (atlas.lookup if smooth else atlas.nearest)(self.texture[quad], u, v, level)
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What n rays meet, whatever the light.
+
+    Attributes:
+        origins: metres (n, 3).
+        directions: unit vectors (n, 3).
+        quad: what they hit (n,); -1 for nothing.
+        distance: metres (n,); 1 for nothing.
+        missed: the rays that hit nothing.
+        colour: linear colour of the texture (n, 3).
+        albedo: with the tint (n, 3).
+        x: column in the image of the baked light (n,).
+        y: row in it (n,).
+    """
+
+    origins: Array
+    directions: Array
+    quad: Array
+    distance: Array
+    missed: Array
+    colour: Array
+    albedo: Array
+    x: Array
+    y: Array
 
 
 @dataclass(frozen=True)
@@ -73,9 +108,10 @@ class Scene:
         atlas: all textures.
         surfaces: all quads.
         caster: rays against them.
+        transport: how light spreads in it.
+        lamps: all of them, as of radiosity 1.
         light: what was baked.
         sky: what lies outside.
-        people: what the walkers look like, each standing at the origin and facing +x.
     """
 
     building: Building
@@ -84,9 +120,15 @@ class Scene:
     atlas: TextureAtlas
     surfaces: Surfaces
     caster: Caster
+    transport: LightTransport
+    lamps: tuple[Lamp, ...]
     light: BakedLight
     sky: Sky
-    people: tuple[tuple[Surfaces, Caster], ...]
+
+    @cached_property
+    def people(self) -> tuple[tuple[Surfaces, Caster], ...]:
+        """What the walkers look like, each standing at the origin and facing +x."""
+        return _people(self.building, self.atlas)
 
     def __repr__(self) -> str:
         return f"Scene({self.building.name!r}, {self.run.name}: {len(self.state.track)} frames)"
@@ -102,25 +144,35 @@ class Scene:
             directions: unit vectors (n, 3), float32.
             spread: angle that a pixel covers in rad (n,).
         """
+        hits = self.hits(origins, directions, spread)
+        radiosity, lit = self.shine(hits)
+        distance = np.where(hits.quad < 0, np.inf, hits.distance)
+        hits.quad[lit] += len(self.surfaces.mesh)
+        return radiosity, distance, hits.quad
+
+    def hits(self, origins: Array, directions: Array, spread: Array, smooth: bool = True) -> Hits:
+        """Return what rays meet, whatever the light; see `trace`. Textures are smoothed, or single texels taken."""
         quad, s, t, distance = self.caster.first_hit(origins, directions)
         missed = np.flatnonzero(quad < 0)
         distance[missed] = 1.0
-        mesh = self.surfaces
-        facing = np.abs(np.einsum("ij,ij->i", mesh.normals[quad], directions))
+        surfaces = self.surfaces
+        facing = np.abs(np.einsum("ij,ij->i", surfaces.normals[quad], directions))
         footprint = distance * spread / np.sqrt(np.maximum(facing, 0.05))
-        colour = mesh.colour(self.atlas, quad, s, t, footprint)
+        colour = surfaces.colour(self.atlas, quad, s, t, footprint, smooth)
         x, y = self.light.grid.position(quad, s, t)
-        arriving = sample(self.light.light, x, y)
-        lit = missed[:0]
+        return Hits(origins, directions, quad, distance, missed, colour, colour * surfaces.tint[quad], x, y)
+
+    def shine(self, hits: Hits) -> tuple[Array, Array]:
+        """Return the radiosity (n, 3) of what rays meet, and the rays that meet the sun's light."""
+        arriving = sample(self.light.light, hits.x, hits.y)
+        lit = hits.missed[:0]
         if self.light.sunny is not None:
-            lit = self._add_sun(arriving, origins, directions, quad, distance, x, y)
-        radiosity = colour * mesh.tint[quad] * arriving
-        glowing = np.flatnonzero(mesh.glows[quad])
-        radiosity[glowing] += colour[glowing] * mesh.emission[quad[glowing]]
-        radiosity[missed] = self.sky.look(directions[missed])
-        distance = np.where(quad < 0, np.inf, distance)
-        quad[lit] += len(mesh.mesh)
-        return radiosity, distance, quad
+            lit = self._add_sun(arriving, hits.origins, hits.directions, hits.quad, hits.distance, hits.x, hits.y)
+        radiosity = hits.albedo * arriving
+        glowing = np.flatnonzero(self.surfaces.glows[hits.quad])
+        radiosity[glowing] += hits.colour[glowing] * self.surfaces.emission[hits.quad[glowing]]
+        radiosity[hits.missed] = self.sky.look(hits.directions[hits.missed])
+        return radiosity, lit
 
     def _add_sun(
         self, arriving: Array, origins: Array, directions: Array, quad: Array, distance: Array, x: Array, y: Array
@@ -148,8 +200,8 @@ class Scene:
         return sample(self.light.light, *self.light.grid.position(quad, s, t))[0]
 
 
-def build_scene(building: Building, run: Run) -> Scene:
-    """Put a building into the state of one run and bake its light.
+def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Light | None = None) -> Scene:
+    """Put a building into the state of one run and bake its light, finely or roughly; another light if one is given.
 
     >>> from siamloc.simulate import load_building
     >>> build_scene(load_building("mini"), Run("night", 1, spacing=1.0))
@@ -161,30 +213,56 @@ def build_scene(building: Building, run: Run) -> Scene:
         SiamlocError: embreex is not installed.
     """
     state = draw_run(building, run)
-    atlas, index = _textures(building.name, building.seed)
+    light = state.light if light is None else light
+    atlas, index = _textures(building.name, building.seed, building.materials)
     builder = MeshBuilder(dict(index))
-    style = draw_style(seeded(building.seed, building.name, "style"))
+    style = draw_style(seeded(building.seed, building.name, "style"), building.materials)
     lamps = add_shell(builder, building, state.fixtures, style)
     add_items(builder, building, state.items)
     mesh = builder.build()
-    sky = make_sky(
-        run.lighting,
-        seeded(building.seed, building.name, "sky", run.lighting, run.number),
-        seeded(building.seed, building.name, "view"),
-        state.hour,
-        building.north,
-        state.declination,
-    )
     caster = Caster(mesh)
-    albedo = atlas.mean[mesh.texture] * mesh.tint
-    rng = seeded(building.seed, building.name, "light", run.lighting, run.number)
-    light = bake(building, mesh, caster, albedo, lamps, sky, rng)
-    return Scene(
-        building, run, state, atlas, Surfaces.of(mesh, atlas), caster, light, sky, _people(building, index, atlas)
+    transport = LightTransport(building, mesh, caster, detail)
+    rng = seeded(building.seed, building.name, "light", light.lighting, light.number)
+    surfaces, baked, sky = _lit(building, Surfaces.of(mesh, atlas), atlas, transport, lamps, light, rng)
+    return Scene(building, run, state, atlas, surfaces, caster, transport, tuple(lamps), baked, sky)
+
+
+def relit(scene: Scene, light: Light) -> Scene:
+    """Return a scene with everything in its place under another light; quick, since what sees what is known."""
+    building = scene.building
+    rng = seeded(building.seed, building.name, "light", light.lighting, light.number)
+    surfaces, baked, sky = _lit(building, scene.surfaces, scene.atlas, scene.transport, scene.lamps, light, rng)
+    return replace(scene, surfaces=surfaces, light=baked, sky=sky)
+
+
+def _lit(
+    building: Building,
+    surfaces: Surfaces,
+    atlas: TextureAtlas,
+    transport: LightTransport,
+    lamps: Iterable[Lamp],
+    light: Light,
+    rng: np.random.Generator,
+) -> tuple[Surfaces, BakedLight, Sky]:
+    """Switch on what shines."""
+    sky = make_sky(
+        light.lighting,
+        seeded(building.seed, building.name, "sky", light.lighting, light.number),
+        seeded(building.seed, building.name, "view"),
+        light.hour,
+        building.north,
+        light.declination,
+        transport.detail.sky,
     )
+    on = [replace(lamp, radiosity=light.lamps_on[lamp.room]) for lamp in lamps if lamp.room in light.lamps_on]
+    mesh = surfaces.mesh
+    baked = transport.bake(atlas.mean[mesh.texture] * mesh.tint, on, sky, rng)
+    dark = (0.0, 0.0, 0.0)
+    return surfaces.lit(np.array([light.lamps_on.get(name, dark) for name in building.rooms])), baked, sky
 
 
-def _people(building: Building, index: dict[str, Any], atlas: TextureAtlas) -> tuple[tuple[Surfaces, Caster], ...]:
+def _people(building: Building, atlas: TextureAtlas) -> tuple[tuple[Surfaces, Caster], ...]:
+    _, index = _textures(building.name, building.seed, building.materials)
     people = []
     for look in range(LOOKS):
         builder = MeshBuilder(dict(index))
@@ -198,8 +276,12 @@ def _people(building: Building, index: dict[str, Any], atlas: TextureAtlas) -> t
 
 
 @lru_cache(maxsize=2)
-def _textures(name: str, seed: int) -> tuple[TextureAtlas, dict[str, Any]]:
+def _textures(name: str, seed: int, materials: str) -> tuple[TextureAtlas, dict[str, Any]]:
     rng = seeded(seed, name, "textures")
     textures = base_textures(rng) | print_textures(rng)
+    rng = seeded(seed, name, "patterns")
+    textures |= pattern_textures(rng)
+    if materials == "drawn":
+        textures = recoloured(textures, rng)
     index = {key: (number, texture.tile) for number, (key, texture) in enumerate(textures.items())}
     return TextureAtlas(textures.values()), index

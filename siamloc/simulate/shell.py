@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from siamloc.simulate.layout import HALF_WALL, OUTER_WALL, SIDES, Array, Building, Opening, Room
-from siamloc.simulate.mesh import BLACK, WHITE, MeshBuilder, Point
+from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 
 SKIRTING = 0.09
 _CASING = 0.07
@@ -16,17 +16,15 @@ _GAP = 0.005
 
 @dataclass(frozen=True)
 class Fixtures:
-    """The state of a building's doors, blinds and lamps in one run.
+    """The state of a building's doors and blinds in one run.
 
     Attributes:
         door_angles: degrees that each leaf is open, by position in `Building.openings`.
         blinds: share of each window that its blind covers, by position in `Building.openings`.
-        lamps_on: radiosity (3,) of the lit lamps by room name; absent where they are off.
     """
 
     door_angles: dict[int, float]
     blinds: dict[int, float]
-    lamps_on: dict[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ class Style:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A lit luminaire: the middle of its shining face, its area in square metres and its radiosity."""
+    """A luminaire: the middle of its shining face, its area in square metres, its radiosity if lit, and its room."""
 
     x: float
     y: float
@@ -50,11 +48,15 @@ class Lamp:
     room: str
 
 
-def draw_style(rng: np.random.Generator) -> Style:
-    """Draw the woodwork of a building."""
+def draw_style(rng: np.random.Generator, materials: str = "standard") -> Style:
+    """Draw the woodwork of a building, in one of a few colours or in any."""
     frames = ((0.10, 0.13, 0.20), (0.30, 0.08, 0.07), (0.08, 0.20, 0.14), (0.22, 0.22, 0.24), (0.75, 0.74, 0.70))
     leaves = ("beech", "wood", "walnut", "plain")
     frame = frames[rng.integers(len(frames))]
+    if materials == "drawn":
+        grey, tint = rng.uniform(0.03, 0.8), rng.uniform(0.4, 1.6, 3) ** rng.choice([0.2, 1.0])
+        red, green, blue = np.clip(grey * tint / tint.mean(), 0.02, 0.85)
+        frame = (float(red), float(green), float(blue))
     drawn = []
     for leaf in rng.permutation(leaves):
         shade = float(rng.uniform(0.6, 1.0))
@@ -65,14 +67,14 @@ def draw_style(rng: np.random.Generator) -> Style:
 
 
 def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, style: Style) -> list[Lamp]:
-    """Add a building's walls, floors, ceilings, doors, windows and lamps, and return the lit lamps."""
+    """Add a building's walls, floors, ceilings, doors, windows and lamps, and return all lamps, as of radiosity 1."""
     lamps: list[Lamp] = []
     for index, room in enumerate(building.rooms.values()):
         builder.room = index
         _slabs(builder, room)
         for side in SIDES:
             _wall(builder, building, room, side, fixtures, style)
-        lamps += _lamps(builder, room, fixtures.lamps_on.get(room.name))
+        lamps += _lamps(builder, room)
     return lamps
 
 
@@ -248,22 +250,20 @@ def _leaf(
         b.box((grip, 0, 1.02), (grip + 0.12, 0.05, 1.05), "metal", (0.35, 0.35, 0.36))
 
 
-def _lamps(b: MeshBuilder, room: Room, radiosity: tuple[float, float, float] | None) -> list[Lamp]:
+def _lamps(b: MeshBuilder, room: Room) -> list[Lamp]:
     kind, nx, ny = room.lamps
     (x0, x1), (y0, y1) = room.inner()
-    glow = radiosity or BLACK
     lamps = []
     for i in range(nx):
         for j in range(ny):
             x, y = x0 + (x1 - x0) * (i + 0.5) / nx, y0 + (y1 - y0) * (j + 0.5) / ny
             if kind == "round":
-                side_glow = (0.6 * glow[0], 0.6 * glow[1], 0.6 * glow[2])
                 z = room.height - 0.12
                 ring = np.arange(11) * (2 * np.pi / 10)
-                b.prism(x, y, (z, room.height), 0.2, "plain", (0.9, 0.9, 0.9), sides=10, emission=side_glow)
+                b.prism(x, y, (z, room.height), 0.2, "plain", (0.9, 0.9, 0.9), sides=10, lamp=0.6)
                 edge = np.column_stack([x + 0.2 * np.cos(-ring), y + 0.2 * np.sin(-ring), np.full(11, z)])
                 for k in range(1, 9, 2):
-                    b.quad(edge[0], edge[k], edge[k + 1], edge[min(k + 2, 10)], "plain", emission=glow)
+                    b.quad(edge[0], edge[k], edge[k + 1], edge[min(k + 2, 10)], "plain", lamp=1.0)
                 area = 0.125
             else:
                 across = (y1 - y0) > (x1 - x0) if kind == "tube" else False
@@ -278,11 +278,10 @@ def _lamps(b: MeshBuilder, room: Room, radiosity: tuple[float, float, float] | N
                 b.quad(
                     (x - w / 2, y + d / 2, under), (x + w / 2, y + d / 2, under),
                     (x + w / 2, y - d / 2, under), (x - w / 2, y - d / 2, under),
-                    "plain", emission=glow,
+                    "plain", lamp=1.0,
                 )  # fmt: skip
                 if kind == "tube":
                     b.box((x - 0.01, y - 0.01, z + 0.05), (x + 0.01, y + 0.01, room.height), "metal", skip=("top",))
                 area = w * d
-            if radiosity:
-                lamps.append(Lamp(x, y, z - 0.02, area, radiosity, room.name))
+            lamps.append(Lamp(x, y, z - 0.02, area, WHITE, room.name))
     return lamps

@@ -10,7 +10,6 @@ import numpy as np
 from siamloc.simulate.layout import Array, single
 from siamloc.simulate.textures import sample
 
-_ROWS, _COLUMNS = 512, 2048
 _LATITUDE = 48.0
 
 
@@ -61,7 +60,13 @@ def sun_direction(hour: float, north: float, declination: float) -> Array:
 
 
 def make_sky(
-    lighting: str, rng: np.random.Generator, view: np.random.Generator, hour: float, north: float, declination: float
+    lighting: str,
+    rng: np.random.Generator,
+    view: np.random.Generator,
+    hour: float,
+    north: float,
+    declination: float,
+    rows: int = 512,
 ) -> Sky:
     """Paint the world outside.
 
@@ -72,9 +77,11 @@ def make_sky(
         hour: solar time.
         north: direction of north in degrees.
         declination: of the sun in degrees.
+        rows: of the image; it has four times as many columns.
     """
-    elevation = (0.5 - (np.arange(_ROWS) + 0.5) / _ROWS) * np.pi
-    azimuth = (np.arange(_COLUMNS) + 0.5) / _COLUMNS * 2 * np.pi
+    columns = 4 * rows
+    elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
+    azimuth = (np.arange(columns) + 0.5) / columns * 2 * np.pi
     height = np.sin(elevation)[:, None, None]
     sun = sun_direction(hour, north, declination)
     sun_radiosity = np.zeros(3)
@@ -83,7 +90,7 @@ def make_sky(
         light = np.array((0.012, 0.010, 0.009))
     elif lighting == "cloudy":
         level = rng.uniform(4.5, 5.5)
-        clouds = 1 + 0.16 * _clouds(rng)
+        clouds = 1 + 0.16 * _clouds(rng, rows)
         sky = level * single((0.95, 1.0, 1.06)) * (1 + 1.2 * np.clip(height, 0, 1)) / 2.0 * clouds
         light = level * np.array((0.75, 0.78, 0.80))
     else:
@@ -91,63 +98,69 @@ def make_sky(
             [
                 np.cos(elevation)[:, None] * np.cos(azimuth),
                 np.cos(elevation)[:, None] * np.sin(azimuth),
-                np.broadcast_to(np.sin(elevation)[:, None], (_ROWS, _COLUMNS)),
+                np.broadcast_to(np.sin(elevation)[:, None], (rows, columns)),
             ],
             axis=-1,
         )
         towards = np.clip(directions @ sun, -1, 1)[..., None]
         blue = single((7.0, 11.0, 18.0)) + single((10.0, 9.5, 7.0)) * np.exp(-4 * np.abs(height))
         glow = single((1.0, 0.93, 0.78)) * (70 * np.exp((towards - 1) * 60) + 9 * np.exp((towards - 1) * 6))
-        sky = blue * (1 + 0.35 * np.clip(_clouds(rng), 0, None)) + glow
+        sky = blue * (1 + 0.35 * np.clip(_clouds(rng, rows), 0, None)) + glow
         haze = float(np.exp(-0.12 / max(np.sin(np.arcsin(sun[2])), 0.05)))
         sun_radiosity = 150 * haze * np.array((1.0, 0.93 - 0.1 * (1 - haze), 0.80 - 0.25 * (1 - haze)))
         light = 0.30 * sun_radiosity * max(sun[2], 0.1) + np.array((4.0, 5.0, 6.5))
-    sky = np.broadcast_to(sky, (_ROWS, _COLUMNS, 3)).astype(np.float32).copy()
+    sky = np.broadcast_to(sky, (rows, columns, 3)).astype(np.float32).copy()
     _paint_view(sky, view, light, lit_windows=lighting == "night")
     shines = lighting == "sunny" and sun[2] > 0.02
     return Sky(sky, sun if shines else None, sun_radiosity)
 
 
-def _clouds(rng: np.random.Generator) -> Array:
-    field = np.zeros((_ROWS, _COLUMNS), dtype=np.float32)
+def _clouds(rng: np.random.Generator, rows: int) -> Array:
+    columns = 4 * rows
+    field = np.zeros((rows, columns), dtype=np.float32)
     for octave in range(5):
         grid = rng.standard_normal((4 << octave, 16 << octave)).astype(np.float32)
         grid = np.concatenate([grid, grid[:, :1]], axis=1)
-        field += cv2.resize(grid, (_COLUMNS, _ROWS), interpolation=cv2.INTER_CUBIC) * 0.6**octave
+        field += cv2.resize(grid, (columns, rows), interpolation=cv2.INTER_CUBIC) * 0.6**octave
     return field[..., None]
 
 
 def _paint_view(sky: Array, rng: np.random.Generator, light: Array, lit_windows: bool) -> None:
     """Paint ground, trees and houses into the image; `light` is the radiosity of a white surface out there."""
+    rows, columns = sky.shape[:2]
+    pixel = rows / 512  # sizes below are those of an image of 512 rows
 
     def row_of(degrees: float) -> int:
-        return round((0.5 - degrees / 180) * _ROWS)
+        return round((0.5 - degrees / 180) * rows)
 
     horizon = row_of(0.0)
-    depth = np.linspace(0, 1, _ROWS - horizon, dtype=np.float32)[:, None, None]
+    depth = np.linspace(0, 1, rows - horizon, dtype=np.float32)[:, None, None]
     ground = single((0.20, 0.26, 0.12)) * (1 - depth) + single((0.30, 0.29, 0.27)) * depth
     sky[horizon:] = ground * light
     column = 0
-    while column < _COLUMNS:  # houses
-        width = int(rng.integers(60, 190))
+    while column < columns:  # houses
+        width = max(1, int(rng.integers(60, 190) * pixel))
         if rng.random() < 0.6:
             top = row_of(rng.uniform(4, 17))
             wall = rng.uniform(0.25, 0.75) * np.array((1.0, rng.uniform(0.85, 1.0), rng.uniform(0.7, 0.95)))
-            end = min(column + width, _COLUMNS)
+            end = min(column + width, columns)
             sky[top : row_of(-2), column:end] = wall * light
-            sky[top : top + 3, column:end] = (0.25, 0.12, 0.09) * light
-            for y in range(top + 8, row_of(-1), 11):
-                for x in range(column + 6, end - 8, 13):
+            sky[top : top + max(1, round(3 * pixel)), column:end] = (0.25, 0.12, 0.09) * light
+            step, square = (max(1, round(size * pixel)) for size in (13, 6))
+            for y in range(top + round(8 * pixel), row_of(-1), max(1, round(11 * pixel))):
+                for x in range(column + square, end - round(8 * pixel), step):
                     lit = lit_windows and rng.random() < 0.25
-                    sky[y : y + 6, x : x + 6] = (0.9, 0.6, 0.25) if lit else (0.10, 0.12, 0.15) * light
-        column += width + int(rng.integers(0, 90))
+                    sky[y : y + square, x : x + square] = (0.9, 0.6, 0.25) if lit else (0.10, 0.12, 0.15) * light
+        column += width + int(rng.integers(0, 90) * pixel)
     for _ in range(110):  # trees
-        x, base = int(rng.integers(0, _COLUMNS)), row_of(rng.uniform(-6, -1))
-        radius = int(rng.integers(9, 26))
+        x, base = int(rng.integers(0, columns)), row_of(rng.uniform(-6, -1))
+        radius = max(1, int(rng.integers(9, 26) * pixel))
         shade = rng.uniform(0.5, 1.0)
-        sky[base - radius : base + 8, max(x - 1, 0) : x + 2] = (0.10, 0.07, 0.05) * light
+        sky[base - radius : base + round(8 * pixel), max(x - 1, 0) : x + 2] = (0.10, 0.07, 0.05) * light
         for _ in range(14):
             dx, dy = rng.normal(0, radius / 2.4, 2)
             colour = np.array((0.10, 0.18, 0.06)) * shade * rng.uniform(0.6, 1.4) * light
             centre = (int(x + dx), int(base - radius * 1.3 + dy))
-            cv2.circle(sky, centre, max(2, radius // 3), [float(c) for c in colour], -1, cv2.LINE_AA)
+            cv2.circle(
+                sky, centre, max(2 if pixel == 1 else 1, radius // 3), [float(c) for c in colour], -1, cv2.LINE_AA
+            )

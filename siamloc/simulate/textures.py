@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -72,11 +73,100 @@ def base_textures(rng: np.random.Generator) -> dict[str, Texture]:
     return textures
 
 
+def pattern_textures(rng: np.random.Generator) -> dict[str, Texture]:
+    """Return further surfaces, whose colours are drawn: bricks, wallpaper, panelling, stone, planks."""
+    drawn = {
+        "brick": (_bricks(rng), (1.6, 1.6)),
+        "stripes": (_stripes(rng), (float(rng.uniform(0.5, 1.6)),) * 2),
+        "panelling": (_planks(rng, 6, 0.05), (1.2, 1.2)),
+        "planks": (np.ascontiguousarray(_planks(rng, 5, 0.04).transpose(1, 0, 2)), (1.3, 1.3)),
+        "checker": (_checker(rng), (float(rng.uniform(0.6, 1.6)),) * 2),
+        "terrazzo": (_terrazzo(rng), (1.0, 1.0)),
+        "marble": (_marble(rng), (2.4, 2.4)),
+    }
+    return {
+        name: Texture(np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8), tile)
+        for name, (image, tile) in drawn.items()
+    }
+
+
+def recoloured(textures: dict[str, Texture], rng: np.random.Generator) -> dict[str, Texture]:
+    """Return surfaces in other colours: the channels of all that are not near white times drawn numbers."""
+    changed = {}
+    for name, texture in textures.items():
+        shade, tint = rng.uniform(0.6, 1.15), rng.uniform(0.75, 1.25, 3)
+        if name in SURFACES and texture.image.mean() < 215:
+            if name in ("parquet", "wood", "beech", "walnut", "planks", "panelling"):  # there is no green wood
+                tint = tint**0.3
+            image = texture.image * single(shade * tint / tint.mean())
+            texture = Texture(np.clip(image, 0, 255).astype(np.uint8), texture.tile)
+        changed[name] = texture
+    return changed
+
+
 #: Floors, walls and ceilings that a room of a building file may name.
 SURFACES = (
     "paint", "concrete", "carpet", "carpet_red", "carpet_gray", "linoleum", "linoleum_green", "parquet",
     "tiles_floor", "tiles_wall", "tiles_blue", "ceiling_panels", "wood", "beech", "walnut",
+    "brick", "stripes", "panelling", "planks", "checker", "terrazzo", "marble",
 )  # fmt: skip
+
+
+def _drawn_colour(rng: np.random.Generator, low: float, high: float) -> Array:
+    return single(rng.uniform(low, high) * rng.uniform(0.75, 1.15, 3))
+
+
+def _bricks(rng: np.random.Generator) -> Array:
+    stone, joint = single(rng.uniform(0.35, 0.8)) * single((1.0, rng.uniform(0.45, 1.0), rng.uniform(0.35, 0.95))), 0.72
+    image = np.full((SIZE, SIZE, 3), joint, dtype=np.float32)
+    rows, columns = 16, 6
+    height = SIZE // rows
+    for row in range(rows):
+        edges = np.rint(np.arange(columns + 1) * SIZE / columns).astype(int) + (row % 2) * (SIZE // columns // 2)
+        for left, right in pairwise(edges):
+            across = np.arange(left + 2, right - 1) % SIZE
+            image[row * height + 2 : (row + 1) * height, across] = stone * single(rng.uniform(0.8, 1.15))
+    return image + 0.03 * noise(rng, 32, 3)[..., None]
+
+
+def _stripes(rng: np.random.Generator) -> Array:
+    ground, stripe = _drawn_colour(rng, 0.6, 0.95), _drawn_colour(rng, 0.3, 0.9)
+    image = np.broadcast_to(ground, (SIZE, SIZE, 3)).copy()
+    count = int(rng.integers(2, 9))
+    across = (np.arange(SIZE) * count / SIZE) % 1 < rng.uniform(0.15, 0.5)
+    image[:, across] = stripe
+    return image
+
+
+def _planks(rng: np.random.Generator, count: int, spread: float) -> Array:
+    colour = rng.uniform(0.35, 0.9) * np.array((1.0, rng.uniform(0.75, 0.95), rng.uniform(0.5, 0.85)))
+    image = _wood(rng, (float(colour[0]), float(colour[1]), float(colour[2])), 0.05)
+    edges = np.rint(np.arange(count + 1) * SIZE / count).astype(int)
+    for left, right in pairwise(edges):
+        image[:, left:right] += single(rng.normal(0, spread))
+        image[:, left : left + 2] *= 0.6
+        image[int(rng.integers(0, SIZE)), left:right] *= 0.6
+    return image
+
+
+def _checker(rng: np.random.Generator) -> Array:
+    dark, light = _drawn_colour(rng, 0.08, 0.6), _drawn_colour(rng, 0.6, 0.95)
+    step = SIZE // 4
+    odd = (np.arange(SIZE)[:, None] // step + np.arange(SIZE)[None] // step) % 2
+    return np.where(odd[..., None] > 0, light, dark) + 0.02 * noise(rng, 16, 3)[..., None]
+
+
+def _terrazzo(rng: np.random.Generator) -> Array:
+    image = _tinted((1.0, 1.0, 1.0), 0.02 * noise(rng, 8, 3)) * _drawn_colour(rng, 0.45, 0.8)
+    for _ in range(3):
+        image[noise(rng, 64, 2) > 0.8] = _drawn_colour(rng, 0.2, 0.9)
+    return image
+
+
+def _marble(rng: np.random.Generator) -> Array:
+    veins = np.exp(-((noise(rng, 4, 5) / rng.uniform(0.05, 0.15)) ** 2))
+    colour, vein = _drawn_colour(rng, 0.5, 0.95), _drawn_colour(rng, 0.3, 0.7)
+    return colour + (0.5 * veins)[..., None] * (vein - colour) + 0.02 * noise(rng, 16, 3)[..., None]
 
 
 def _tinted(colour: Colour, change: Array) -> Array:
@@ -218,6 +308,15 @@ class TextureAtlas:
         far = self._level(texture, u, v, whole + 1).astype(np.float32)
         mixed = near + share * (far - near)
         return np.power(mixed * np.float32(1 / 255), np.float32(2.2))
+
+    def nearest(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
+        """Return linear colours (n, 3) of single texels, of the copy whose size is nearest; see `lookup`."""
+        level = np.clip(np.rint(level), 0, LEVELS - 1).astype(np.int32)
+        corner = self._corner[level, texture]
+        size = np.ldexp(np.float32(SIZE), -level)
+        x = np.rint(corner[:, 0] + (u - np.floor(u)) * size).astype(np.int32)
+        y = np.rint(corner[:, 1] + (1 - (v - np.floor(v))) * size).astype(np.int32)
+        return _DECODE[self.image[y, x]]
 
     def _level(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
         corner = self._corner[level, texture]

@@ -74,9 +74,9 @@ def drive(building: Building, path: str, spacing: float, rng: np.random.Generato
         raise ConfigError(f"building {building.name!r} has no path {path!r}; {hint(path, building.paths)}")
     if not spacing > 0:
         raise ConfigError(f"the spacing of frames must be a positive number of metres, got {spacing}")
-    rounded = _rounded(building.paths[path])
-    _check_rounded(building, building.paths[path], rounded)
-    line = _shifted(building, rounded, rng)
+    even = rounded(building.paths[path].points)
+    _check_rounded(building, building.paths[path], even)
+    line = _shifted(building, even, rng)
     heading = _headings(line) + np.radians(4) * _wander(rng, len(line), 1.5)
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     turns = np.abs(np.diff(heading))
@@ -148,22 +148,21 @@ def _track(
     return Track(poses, time, speed, rate, names, tuple(room_codes(building, poses[:, :2])))
 
 
-def _rounded(path: Path) -> Array:
-    """Cut the polygon's corners three times and walk along it in even steps."""
-    points = path.points
+def rounded(points: Array) -> Array:
+    """Cut the corners of a polygon of waypoints (n, 2) three times, and walk along it in even steps."""
     for _ in range(3):
         inner = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
         points = np.concatenate([points[:1], inner.reshape(-1, 2), points[-1:]])
     return _even(points)
 
 
-def _check_rounded(building: Building, path: Path, rounded: Array) -> None:
-    stuck = np.flatnonzero(blocked_points(building, rounded))
+def _check_rounded(building: Building, path: Path, line: Array) -> None:
+    stuck = np.flatnonzero(blocked_points(building, line))
     if len(stuck):
-        x, y = rounded[stuck[0]]
-        corner = int(np.argmin(np.linalg.norm(path.points - rounded[stuck[0]], axis=1)))
-        line, room = path.lines[corner], room_codes(building, path.points[corner : corner + 1])[0]
-        where = f"{building.source}, line {line}" if line else building.source
+        x, y = line[stuck[0]]
+        corner = int(np.argmin(np.linalg.norm(path.points - line[stuck[0]], axis=1)))
+        number, room = path.lines[corner], room_codes(building, path.points[corner : corner + 1])[0]
+        where = f"{building.source}, line {number}" if number else building.source
         raise DataError(
             f"{where}: rounding the corners of path {path.name!r} leads into a wall or furniture of room {room!r} at "
             f"({x:.2f}, {y:.2f}): add points around it"

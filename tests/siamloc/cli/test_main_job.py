@@ -394,7 +394,7 @@ def test_two_processes_train_on_what_one_would(train_words, tmp_path):
         command = [*words, f"run={tmp_path / run}", *own]
         done = subprocess.run(command, capture_output=True, text=True, timeout=200)
         assert done.returncode == 0, done.stderr
-        assert done.stdout.count("checkpoint: ") == 1, "one process speaks"
+        assert done.stdout.count("next: siamloc map") == 1, "one process speaks"
     one, two = curve(tmp_path / "one"), curve(tmp_path / "two")
     assert [row["step"] for row in one] == [row["step"] for row in two]
     for a, b in zip(one, two, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from siamloc.simulate.layout import Building
-from siamloc.simulate.light import LightGrid, bake
+from siamloc.simulate.light import LightGrid, LightTransport
 from siamloc.simulate.mesh import Caster, MeshBuilder, QuadMesh
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.shell import Lamp
@@ -39,7 +39,7 @@ def baked(albedo: float) -> tuple[QuadMesh, np.ndarray, LightGrid]:
     building, mesh = closed_room()
     lamp = Lamp(2.0, 2.0, 2.99, 0.04, (10.0, 10.0, 10.0), "cell")
     colours = np.full((len(mesh), 3), albedo)
-    light = bake(building, mesh, Caster(mesh), colours, [lamp], black_sky(), np.random.default_rng(0))
+    light = LightTransport(building, mesh, Caster(mesh)).bake(colours, [lamp], black_sky(), np.random.default_rng(0))
     return mesh, light.light, light.grid
 
 

@@ -85,7 +85,7 @@ def test_light_of_the_three_lightings(cloudy: Scene, night: Scene, sunny: Scene)
     assert night.light.sunny is None
     assert sunny.light.sunny is not None
     assert sunny.light.sunny.any()
-    assert all(room in night.state.fixtures.lamps_on for room in night.building.rooms)
+    assert all(room in night.state.light.lamps_on for room in night.building.rooms)
 
 
 def test_sun_patches_match_shadow_rays(sunny: Scene) -> None:

@@ -63,7 +63,7 @@ def test_a_run_leaves_its_own_way_free(mini: Building, lighting: str) -> None:
 def test_runs_differ_in_what_the_issue_lists(mini: Building) -> None:
     a, b = draw_run(mini, Run("sunny", 1)), draw_run(mini, Run("sunny", 2))
     assert a.fixtures.door_angles != b.fixtures.door_angles
-    assert abs(a.hour - b.hour) > 1
+    assert abs(a.light.hour - b.light.hour) > 1
     chairs = [[(i.x, i.y, i.facing) for i in state.items if i.kind == "chair"] for state in (a, b)]
     assert chairs[0] != chairs[1]
     people = [[(i.x, i.y) for i in state.items if i.kind == "person"] for state in (a, b)]

@@ -1,0 +1,230 @@
+"""Drawing a building from a seed: plan, doors, windows, materials, furniture, and the robot's ways through it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from siamloc.errors import DataError
+from siamloc.simulate.floor_plans import Cell, Plan, draw_plan
+from siamloc.simulate.furnishing import USES, Room, furnish
+from siamloc.simulate.layout import SIDES, Array, Building, seeded
+from siamloc.simulate.parse import parse_building
+from siamloc.simulate.plan import blocked_points, check_paths
+from siamloc.simulate.route import FreeSpace, visits
+from siamloc.simulate.trajectory import rounded
+
+Rng = np.random.Generator
+Entry = dict[str, Any]
+_ATTEMPTS = 30
+#: What stands in the way of a robot is taken out again so often.
+_CLEARED = 6
+
+
+def draw_building(seed: int) -> Entry:
+    """Return the content of a building file for a seed: offices along a corridor or around a core, a flat, or a hall.
+
+    `path1` visits every second room, `path2` all of them.
+
+    >>> sorted(draw_building(3))
+    ['doors', 'height', 'materials', 'name', 'north', 'paths', 'rooms']
+    """
+    for attempt in range(_ATTEMPTS):
+        rng = seeded(seed, attempt, "random building")
+        try:
+            return _drawn(seed, rng)
+        except DataError:
+            # Now and then the furniture leaves no way, or a window meets a wall; then another one is drawn.
+            if attempt == _ATTEMPTS - 1:
+                raise
+    raise AssertionError
+
+
+def _drawn(seed: int, rng: Rng) -> Entry:
+    plan = draw_plan(rng)
+    doors = plan.place_doors(rng)
+    materials = _materials(rng)
+    windows = _window_style(rng, plan.height)
+    density = float(rng.choice([0.45, 0.8, 1.0, 1.35]))
+    numbers: dict[str, int] = {}
+    rooms: Entry = {}
+    with_walls = _walled(plan, doors)
+    for cell in plan.cells:
+        use = USES[cell.use]
+        numbers[cell.use] = numbers.get(cell.use, 0) + 1
+        code = use.code.format("" if cell.use == "corridor" else numbers[cell.use])
+        entry: Entry = {"code": code, "x": list(cell.x), "y": list(cell.y), **materials(cell.use)}
+        entry["lamps"] = _lamps(cell, rng)
+        entry["windows"] = _windows(cell, plan, windows, rng)
+        room = Room(cell, plan.height, with_walls, entry["windows"])
+        style = seeded(seed, cell.use, "furniture")
+        entry["items"] = furnish(room, style, rng, density)
+        rooms[cell.name] = entry
+    content: Entry = {
+        "name": f"random_{seed}",
+        "materials": "drawn",
+        "north": round(float(rng.uniform(0, 360)), 1),
+        "height": round(plan.height, 2),
+        "rooms": rooms,
+        "doors": doors,
+    }
+    content["paths"] = _paths(content, plan, seed, rng)
+    return content
+
+
+def _walled(plan: Plan, doors: list[Entry]) -> list[Entry]:
+    """Add to each door in which wall of either room it is."""
+    by_name = {cell.name: cell for cell in plan.cells}
+    found = []
+    for door in doors:
+        one, other = (by_name[name] for name in door["between"])
+        shared = one.shared(other)
+        assert shared is not None
+        across = "y" if shared[0] == "x" else "x"
+        high, low = ("north", "south") if shared[0] == "x" else ("east", "west")
+        first_below = getattr(one, across)[1] == shared[1]
+        walls = {one.name: high if first_below else low, other.name: low if first_below else high}
+        found.append({**door, "wall": walls})
+    return found
+
+
+def _materials(rng: Rng) -> Any:
+    """Draw what a building is made of, and return the entries of a room by its use."""
+    walls = str(rng.choice(["paint", "paint", "paint", "paint", "concrete", "brick", "stripes", "panelling"]))
+    ceiling = str(rng.choice(["ceiling_panels", "paint", "paint", "concrete", "panelling"]))
+    white = rng.random() < 0.5
+    common = _paint(rng) if not white else [round(float(v), 2) for v in rng.uniform(0.88, 1.0, 3)]
+    wainscot = [
+        str(rng.choice(["panelling", "tiles_wall", "plain_wood", "stripes"])),
+        round(float(rng.uniform(0.8, 1.5)), 2),
+    ]
+    wainscot[0] = "wood" if wainscot[0] == "plain_wood" else wainscot[0]
+    everywhere = rng.random() < 0.18
+    floors: dict[str, str] = {}
+    own = rng.random() < 0.5  # every room has its own colour
+
+    def of_room(use: str) -> Entry:
+        if use not in floors:
+            suitable = USES[use].floors
+            floors[use] = str(rng.choice(suitable))
+        entry: Entry = {"floor": floors[use] if rng.random() < 0.8 else str(rng.choice(USES[use].floors))}
+        entry["walls"] = walls if rng.random() < 0.75 else "paint"
+        entry["ceiling"] = ceiling if rng.random() < 0.85 else "paint"
+        entry["paint"] = _paint(rng) if own or rng.random() < 0.2 else common
+        if use in ("toilet", "bath", "kitchen") and rng.random() < 0.7:
+            tiles = str(rng.choice(["tiles_wall", "tiles_blue", "checker"]))
+            entry["wainscot"] = [tiles, round(float(rng.uniform(1.2, 2.2)), 2)]
+        elif everywhere or rng.random() < 0.06:
+            entry["wainscot"] = wainscot
+        return entry
+
+    return of_room
+
+
+def _paint(rng: Rng) -> list[float]:
+    """Draw the linear colour of a wall: mostly light, now and then strong."""
+    strong = rng.random() < 0.25
+    colour = rng.uniform(0.25, 1.0, 3) if strong else rng.uniform(0.7, 1.0, 3)
+    return [round(float(value), 2) for value in colour]
+
+
+def _lamps(cell: Cell, rng: Rng) -> list[Any]:
+    kind = str(rng.choice(["panel", "tube", "round"]))
+    pitch = float(rng.uniform(1.8, 3.4))
+    counts = [max(1, round((high - low) / pitch)) for low, high in (cell.x, cell.y)]
+    return [kind, *(min(count, 6) for count in counts)]
+
+
+def _window_style(rng: Rng, height: float) -> Entry:
+    sill = float(rng.choice([rng.uniform(0.0, 0.3), rng.uniform(0.6, 1.0), rng.uniform(0.7, 1.3)]))
+    head = float(min(rng.uniform(1.9, 2.6), height - 0.12))
+    return {
+        "sill": round(sill, 2),
+        "head": round(max(head, sill + 0.6), 2) if sill + 0.6 < height - 0.05 else round(height - 0.1, 2),
+        "width": float(rng.uniform(0.7, 2.4)),
+        "pier": float(rng.uniform(0.3, 2.5)),
+        "walls": float(rng.uniform(0.45, 1.0)),
+    }
+
+
+def _windows(cell: Cell, plan: Plan, style: Entry, rng: Rng) -> list[Entry]:
+    """Put windows into the walls that look outside."""
+    found: list[Entry] = []
+    chance = style["walls"] * (0.15 if cell.use in ("storage", "toilet", "bath") else 1.0)
+    for side in SIDES:
+        for low, high in cell.outside(side, plan.cells):
+            free = high - low - 0.5
+            if free < 0.6 or rng.random() > chance:
+                continue
+            width = min(style["width"], free)
+            count = max(1, int((free + style["pier"]) / (width + style["pier"])))
+            for number in range(count):
+                at = low + 0.25 + free * (number + 0.5) / count
+                entry = {"wall": side, "at": round(at, 2), "width": round(width - 0.01, 2)}
+                found.append({**entry, "sill": style["sill"], "head": style["head"]})
+    return found
+
+
+def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
+    """Find the robot's ways; what blocks a room is taken out.
+
+    Raises:
+        DataError: there is no way.
+    """
+    for _ in range(_CLEARED):
+        building = parse_building(content, seed, content["name"])
+        space = FreeSpace(building)
+        start_cells = space.inside(plan.cells[0].x, plan.cells[0].y)
+        if not len(start_cells):
+            raise DataError("the robot has no place to set out from")
+        start = int(start_cells[np.argmin(space.points[start_cells].sum(axis=1))])
+        seen = space.reachable(start)
+        places = {cell.name: visits(space, cell.x, cell.y, seen, rng) for cell in plan.cells}
+        shut = [name for name, found in places.items() if not found]
+        if not shut:
+            break
+        for name in shut:
+            items = content["rooms"][name]["items"]
+            content["rooms"][name]["items"] = items[: len(items) // 2]
+    else:
+        raise DataError(f"a robot cannot reach {', '.join(shut)}")
+    order = _order(plan)
+    ways: Entry = {}
+    for name, cells in (("path1", order[::2]), ("path2", order)):
+        stops = [start]
+        for cell in cells:
+            left = list(places[cell])
+            while left:  # the nearest one next
+                here = space.points[stops[-1]]
+                following = min(left, key=lambda one: float(np.linalg.norm(space.points[one] - here)))
+                left.remove(following)
+                stops.append(following)
+        way = space.way([*stops, start])
+        _check(building, way)
+        ways[name] = [[round(float(x), 3), round(float(y), 3)] for x, y in way]
+    check_paths(parse_building({**content, "paths": ways}, seed, content["name"]))
+    return ways
+
+
+def _order(plan: Plan) -> list[str]:
+    """Return the cells in the order in which one comes through their doors, each wing to its end before the next."""
+    beyond: dict[str, list[str]] = {cell.name: [] for cell in plan.cells}
+    for one, other, _ in plan.doors:
+        beyond[one].append(other)
+        beyond[other].append(one)
+    middle = {cell.name: (cell.x[0] + cell.x[1], cell.y[0] + cell.y[1]) for cell in plan.cells}
+    order, waiting = [], [plan.cells[0].name]
+    while waiting:
+        here = waiting.pop()
+        if here not in order:
+            order.append(here)
+            nearer = sorted(beyond[here], key=lambda name: -middle[name][0])
+            waiting += [name for name in nearer if name not in order]
+    return order
+
+
+def _check(building: Building, way: Array) -> None:
+    """Raise DataError where rounding the corners of a way leads into something."""
+    if blocked_points(building, rounded(way)).any():
+        raise DataError("the robot's way is too narrow")

@@ -1,0 +1,313 @@
+"""Floor plans of drawn buildings: which rooms there are, where they lie, and which of them are joined by a door."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from siamloc.simulate.layout import Interval
+
+#: Distance in metres of a door from the ends of the wall that two cells share, at least.
+_MARGIN = 0.22
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A rectangle of a floor plan.
+
+    Attributes:
+        name: unique within the plan.
+        use: key of `furnishing.USES`.
+        x: extent in metres.
+        y: extent in metres.
+    """
+
+    name: str
+    use: str
+    x: Interval
+    y: Interval
+
+    @property
+    def area(self) -> float:
+        """Square metres."""
+        return (self.x[1] - self.x[0]) * (self.y[1] - self.y[0])
+
+    def shared(self, other: Cell) -> tuple[str, float, Interval] | None:
+        """Return along which axis a wall to another cell runs, its other coordinate and its ends; None without one."""
+        for along, across in (("x", "y"), ("y", "x")):
+            mine, theirs = getattr(self, across), getattr(other, across)
+            for level in (mine[1],) if mine[1] == theirs[0] else (mine[0],) if mine[0] == theirs[1] else ():
+                a, b = getattr(self, along), getattr(other, along)
+                span = (max(a[0], b[0]), min(a[1], b[1]))
+                if span[1] > span[0]:
+                    return along, level, span
+        return None
+
+    def outside(self, side: str, others: list[Cell]) -> list[Interval]:
+        """Return the parts of one of its walls behind which no other cell lies."""
+        along, across = ("x", "y") if side in ("north", "south") else ("y", "x")
+        level = getattr(self, across)[1 if side in ("north", "east") else 0]
+        parts = [getattr(self, along)]
+        for other in others:
+            found = None if other is self else self.shared(other)
+            if found is not None and found[0] == along and found[1] == level:
+                low, high = found[2]
+                cut = [[(a, min(b, low)), (max(a, high), b)] for a, b in parts]
+                parts = [(a, b) for pair in cut for a, b in pair if b - a > 1e-6]
+        return parts
+
+
+@dataclass
+class Plan:
+    """The cells of a floor, in the order in which a robot may visit them, and their doors.
+
+    Attributes:
+        height: of the ceilings in metres.
+        cells: the first is where the robot sets out.
+        doors: names of two cells and the kind of the door between them: "leaf", "glass" or "open".
+    """
+
+    height: float
+    cells: list[Cell] = field(default_factory=list)
+    doors: list[tuple[str, str, str]] = field(default_factory=list)
+
+    def add(self, use: str, x: Interval, y: Interval) -> Cell:
+        """Add a cell, rounded to centimetres."""
+        cell = Cell(f"{use}_{len(self.cells)}", use, (round(x[0], 2), round(x[1], 2)), (round(y[0], 2), round(y[1], 2)))
+        self.cells.append(cell)
+        return cell
+
+    def join(self, a: Cell, b: Cell, kind: str) -> bool:
+        """Join two cells by a door, if they share enough of a wall for one."""
+        found = a.shared(b)
+        if found is None or found[2][1] - found[2][0] < 0.95 + 2 * _MARGIN:
+            return False
+        self.doors.append((a.name, b.name, kind))
+        return True
+
+    def place_doors(self, rng: np.random.Generator) -> list[dict[str, object]]:
+        """Return the doors as a building file has them, each somewhere in the wall that its two cells share."""
+        by_name = {cell.name: cell for cell in self.cells}
+        doors: list[dict[str, object]] = []
+        for one, other, kind in self.doors:
+            found = by_name[one].shared(by_name[other])
+            assert found is not None
+            low, high = found[2][0] + _MARGIN, found[2][1] - _MARGIN
+            widest = rng.uniform(1.2, 3.2) if kind == "open" else rng.uniform(0.95, 1.3)
+            width = min(float(widest), high - low)
+            at = rng.uniform(low + width / 2, high - width / 2)
+            top = min(rng.uniform(2.0, 2.25) if kind != "open" else rng.uniform(2.1, 2.6), self.height - 0.1)
+            doors.append(
+                {
+                    "between": [one, other],
+                    "at": round(float(at), 2),
+                    "width": int(width * 50) / 50,
+                    "height": round(float(top), 2),
+                    "kind": kind,
+                    "hinge": str(rng.choice(["low", "high"])),
+                }
+            )
+        return doors
+
+
+def _leaf(rng: np.random.Generator) -> str:
+    return str(rng.choice(["leaf", "glass", "open"], p=[0.72, 0.13, 0.15]))
+
+
+def _uses(rng: np.random.Generator, count: int, often: str, others: tuple[str, ...]) -> list[str]:
+    """Draw what rooms are for: about half of them for one thing."""
+    return [often if rng.random() < 0.5 else str(rng.choice(others)) for _ in range(count)]
+
+
+_OFFICE = ("office", ("kitchen", "printer", "meeting", "toilet", "storage", "laboratory", "lounge", "library"))
+_SCHOOL = ("classroom", ("office", "toilet", "library", "laboratory", "storage", "meeting", "lounge"))
+
+
+def _row(
+    plan: Plan,
+    rng: np.random.Generator,
+    corridor: Cell,
+    side: str,
+    uses: list[str],
+    start: float,
+    widths: Interval,
+    depths: Interval,
+) -> float:
+    """Add rooms along one side of a corridor, a door to each, and return where the row ends."""
+    at = start
+    depth = float(rng.uniform(*depths))
+    for use in uses:
+        width = float(rng.uniform(*widths)) * (1.6 if use == "classroom" else 1.0)
+        deep = max(2.4, depth + float(rng.uniform(-0.8, 0.4)) * (rng.random() < 0.4))
+        along = (at, at + width)
+        if side in ("north", "south"):
+            level = corridor.y[1] if side == "north" else corridor.y[0]
+            across = (level, level + deep) if side == "north" else (level - deep, level)
+            room = plan.add(use, along, across)
+        else:
+            level = corridor.x[1] if side == "east" else corridor.x[0]
+            across = (level, level + deep) if side == "east" else (level - deep, level)
+            room = plan.add(use, across, along)
+        plan.join(corridor, room, _leaf(rng))
+        at = (room.x if side in ("north", "south") else room.y)[1]
+        if rng.random() < 0.15:
+            at += float(rng.uniform(0.3, 1.8))
+    return at
+
+
+def offices(rng: np.random.Generator) -> Plan:
+    """A corridor with rooms on one or two sides, perhaps with a wing at its end."""
+    plan = Plan(float(rng.uniform(2.4, 3.2)))
+    often, others = _OFFICE if rng.random() < 0.7 else _SCHOOL
+    width = float(rng.uniform(1.6, 3.0))
+    both = rng.random() < 0.7
+    counts = rng.integers(2, 4 if both else 6, 2)
+    # The corridor is as long as its rows need; they are drawn first, and it is put in front.
+    draft = Plan(plan.height)
+    probe = draft.add("corridor", (0.0, 60.0), (-width / 2, width / 2))
+    ends = [_row(draft, rng, probe, "north", _uses(rng, int(counts[0]), often, others), 0.0, (2.8, 6.0), (3.2, 6.2))]
+    if both:
+        first = float(rng.uniform(0.0, 1.2)) * (rng.random() < 0.5)
+        row = _uses(rng, int(counts[1]), often, others)
+        ends.append(_row(draft, rng, probe, "south", row, first, (2.8, 6.0), (3.2, 6.2)))
+    length = round(max(ends) + float(rng.uniform(0.0, 1.5)), 2)
+    plan.cells = [Cell(probe.name, probe.use, (0.0, length), probe.y), *draft.cells[1:]]
+    plan.doors = draft.doors
+    corridor = plan.cells[0]
+    if rng.random() < 0.4:  # a wing across its beginning
+        wide = float(rng.uniform(1.6, 2.6))
+        reach = rng.uniform(0.5, 7.0, 2)
+        wing = plan.add("corridor", (-wide, 0.0), (corridor.y[0] - float(reach[0]), corridor.y[1] + float(reach[1])))
+        plan.join(corridor, wing, "open" if rng.random() < 0.7 else "glass")
+        row = _uses(rng, int(rng.integers(1, 4)), often, others)
+        _row(plan, rng, wing, "west", row, wing.y[0], (2.8, 4.5), (3.2, 5.5))
+        _trim(plan)
+    if rng.random() < 0.35:  # a room at its end
+        half = rng.uniform(0.9, 2.6, 2) + width / 2
+        x = (corridor.x[1], corridor.x[1] + float(rng.uniform(3.0, 6.0)))
+        end = plan.add(str(rng.choice([often, *others])), x, (-float(half[0]), float(half[1])))
+        plan.join(corridor, end, _leaf(rng))
+    return plan
+
+
+def _trim(plan: Plan) -> None:
+    """Leave out rooms without a door: their corridor ended before they began."""
+    kept = {name for door in plan.doors for name in door[:2]}
+    plan.cells = [cell for cell in plan.cells if cell.name in kept]
+
+
+def ring(rng: np.random.Generator) -> Plan:
+    """Corridors around a core, rooms on their outer sides."""
+    plan = Plan(float(rng.uniform(2.5, 3.3)))
+    often, others = _OFFICE if rng.random() < 0.6 else _SCHOOL
+    wide, long, deep = (float(rng.uniform(*span)) for span in ((1.6, 2.4), (4.5, 9.0), (2.6, 5.5)))
+    south = plan.add("corridor", (-wide, long + wide), (-wide, 0.0))
+    north = plan.add("corridor", (-wide, long + wide), (deep, deep + wide))
+    west = plan.add("corridor", (-wide, 0.0), (0.0, deep))
+    east = plan.add("corridor", (long, long + wide), (0.0, deep))
+    for a, b in ((south, west), (west, north), (north, east), (east, south)):
+        plan.join(a, b, "open" if rng.random() < 0.8 else "glass")
+    if rng.random() < 0.5:
+        core = plan.add(str(rng.choice(others)), (0.0, long), (0.0, deep))
+        plan.join([south, north, west, east][int(rng.integers(4))], core, _leaf(rng))
+    for corridor, side in ((south, "south"), (north, "north")):
+        row = _uses(rng, int(rng.integers(1, 4)), often, others)
+        _row(plan, rng, corridor, side, row, -wide, (2.8, 5.0), (3.0, 5.5))
+    _trim(plan)
+    return plan
+
+
+def home(rng: np.random.Generator) -> Plan:
+    """A flat: a rectangle split into rooms, the most central of which leads to the others."""
+    plan = Plan(float(rng.uniform(2.3, 3.1)))
+    size = (float(rng.uniform(7.5, 12.5)), float(rng.uniform(6.5, 10.5)))
+    boxes = _split((0.0, size[0]), (0.0, size[1]), float(rng.uniform(9.0, 20.0)), rng)
+    cells = [Cell(str(number), "", x, y) for number, (x, y) in enumerate(boxes)]
+    touching = {
+        (i, j): found[2][1] - found[2][0]
+        for i, a in enumerate(cells)
+        for j, b in enumerate(cells)
+        if i != j and (found := a.shared(b)) and found[2][1] - found[2][0] > 0.95 + 2 * _MARGIN
+    }
+    if any(not any(pair[0] == i for pair in touching) for i in range(len(cells))):
+        return home(rng)
+    central = max(range(len(cells)), key=lambda i: (sum(pair[0] == i for pair in touching), -cells[i].area))
+    order, links = [central], []
+    while len(order) < len(cells):
+        open_links = [pair for pair in touching if pair[0] in order and pair[1] not in order]
+        if not open_links:
+            return home(rng)
+        near = [pair for pair in open_links if pair[0] == central] or open_links
+        chosen = near[int(rng.integers(len(near)))]
+        links.append(chosen)
+        order.append(chosen[1])
+    by_size = sorted((i for i in order if i != central), key=lambda i: -cells[i].area)
+    wanted = ["living", "bedroom", "kitchen", "bath", "bedroom", "study", "storage", "bedroom"]
+    wanted += ["study"] * len(cells)
+    use = {i: wanted[number] for number, i in enumerate(by_size)} | {central: "entrance"}
+    if len(by_size) > 3:  # the smallest one is the bathroom
+        last = by_size[-1]
+        other = next(i for i in by_size if use[i] == "bath")
+        use[other], use[last] = use[last], use[other]
+    made = {i: plan.add(use[i], cells[i].x, cells[i].y) for i in order}
+    for i, j in links:
+        bath = "bath" in (use[i], use[j])
+        plan.join(made[i], made[j], "leaf" if bath else _leaf(rng) if rng.random() < 0.7 else "open")
+    known = {frozenset(pair) for pair in links}
+    for i, j in touching:
+        if i < j and frozenset((i, j)) not in known and rng.random() < 0.12 and "bath" not in (use[i], use[j]):
+            plan.join(made[i], made[j], _leaf(rng))
+    return plan
+
+
+def _split(x: Interval, y: Interval, largest: float, rng: np.random.Generator) -> list[tuple[Interval, Interval]]:
+    wide, deep = x[1] - x[0], y[1] - y[0]
+    if wide * deep <= largest or max(wide, deep) < 4.2:
+        return [(x, y)]
+    share = float(rng.uniform(0.36, 0.64))
+    if wide > deep:
+        cut = round(x[0] + share * wide, 2)
+        return [*_split((x[0], cut), y, largest, rng), *_split((cut, x[1]), y, largest, rng)]
+    cut = round(y[0] + share * deep, 2)
+    return [*_split(x, (y[0], cut), largest, rng), *_split(x, (cut, y[1]), largest, rng)]
+
+
+def hall(rng: np.random.Generator) -> Plan:
+    """A hall with rooms along one or two of its sides."""
+    plan = Plan(float(rng.uniform(2.8, 4.8)))
+    use = str(rng.choice(["foyer", "workshop", "canteen", "open_office"]))
+    room = plan.add(use, (0.0, float(rng.uniform(8.0, 15.0))), (0.0, float(rng.uniform(6.0, 11.0))))
+    often, others = _OFFICE
+    for side in ("north", "south")[: 1 + int(rng.random() < 0.6)]:
+        row = _uses(rng, int(rng.integers(1, 4)), often, others)
+        _row(plan, rng, room, side, row, float(rng.uniform(0.0, 1.5)), (2.8, 5.0), (2.8, 5.0))
+    if rng.random() < 0.5:
+        middle = float(rng.uniform(1.0, room.y[1] - 1.0))
+        wide = float(rng.uniform(1.7, 2.8))
+        y = (max(0.0, middle - wide / 2), min(room.y[1], middle + wide / 2))
+        corridor = plan.add("corridor", (room.x[1], room.x[1] + float(rng.uniform(4.0, 10.0))), y)
+        plan.join(room, corridor, "open")
+    _trim(plan)
+    return plan
+
+
+#: The kinds of buildings, and how often each is drawn.
+PLANS: tuple[tuple[Callable[[np.random.Generator], Plan], float], ...] = (
+    (offices, 0.45),
+    (ring, 0.15),
+    (home, 0.25),
+    (hall, 0.15),
+)
+
+
+def draw_plan(rng: np.random.Generator) -> Plan:
+    """Draw the floor plan of a building of any kind.
+
+    >>> plan = draw_plan(np.random.default_rng(0))
+    >>> all(any(cell.name in door[:2] for door in plan.doors) for cell in plan.cells)
+    True
+    """
+    chances = [chance for _, chance in PLANS]
+    return PLANS[int(rng.choice(len(PLANS), p=chances))][0](rng)

@@ -1,0 +1,453 @@
+"""Furnishing drawn buildings: what rooms are used for, and what stands and hangs where."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from siamloc.simulate.floor_plans import Cell
+from siamloc.simulate.items import KINDS
+from siamloc.simulate.layout import HALF_WALL, SIDES, Interval
+
+Rng = np.random.Generator
+Entry = dict[str, Any]
+_WOODS = ("beech", "wood", "walnut", "plain", "planks")
+#: In front of a door nothing stands so far into the room, in metres.
+_THRESHOLD = 1.05
+_TALL = 1.15
+_HUNG = ("poster", "picture", "poster", "picture", "notice_board", "clock", "room_sign", "shelf_board")
+
+
+@dataclass(frozen=True)
+class Use:
+    """What a room is for.
+
+    Attributes:
+        code: of the rooms, with the place of their number.
+        floors: floors that suit it.
+        walls: what stands along its walls, the more likely the more often it is named.
+        middle: what stands away from them.
+        hung: what hangs on its walls, besides pictures.
+        density: items along ten metres of wall.
+    """
+
+    code: str
+    floors: tuple[str, ...]
+    walls: tuple[str, ...]
+    middle: tuple[str, ...] = ()
+    hung: tuple[str, ...] = ()
+    density: float = 4.0
+
+
+_SOFT = ("carpet", "carpet_red", "carpet_gray", "parquet", "linoleum", "planks")
+_HARD = ("linoleum", "linoleum_green", "tiles_floor", "terrazzo", "checker", "concrete", "marble")
+_CLEAN = ("tiles_floor", "checker", "linoleum_green", "terrazzo")
+
+USES: dict[str, Use] = {
+    "corridor": Use(
+        "CR{}-A",
+        ("linoleum", "linoleum_green", "carpet_gray", "parquet", "terrazzo", "tiles_floor", "carpet", "planks"),
+        ("plant", "bench", "lockers", "cabinet", "copier", "vending_machine", "bin", "shelf", "coat_rack", "column"),
+        hung=("blind_door", "blind_door", "extinguisher", "room_sign", "notice_board", "elevator", "exit_sign"),
+        density=1.2,
+    ),
+    "office": Use(
+        "{}PO-A",
+        _SOFT,
+        ("desk", "desk", "desk", "shelf", "shelf", "cabinet", "sideboard", "plant", "bin", "coat_rack", "lockers"),
+        ("desk_pair", "round_table"),
+        ("whiteboard", "notice_board"),
+    ),
+    "open_office": Use(
+        "LO{}-A",
+        _SOFT,
+        ("shelf", "cabinet", "sideboard", "plant", "copier", "desk", "desk", "coat_rack"),
+        ("desk_pair", "desk_pair", "desk_pair", "column", "round_table"),
+        ("whiteboard",),
+        3.0,
+    ),
+    "kitchen": Use(
+        "KT{}-A",
+        _CLEAN,
+        ("kitchen_counter", "kitchen_counter", "fridge", "sideboard", "bin", "visitor_chair"),
+        ("dining", "round_table"),
+        ("notice_board",),
+    ),
+    "printer": Use(
+        "PA{}-A", _HARD, ("copier", "printer_table", "pigeonholes", "shelf", "cabinet", "carton", "bin"), (), ()
+    ),
+    "meeting": Use(
+        "CNR{}-A",
+        _SOFT,
+        ("sideboard", "plant", "visitor_chair", "cabinet"),
+        ("conference", "conference"),
+        ("whiteboard", "whiteboard", "television"),
+        2.0,
+    ),
+    "toilet": Use(
+        "TL{}-A", _CLEAN, ("stall", "stall", "stall", "basins", "urinals", "bin"), (), ("dryer", "mirror"), 5.0
+    ),
+    "storage": Use(
+        "SR{}-A", _HARD, ("shelf", "shelf", "lockers", "carton", "carton", "cabinet", "shelf"), ("carton",), (), 7.0
+    ),
+    "laboratory": Use(
+        "RL{}-A",
+        _HARD,
+        ("table", "table", "desk", "shelf", "cabinet", "lockers", "printer_table", "carton"),
+        ("table", "desk_pair"),
+        ("whiteboard", "shelf_board"),
+        5.0,
+    ),
+    "lounge": Use(
+        "LG{}-A",
+        _SOFT,
+        ("sofa", "armchair", "vending_machine", "plant", "shelf", "floor_lamp"),
+        ("seating", "round_table", "rug"),
+        ("television",),
+    ),
+    "library": Use("LB{}-A", _SOFT, ("shelf",) * 6 + ("desk", "armchair", "plant"), ("stacks", "round_table"), (), 6.0),
+    "classroom": Use(
+        "TR{}-A",
+        _HARD,
+        ("cabinet", "shelf", "lockers", "desk", "bin"),
+        ("benches", "benches"),
+        ("whiteboard",) * 2,
+        1.5,
+    ),
+    "living": Use(
+        "LR{}-A",
+        ("parquet", "planks", "carpet", "carpet_red", "terrazzo", "marble"),
+        ("sofa", "armchair", "shelf", "sideboard", "plant", "floor_lamp", "wardrobe", "television_set"),
+        ("seating", "dining", "rug"),
+        ("television", "shelf_board"),
+    ),
+    "bedroom": Use(
+        "BR{}-A",
+        ("parquet", "planks", "carpet", "carpet_red", "linoleum"),
+        ("bed", "bed", "wardrobe", "sideboard", "desk", "armchair", "floor_lamp", "shelf"),
+        ("rug",),
+        ("mirror", "shelf_board"),
+    ),
+    "bath": Use("BT{}-A", _CLEAN, ("basins", "bathtub", "stall", "cabinet", "bin"), (), ("mirror",), 5.0),
+    "study": Use(
+        "ST{}-A", _SOFT, ("desk", "shelf", "shelf", "armchair", "cabinet", "plant"), ("rug",), ("shelf_board",)
+    ),
+    "entrance": Use(
+        "HL{}-A",
+        ("parquet", "planks", "tiles_floor", "checker", "terrazzo", "marble"),
+        ("wardrobe", "sideboard", "coat_rack", "bench", "plant", "shelf"),
+        ("rug",),
+        ("mirror", "coats"),
+        2.0,
+    ),
+    "foyer": Use(
+        "FY{}-A",
+        ("terrazzo", "marble", "tiles_floor", "checker", "concrete", "parquet"),
+        ("bench", "plant", "vending_machine", "sofa", "lockers", "sideboard"),
+        ("column", "column", "seating", "plant_island", "rug"),
+        ("elevator", "notice_board", "blind_door", "exit_sign"),
+        2.0,
+    ),
+    "workshop": Use(
+        "WS{}-A",
+        ("concrete", "linoleum", "tiles_floor"),
+        ("table", "table", "cabinet", "lockers", "shelf", "carton", "carton", "bin"),
+        ("table", "table", "column", "carton"),
+        ("extinguisher", "whiteboard", "blind_door", "shelf_board"),
+        4.0,
+    ),
+    "canteen": Use(
+        "CT{}-A",
+        _HARD,
+        ("kitchen_counter", "vending_machine", "sideboard", "fridge", "plant", "bin"),
+        ("dining", "dining", "dining", "round_table", "column"),
+        ("notice_board", "exit_sign"),
+        2.5,
+    ),
+}
+
+
+class Room:
+    """A cell that is being furnished: what stands in it, and where something could still go."""
+
+    def __init__(self, cell: Cell, height: float, doors: list[Entry], windows: list[Entry]) -> None:
+        self.cell, self.height, self.windows = cell, height, windows
+        self.items: list[Entry] = []
+        self.x = (cell.x[0] + HALF_WALL, cell.x[1] - HALF_WALL)
+        self.y = (cell.y[0] + HALF_WALL, cell.y[1] - HALF_WALL)
+        self.gaps = {side: list(self._gaps(side, doors)) for side in SIDES}
+        self._taken = [self._threshold(side, gap) for side, gaps in self.gaps.items() for gap in gaps]
+        self._hung: dict[str, list[tuple[Interval, Interval]]] = {side: [] for side in SIDES}
+
+    def _gaps(self, side: str, doors: list[Entry]) -> Iterator[Interval]:
+        for door in doors:
+            if door["wall"].get(self.cell.name) == side:
+                yield door["at"] - door["width"] / 2, door["at"] + door["width"] / 2
+
+    def _threshold(self, side: str, gap: Interval) -> tuple[float, float, float, float]:
+        low, high = gap[0] - 0.12, gap[1] + 0.12
+        deep = max(_THRESHOLD, gap[1] - gap[0] + 0.1 if gap[1] - gap[0] < 1.4 else 0.6)
+        inwards = -deep if side in ("north", "east") else deep
+        edge = {"north": self.y[1], "south": self.y[0], "east": self.x[1], "west": self.x[0]}[side]
+        across = (min(edge, edge + inwards), max(edge, edge + inwards))
+        return (low, high, *across) if side in ("north", "south") else (*across, low, high)
+
+    def span(self, side: str) -> Interval:
+        """Return where a wall begins and ends."""
+        return self.x if side in ("north", "south") else self.y
+
+    def stand(self, side: str, at: float, size: tuple[float, float, float], entry: Entry, blocks: bool = True) -> bool:
+        """Put an item against a wall, if there is room for it."""
+        w, d, h = size
+        low, high = self.span(side)
+        if at - w / 2 < low or at + w / 2 > high or h > self.height - 0.05:
+            return False
+        if side in ("north", "south"):
+            y = (self.y[1] - d, self.y[1]) if side == "north" else (self.y[0], self.y[0] + d)
+            box = (at - w / 2, at + w / 2, *y)
+        else:
+            x = (self.x[1] - d, self.x[1]) if side == "east" else (self.x[0], self.x[0] + d)
+            box = (*x, at - w / 2, at + w / 2)
+        if h > _TALL and any(
+            window["wall"] == side and abs(window["at"] - at) < (window["width"] + w) / 2 for window in self.windows
+        ):
+            return False
+        if not self._free(box, 0.02):
+            return False
+        self._taken.append(box)
+        if h > 0.9:
+            self._hung[side].append(((at - w / 2, at + w / 2), (0.0, h)))
+        self.items.append({**entry, "against": side, "at": round(at, 2), "size": [round(float(v), 2) for v in size]})
+        return True
+
+    def place(self, x: float, y: float, facing: float, size: tuple[float, float, float], entry: Entry) -> bool:
+        """Put an item anywhere, if there is room for it."""
+        w, d, h = size
+        turn = np.radians(facing - 90)
+        half_x = abs(np.cos(turn)) * w / 2 + abs(np.sin(turn)) * d / 2
+        half_y = abs(np.sin(turn)) * w / 2 + abs(np.cos(turn)) * d / 2
+        box = (x - half_x, x + half_x, y - half_y, y + half_y)
+        if box[0] < self.x[0] or box[1] > self.x[1] or box[2] < self.y[0] or box[3] > self.y[1]:
+            return False
+        flat = not KINDS[entry["kind"]].blocks
+        if h > self.height - 0.05 or not (flat or self._free(box, 0.02)):
+            return False
+        if not flat:
+            self._taken.append(box)
+        self.items.append(
+            {
+                **entry,
+                "at": [round(float(x), 2), round(float(y), 2)],
+                "facing": round(float(facing), 1),
+                "size": [round(float(v), 2) for v in size],
+            }
+        )
+        return True
+
+    def hang(self, side: str, at: float, size: tuple[float, float, float], z: float, entry: Entry) -> bool:
+        """Hang something on a wall, beside doors, windows, furniture, and what hangs there already."""
+        w, _, h = size
+        low, high = self.span(side)
+        across = (at - w / 2 - 0.04, at + w / 2 + 0.04)
+        if across[0] < low or across[1] > high or z + h > self.height - 0.05:
+            return False
+        doors = [((a - 0.1, b + 0.1), (0.0, 2.4)) for a, b in self.gaps[side]]
+        windows = [
+            (
+                (one["at"] - one["width"] / 2 - 0.08, one["at"] + one["width"] / 2 + 0.08),
+                (one["sill"] - 0.05, one["head"]),
+            )
+            for one in self.windows
+            if one["wall"] == side
+        ]
+        for span, rise in (*doors, *windows, *self._hung[side]):
+            if across[0] < span[1] and across[1] > span[0] and z < rise[1] and z + h > rise[0]:
+                return False
+        self._hung[side].append((across, (z, z + h)))
+        self.items.append(
+            {
+                **entry,
+                "against": side,
+                "at": round(at, 2),
+                "z": round(z, 2),
+                "size": [round(float(v), 2) for v in size],
+            }
+        )
+        return True
+
+    def _free(self, box: tuple[float, float, float, float], margin: float) -> bool:
+        a, b, c, d = box
+        return all(
+            b + margin <= x0 or a - margin >= x1 or d + margin <= y0 or c - margin >= y1
+            for x0, x1, y0, y1 in self._taken
+        )
+
+
+def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
+    """Draw what stands and hangs in a room, as a building file has it.
+
+    Args:
+        room: where; with its doors and windows.
+        style: draws what all of its furniture has in common.
+        rng: draws the rest.
+        density: how much, 1 for the usual.
+    """
+    use = USES[room.cell.use]
+    common: Entry = {"wood": str(style.choice(_WOODS)), "colour": [round(float(v), 2) for v in _colour(style)]}
+    area = room.cell.area
+    if use.middle and area > 9:
+        for _ in range(max(1, round(area / 14 * density))):
+            _in_the_middle(room, str(rng.choice(use.middle)), common, rng)
+    length = 2 * (room.x[1] - room.x[0] + room.y[1] - room.y[0])
+    for number in range(max(1, round(length / 10 * use.density * density))):
+        # What a room is named for comes first.
+        kind = use.walls[0] if number == 0 else str(rng.choice(use.walls))
+        for _ in range(6):
+            side = str(rng.choice(list(SIDES)))
+            if _along_a_wall(room, kind, side, float(rng.uniform(*room.span(side))), common, rng):
+                break
+    for window in room.windows:
+        if window["sill"] > 0.55 and rng.random() < 0.6:
+            size = (min(window["width"], 1.6), 0.1, min(0.55, window["sill"] - 0.2))
+            room.hang(window["wall"], window["at"], size, 0.12, {"kind": "radiator"})
+    names = [*use.hung, *_HUNG] if room.cell.use not in ("toilet", "bath", "storage") else list(use.hung)
+    for _ in range(round(length / 10 * rng.uniform(2.0, 7.0) * density) if names else 0):
+        kind = str(rng.choice(names))
+        side = str(rng.choice(list(SIDES)))
+        _on_a_wall(room, kind, side, float(rng.uniform(*room.span(side))), rng)
+    return room.items
+
+
+def _colour(rng: Rng) -> tuple[float, float, float]:
+    """Draw a linear colour: often grey, seldom strong."""
+    grey = rng.uniform(0.04, 0.7)
+    tint = rng.uniform(0.5, 1.5, 3) ** rng.choice([0.2, 1.0, 2.0])
+    red, green, blue = np.clip(grey * tint / tint.mean(), 0.01, 0.9)
+    return float(red), float(green), float(blue)
+
+
+def _sized(kind: str, rng: Rng) -> tuple[float, float, float]:
+    w, d, h = KINDS[kind].size
+    scale = rng.uniform(0.85, 1.2, 3)
+    if kind in ("chair", "visitor_chair", "person", "copier", "fridge", "vending_machine", "stall", "elevator"):
+        scale = np.full(3, rng.uniform(0.95, 1.05))
+    if kind in ("shelf", "cabinet", "lockers", "sideboard", "wardrobe", "bench"):
+        scale[0] = rng.uniform(0.6, 1.7)
+        scale[2] = rng.uniform(0.5, 1.1) if kind in ("shelf", "cabinet") else scale[2]
+    return float(w * scale[0]), float(d * scale[1]), float(h * scale[2])
+
+
+def _entry(kind: str, common: Entry, rng: Rng) -> Entry:
+    """Return the entry of an item, with the options that its kind knows."""
+    entry: Entry = {"kind": kind}
+    known = KINDS[kind].options
+    if "wood" in known and rng.random() < 0.8:
+        entry["wood"] = common["wood"]
+    if "colour" in known and rng.random() < 0.8:
+        entry["colour"] = common["colour"] if rng.random() < 0.5 else [round(v, 2) for v in _colour(rng)]
+    if "screens" in known:
+        entry["screens"] = int(rng.integers(0, 3))
+    if "content" in known:
+        entry["content"] = str(rng.choice(["mixed", "books", "binders", "empty"], p=[0.4, 0.25, 0.25, 0.1]))
+    if "picture" in known:
+        entry["picture"] = int(rng.integers(1000))
+    return entry
+
+
+def _along_a_wall(room: Room, kind: str, side: str, at: float, common: Entry, rng: Rng) -> bool:
+    if kind == "television_set":
+        size = _sized("sideboard", rng)
+        done = room.stand(side, at, size, _entry("sideboard", common, rng))
+        return done and room.hang(side, at, (1.1, 0.06, 0.65), size[2] + 0.25, {"kind": "television"})
+    size = _sized(kind, rng)
+    if kind == "column":
+        size = (size[0], size[1], room.height - 0.06)
+    if not room.stand(side, at, size, _entry(kind, common, rng)):
+        return False
+    if kind == "desk":
+        facing = SIDES[side]
+        away = size[1] + 0.35
+        x, y = {
+            "north": (at, room.y[1] - away),
+            "south": (at, room.y[0] + away),
+            "east": (room.x[1] - away, at),
+            "west": (room.x[0] + away, at),
+        }[side]
+        room.place(x, y, facing + 180, _sized("chair", rng), _entry("chair", common, rng))
+    return True
+
+
+def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
+    """Put a group of things away from the walls, with a passage around it."""
+    margin = 0.95
+    (x0, x1), (y0, y1) = room.x, room.y
+    if min(x1 - x0, y1 - y0) < 2 * margin + 0.4:
+        return
+    x, y = float(rng.uniform(x0 + margin, x1 - margin)), float(rng.uniform(y0 + margin, y1 - margin))
+    turn = float(rng.choice([0.0, 90.0]))
+    ahead = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
+    across = np.array([-ahead[1], ahead[0]])
+
+    def put(name: str, forwards: float, sideways: float, facing: float, size: tuple[float, float, float]) -> bool:
+        place = (x, y) + forwards * ahead + sideways * across
+        inside = x0 + 0.75 < place[0] < x1 - 0.75 and y0 + 0.75 < place[1] < y1 - 0.75
+        if not inside and name not in ("rug", "chair", "visitor_chair"):
+            return False
+        return room.place(float(place[0]), float(place[1]), turn + facing, size, _entry(name, common, rng))
+
+    if kind == "desk_pair":
+        size = _sized("desk", rng)
+        if put("desk", size[1] / 2 + 0.03, 0, 0, size):
+            put("chair", size[1] + 0.33, 0, 180, _sized("chair", rng))
+            if put("desk", -size[1] / 2 - 0.03, 0, 180, size):
+                put("chair", -size[1] - 0.33, 0, 0, _sized("chair", rng))
+    elif kind in ("dining", "conference"):
+        long = float(rng.uniform(1.1, 1.9) if kind == "dining" else rng.uniform(1.6, 3.2))
+        deep = float(rng.uniform(0.7, 1.1))
+        if put("table", 0, 0, 0, (long, deep, 0.74)):
+            count = max(1, int(long / 0.65))
+            for seat in range(count):
+                sideways = (seat + 0.5) / count * long - long / 2
+                for sign in (1, -1):
+                    if rng.random() < 0.85:
+                        put("visitor_chair", sign * (deep / 2 + 0.2), sideways, 180 if sign > 0 else 0,
+                            KINDS["visitor_chair"].size)  # fmt: skip
+    elif kind == "seating":
+        put("rug", 0, 0, 0, _sized("rug", rng))
+        if put("sofa", -0.9, 0, 0, _sized("sofa", rng)):
+            put("table", 0.25, 0, 0, (0.9, 0.55, 0.42))
+    elif kind == "benches":
+        for line in range(int(rng.integers(2, 5))):
+            for seat in range(2):
+                put("table", 1.5 * line - 1.5, 1.7 * seat - 0.85, 0, (1.3, 0.5, 0.74))
+                put("visitor_chair", 1.5 * line - 2.0, 1.7 * seat - 0.85, 0, KINDS["visitor_chair"].size)
+    elif kind == "stacks":
+        size = _sized("shelf", rng)
+        if put("shelf", 0.2, 0, 0, size):
+            put("shelf", -0.2, 0, 180, size)
+    elif kind == "plant_island":
+        for sideways in (-0.35, 0.35):
+            put("plant", 0, sideways, 0, _sized("plant", rng))
+    elif kind == "column":
+        wide = float(rng.uniform(0.3, 0.6))
+        put("column", 0, 0, 0, (wide, wide, room.height - 0.06))
+    else:
+        put(kind, 0, 0, 0, _sized(kind, rng))
+
+
+def _on_a_wall(room: Room, kind: str, side: str, at: float, rng: Rng) -> bool:
+    known = KINDS[kind]
+    scale = (
+        float(rng.uniform(0.7, 1.4)) if kind in ("poster", "picture", "notice_board", "whiteboard", "mirror") else 1.0
+    )
+    w, d, h = known.size
+    z = known.z + float(rng.uniform(-0.1, 0.25)) * (known.z > 0.6)
+    entry: Entry = {"kind": kind}
+    if "picture" in known.options:
+        entry["picture"] = int(rng.integers(1000))
+    if kind == "blind_door":
+        entry["wood"] = str(rng.choice(_WOODS))
+    return room.hang(side, at, (w * scale, d, h * scale), z, entry)

@@ -1,0 +1,160 @@
+"""Finding ways for a robot through a furnished building: into its rooms and back, around what stands there."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from siamloc.errors import DataError
+from siamloc.simulate.items import KINDS
+from siamloc.simulate.layout import HALF_WALL, Array, Building
+
+_CELL = 0.1
+#: What the robot's middle keeps from walls and furniture, in metres; smoothing may take a little of it.
+_CLEARANCE = 0.38
+_SMOOTHED = 0.31
+_SPACING = 0.45
+
+
+class FreeSpace:
+    """Where a robot can be in a building, as a grid of 10 cm.
+
+    Args:
+        building: its walls, doors and items.
+
+    Raises:
+        DataError: nothing is free.
+    """
+
+    def __init__(self, building: Building) -> None:
+        (x0, x1), (y0, y1) = building.bounds
+        self._origin = np.array([x0 - 0.5, y0 - 0.5])
+        fine = 2  # the distance to the next obstacle is measured at half the cells' size
+        shape = [round((high - low + 1.0) / _CELL) * fine for low, high in ((y0, y1), (x0, x1))]
+        free = np.zeros(shape, np.uint8)
+
+        def fill(points: Array, value: int) -> None:
+            pixels = (np.asarray(points) - self._origin) * (fine / _CELL) - 0.5
+            cv2.fillPoly(free, [np.round(pixels * 16).astype(np.int32)], value, shift=4)
+
+        def box(x: tuple[float, float], y: tuple[float, float]) -> Array:
+            return np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])])
+
+        for room in building.rooms.values():
+            fill(box(*room.inner(0.02)), 255)
+        for opening in building.openings:
+            if opening.passable:
+                low, high = opening.interval
+                span, across = (
+                    (low + 0.03, high - 0.03),
+                    (opening.level - HALF_WALL - 0.1, opening.level + HALF_WALL + 0.1),
+                )
+                fill(box(*((span, across) if opening.along == "x" else (across, span))), 255)
+        for item in building.items:
+            if KINDS[item.kind].blocks:
+                fill(item.footprint(0.02), 0)
+        distance = cv2.distanceTransform(free, cv2.DIST_L2, 5)[::fine, ::fine] * (_CELL / fine)
+        self.clearance = distance
+        rows, columns = np.nonzero(distance >= _CLEARANCE)
+        if not len(rows):
+            raise DataError("a robot fits nowhere into this building")
+        self._number: Array = np.full(distance.shape, -1)
+        self._number[rows, columns] = np.arange(len(rows))
+        self.points = np.column_stack([columns, rows]) * _CELL + self._origin + _CELL / 4
+        self.margin = distance[rows, columns]
+        self._graph = self._edges(rows, columns)
+
+    def _edges(self, rows: Array, columns: Array) -> csr_array:
+        """Join neighbours (n, n); a step costs the more the nearer an obstacle is."""
+        starts, ends, costs = [], [], []
+        dear = 1 + 0.35 / self.margin**2
+        for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            y, x = rows + down, columns + right
+            inside = (y >= 0) & (x >= 0) & (y < self._number.shape[0]) & (x < self._number.shape[1])
+            other = np.full(len(rows), -1)
+            other[inside] = self._number[y[inside], x[inside]]
+            found = np.flatnonzero(other >= 0)
+            starts.append(found)
+            ends.append(other[found])
+            costs.append(np.hypot(down, right) * _CELL * (dear[found] + dear[other[found]]) / 2)
+        count = len(rows)
+        joined = (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends)))
+        return coo_array(joined, shape=(count, count)).tocsr()
+
+    def inside(self, x: tuple[float, float], y: tuple[float, float]) -> Array:
+        """Return the numbers of the cells within a rectangle."""
+        points = self.points
+        return np.flatnonzero(
+            (points[:, 0] > x[0]) & (points[:, 0] < x[1]) & (points[:, 1] > y[0]) & (points[:, 1] < y[1])
+        )
+
+    def reachable(self, start: int) -> Array:
+        """Return True for the cells (n,) that a robot can reach."""
+        return np.isfinite(dijkstra(self._graph, directed=False, indices=start))
+
+    def way(self, stops: list[int]) -> Array:
+        """Return a way (n, 2) in metres past some cells, smooth where there is room.
+
+        Raises:
+            DataError: one of them cannot be reached from the one before.
+        """
+        cells = [stops[0]]
+        for start, end in pairwise(stops):
+            before = dijkstra(self._graph, directed=False, indices=start, return_predecessors=True)[1]
+            part = [end]
+            while part[-1] != start:
+                previous = int(before[part[-1]])
+                if previous < 0:
+                    raise DataError("a robot cannot reach every room")
+                part.append(previous)
+            cells += part[-2::-1]
+        raw = self.points[cells]
+        smooth = gaussian_filter1d(raw, 2.5, axis=0, mode="nearest")
+        fits = self._margin_at(smooth) >= _SMOOTHED
+        fits = cv2.erode(fits.astype(np.uint8)[:, None], np.ones((7, 1), np.uint8))[:, 0] > 0
+        share = gaussian_filter1d(fits.astype(np.float64), 1.5, mode="nearest")[:, None] * fits[:, None]
+        line = share * smooth + (1 - share) * raw
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        keep = np.concatenate([[True], np.diff(length) > 1e-6])
+        at = np.linspace(0, length[-1], max(2, round(length[-1] / _SPACING)))
+        return np.stack([np.interp(at, length[keep], line[keep, axis]) for axis in (0, 1)], axis=1)
+
+    def _margin_at(self, points: Array) -> Array:
+        pixel = np.rint((points - self._origin) / _CELL - 0.25).astype(int)
+        return self.clearance[pixel[:, 1], pixel[:, 0]]
+
+
+def visits(
+    space: FreeSpace, x: tuple[float, float], y: tuple[float, float], seen: Array, rng: np.random.Generator
+) -> list[int]:
+    """Choose where a robot goes in a room: well away from obstacles, and from one another; the more in larger rooms.
+
+    Args:
+        space: of the building.
+        x: extent of the room.
+        y: extent of the room.
+        seen: cells that can be reached (n,).
+        rng: draws among equals.
+    """
+    cells = space.inside((x[0] + 0.3, x[1] - 0.3), (y[0] + 0.3, y[1] - 0.3))
+    cells = cells[seen[cells]]
+    if not len(cells):
+        return []
+    points = space.points[cells]
+    margin = np.minimum(space.margin[cells], 0.8)
+    chosen: list[int] = []
+    score = margin + rng.uniform(0, 0.4, len(cells))
+    wanted = 2 + int((x[1] - x[0]) * (y[1] - y[0]) // 16)
+    while len(chosen) < min(wanted, 6):
+        best = int(np.argmax(score))
+        if score[best] <= 0:
+            break
+        chosen.append(best)
+        apart = np.linalg.norm(points - points[best], axis=1)
+        score = np.minimum(score, np.minimum(apart / 2.0, 1.0) - 0.28) * (apart > 0.5)
+    return cells[chosen].tolist()
