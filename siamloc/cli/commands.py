@@ -86,6 +86,27 @@ def train(config: DictConfig) -> None:
         print(f"next: siamloc map run={run.folder}")
 
 
+def pretrain(config: DictConfig) -> None:
+    """Train a network on random buildings."""
+    from siamloc import models, training
+    from siamloc.training.fitting import process_rank
+
+    network = models.build(**network_of(config), image_size=plain(config)["image_size"], seed=config.seed)
+    run = training.pretrain(
+        network,
+        run=config.run,
+        views=plain(config.views),
+        loss=loss_of(config),
+        augmentation={key: value for key, value in plain(config.augment).items() if key != "where"},
+        trainer=plain(config.trainer),
+        resume=config.resume,
+        overwrite=config.overwrite,
+        settings=training_of(config),
+    )
+    if process_rank() == 0:
+        print(f"next: siamloc train model.branch.weights={run.folder} experiment=modern")
+
+
 def map_frames(config: DictConfig) -> None:
     """Describe the map frames of a run, and group them into nodes if that is asked for."""
     from siamloc import maps

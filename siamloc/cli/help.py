@@ -94,6 +94,23 @@ COMMANDS = {
         """,
         "siamloc train experiment=modern data=cold data.root=/data/COLD protocol=freiburg run=runs/freiburg",
     ),
+    "pretrain": Command(
+        "pretrain",
+        "train a network on random buildings, before it sees any data",
+        """
+        Draws, furnishes, lights and renders one building after the other while the network learns from those that are
+        there. All follows from the seed. The weights are where `siamloc train` can start from.
+
+        run=runs/pretrained         where the run is written
+        epochs=28                   of 500 batches each; a new building comes every views.batches=10
+        views.processes=1           that render, beside the training
+        seed=0 resume=true
+        trainer.devices=2 trainer.strategy=ddp   each process has buildings of its own
+        """,
+        "siamloc pretrain run=runs/pretrained",
+        config="pretrain",
+        reads_data=False,
+    ),
     "map": Command(
         "map_frames",
         "describe the map frames of a run",

@@ -18,7 +18,7 @@ def register(name: str) -> None:
     from omegaconf import OmegaConf
 
     store = ConfigStore.instance()
-    groups = nodes_of_config() if name == "config" else nodes_of_data() if name in _READS_DATA else {}
+    groups = nodes_of_config() if name in ("config", "pretrain") else nodes_of_data() if name in _READS_DATA else {}
     for group, nodes in groups.items():
         for node, values in nodes.items():
             store.store(node, OmegaConf.create(values), group=group)
@@ -44,7 +44,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     from siamloc.maps.grouping import WAYS
     from siamloc.models.registry import LOSS_SETTINGS, Optimizer
     from siamloc.settings import defaults_of
-    from siamloc.training.settings import Training
+    from siamloc.training.settings import Training, ViewSettings
 
     training = defaults_of(Training)
     descriptors = {
@@ -63,6 +63,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
         "settings": {
             "pairs": defaults_of(PairSettings),
             "places": defaults_of(PlaceSettings),
+            "views": defaults_of(ViewSettings),
             "optimizer": defaults_of(Optimizer),
             "training": {
                 **{key: training[key] for key in OF_TRAINING},
@@ -87,15 +88,19 @@ _BY_GROUP = ("pairs", "loss", "optimizer")
 
 def _nodes_of_recipes() -> dict[str, dict[str, Any]]:
     """Return what recipes set, by the group in which it is chosen; the rest is under "settings/recipe"."""
-    from siamloc.training.recipes import RECIPES
+    from siamloc.training.recipes import PRETRAINING, RECIPES
 
     nodes: dict[str, dict[str, Any]] = {}
-    for name, recipe in RECIPES.items():
+    for name, recipe in {**RECIPES, "pretraining": PRETRAINING}.items():
         chosen = {**recipe.training, "loss": dict(recipe.loss or {})}
         for group in _BY_GROUP:
             nodes.setdefault(f"settings/recipe/{group}", {})[name] = chosen.pop(group)
         model = {key: value for key, value in recipe.model.items() if key not in ("branch", "head")}
-        rest = {"data": {"image_size": list(recipe.image_size)}, "model": model, "trainer": dict(recipe.trainer)}
+        rest: dict[str, Any] = {"model": model, "trainer": dict(recipe.trainer)}
+        if recipe.views is None:
+            rest["data"] = {"image_size": list(recipe.image_size)}
+        else:
+            rest |= {"image_size": list(recipe.image_size), "views": dict(recipe.views)}
         nodes.setdefault("settings/recipe", {})[name] = {**rest, **chosen}
     return nodes
 

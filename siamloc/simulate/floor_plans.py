@@ -97,7 +97,7 @@ class Plan:
             low, high = found[2][0] + _MARGIN, found[2][1] - _MARGIN
             widest = rng.uniform(1.2, 3.2) if kind == "open" else rng.uniform(0.95, 1.3)
             width = min(float(widest), high - low)
-            at = rng.uniform(low + width / 2, high - width / 2)
+            at = low + width / 2 + rng.random() * max(high - low - width, 0.0)
             top = min(rng.uniform(2.0, 2.25) if kind != "open" else rng.uniform(2.1, 2.6), self.height - 0.1)
             doors.append(
                 {

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-import signal
-import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from inspect import Signature, signature
-from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +25,7 @@ from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.load import load_building
 from siamloc.simulate.mesh import embree
 from siamloc.simulate.preview import PICTURES, write_preview
+from siamloc.simulate.processes import processors, rendering_processes
 from siamloc.simulate.render import frames, meter
 from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import Scene, build_scene
@@ -239,7 +237,7 @@ def _finish(sequence: Path, drive: Track) -> None:
 
 def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iterator[int]:
     """Render every batch and yield once for each frame written."""
-    workers = config.workers or min(_processors(), 8)
+    workers = config.workers or min(processors(), 8)
     workers = min(workers, len(work))
     if workers <= 1:
         global _stage
@@ -251,7 +249,7 @@ def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iter
         finally:
             _stage = None
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare_worker) as pool:
+    with rendering_processes(workers) as pool:
         pending = [pool.submit(_batch, config, run, rows) for run, rows in work]
         try:
             for future in as_completed(pending):
@@ -264,25 +262,6 @@ def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iter
             ) from error
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-
-
-def _prepare_worker() -> None:
-    """Leave one thread to every process; they share the processors, and the first one answers an interruption."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    cv2.setNumThreads(1)
-
-
-def _end_with_parent() -> None:
-    """Stop this process when the first one was killed: nobody would collect its work."""
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 @dataclass(frozen=True)

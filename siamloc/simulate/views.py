@@ -56,7 +56,6 @@ class Views:
 def draw_views(
     seed: int,
     image_size: Sequence[int] = (64, 256),
-    *,
     drives: int = 2,
     lights: int = 4,
     poses: int = 60,

@@ -92,7 +92,7 @@ class EpochDataModule(LightningDataModule):
     changed before; otherwise batches travel there from pinned memory.
 
     Args:
-        library: decoded panoramas of all frames.
+        library: decoded panoramas of all frames; None where pictures come from elsewhere.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
         augmentation: what happens to training images; nothing if None.
     """
@@ -100,7 +100,7 @@ class EpochDataModule(LightningDataModule):
     _first_epoch = 0
     _first_batch = 0
 
-    def __init__(self, library: PanoramaLibrary, workers: int, augmentation: BatchAugmentation | None) -> None:
+    def __init__(self, library: PanoramaLibrary | None, workers: int, augmentation: BatchAugmentation | None) -> None:
         super().__init__()
         self.library = library
         self.workers = int(workers)
@@ -151,7 +151,7 @@ class EpochDataModule(LightningDataModule):
         The first call brings them there.
         """
         changed_here = augmentation is not None and augmentation.where == "cpu"
-        if self.trainer is None or changed_here:
+        if self.trainer is None or self.library is None or changed_here:
             return None
         device = self.trainer.strategy.root_device
         if self._resident is None or self._resident.images.device != device:

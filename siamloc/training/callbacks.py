@@ -179,6 +179,13 @@ class Curves(Checkpoint):
         """Note when and where the training begins, and which file TensorBoard's logger has opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
         trainer.should_stop |= self._stale()
+        self._record_events(trainer)
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        """Note that file also where the training ends before its first step."""
+        self._record_events(trainer)
+
+    def _record_events(self, trainer: Trainer) -> None:
         if trainer.is_global_zero:
             self._run.record_written(set(self._run.tensorboard.glob("events.*")) - self._events_before)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -29,7 +29,7 @@ from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import checked, takes
-from siamloc.training.batches import BatchAugmentation
+from siamloc.training.batches import BatchAugmentation, EpochDataModule
 from siamloc.training.checks import check_batches, check_loss, check_network, check_rooms, monitored, usable
 from siamloc.training.compiled import compiled, compiles
 from siamloc.training.debug import Debug, debug_training
@@ -136,7 +136,7 @@ def fit(
     elif first:
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
-    effect, augmented = _effect(augmentation, images)
+    effect, augmented = effect_of(augmentation, images.circular)
     gpu = on_gpu(trainer)
     faster = compiles(settings.compile, gpu)
     where = settings.augment_where if settings.augment_where != "auto" else "gpu" if gpu else "cpu"
@@ -161,14 +161,59 @@ def fit(
             "validation": None if validated is None else note_frames(images, validated),
         },
     }
-    layout = fast_layout(network, used["trainer"]["precision"] == "auto")
     if debug is not None:
         check_batches(data, module.loss)
         _wake(network)
+        layout = fast_layout(network, used["trainer"]["precision"] == "auto")
         with quiet(), layout, compiled(module, faster), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
             debug_training(debug, module, data, run, used, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
+    learn(
+        module,
+        data,
+        run,
+        used,
+        settings,
+        trainer,
+        monitor=monitor,
+        what=f"{len(train)} frames, {data.sampler.summary()} per epoch",
+        resume=resume,
+        note=lambda: _note(settings, train, loss, data.notes()),
+    )
+    return run
+
+
+def learn(
+    module: NetworkModule,
+    data: EpochDataModule,
+    run: Run,
+    used: dict[str, Any],
+    settings: Training,
+    trainer: Mapping[str, Any] | None,
+    *,
+    monitor: str | None,
+    what: str,
+    resume: bool,
+    note: Callable[[], None] = lambda: None,
+) -> None:
+    """Train a module, from the start or from the last checkpoint of its run; afterwards it holds the best weights.
+
+    Args:
+        module: with the network.
+        data: its batches.
+        run: where checkpoints and curves go.
+        used: the settings for the record, as plain values; those of the trainer are added.
+        settings: of the training.
+        trainer: further arguments of `lightning.Trainer`.
+        monitor: figure of the validation by which the checkpoint is chosen; None where nothing is validated.
+        what: is learned from, in words.
+        resume: go on.
+        note: says what the user should know, once everything is checked.
+    """
+    network, first = module.network, process_rank() == 0
+    faster = compiles(settings.compile, on_gpu(trainer))
+    layout = fast_layout(network, used["trainer"]["precision"] == "auto")
     last = run.checkpoints / "last.ckpt"
     with quiet():
         lightning = run_trainer(run, settings, trainer, monitor and f"val/{monitor}")
@@ -180,19 +225,15 @@ def fit(
                 check_architecture(last, module)
         _wake(network)
         if first:
-            open_run(run, used, resume=resume, validated=validated is not None)
-            _note(settings, train, loss, data.notes())
-            name = content["model"].get("class") or f"{content['model']['branch']} + {content['model']['head']}"
-            print(
-                f"training {name} on {len(train)} frames, {data.sampler.summary()} per epoch, "
-                f"epochs: {settings.epochs}, into {run.folder}",
-                file=sys.stderr,
-            )
+            open_run(run, used, resume=resume, validated=monitor is not None)
+            note()
+            model = used["model"]
+            name = model.get("class") or f"{model['branch']} + {model['head']}"
+            print(f"training {name} on {what}, epochs: {settings.epochs}, into {run.folder}", file=sys.stderr)
         start = last if resume and last.is_file() else None
         with layout, compiled(module, faster):
             _train(lightning, module, data, run, start)
     load(run, network=network)
-    return run
 
 
 def _wake(network: nn.Module) -> None:
@@ -255,14 +296,14 @@ def _parts(
     return pairs, SiameseModule(network, chosen, settings.optimizer, settings.recall_radius)
 
 
-def _effect(
-    given: augment.Effect | Mapping[str, Any] | str | None, images: PanoramaLibrary
+def effect_of(
+    given: augment.Effect | Mapping[str, Any] | str | None, circular: bool
 ) -> tuple[augment.Effect | None, dict[str, Any]]:
     """Make the augmentation, and describe it in plain values; None where nothing happens to the images."""
     if given is None or isinstance(given, str):
         given = {"name": "none" if given is None else given}
     if isinstance(given, Mapping):
-        effect: augment.Effect = augment.policy_from_config({"circular": images.circular, **given})
+        effect: augment.Effect = augment.policy_from_config({"circular": circular, **given})
         described = dict(given)
     elif isinstance(given, augment.Effect):
         effect = given
@@ -277,9 +318,7 @@ def _effect(
     return effect, described
 
 
-def _train(
-    trainer: Trainer, module: NetworkModule, data: PairDataModule | PlaceDataModule, run: Run, start: Path | None
-) -> None:
+def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: Run, start: Path | None) -> None:
     """Fit; when the user stops it, say how to go on.
 
     Raises:

@@ -134,6 +134,8 @@ class PairDataModule(EpochDataModule):
         ConfigError: a batch size below 1.
     """
 
+    library: PanoramaLibrary
+
     def __init__(
         self,
         library: PanoramaLibrary,

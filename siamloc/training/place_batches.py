@@ -15,7 +15,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings, places_of
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 
-_STREAM = 0xA07  # sets the draws of the augmentation apart from others
+AUGMENTATION_STREAM = 0xA07  # sets the draws of the augmentation apart from others
 _DESCRIBED_AT_ONCE = 64
 _VALIDATED_WITH = 500  # map frames, and queries, at most
 
@@ -69,7 +69,9 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         if self._augmentation is not None:
             mine = slice(self._rank * len(rows), (self._rank + 1) * len(rows))
             images_of_all = len(rows) * self._world_size
-            params = self._augmentation.draw((epoch, batch, _STREAM), images_of_all, self._library.image_shape, mine)
+            params = self._augmentation.draw(
+                (epoch, batch, AUGMENTATION_STREAM), images_of_all, self._library.image_shape, mine
+            )
             if self._augmentation.where == "gpu":
                 item["change"] = params
             else:
@@ -132,6 +134,8 @@ class PlaceDataModule(EpochDataModule):
         augmentation: what happens to training images; nothing if None.
         seed: of the batches.
     """
+
+    library: PanoramaLibrary
 
     def __init__(
         self,

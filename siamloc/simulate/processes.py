@@ -1,0 +1,36 @@
+"""Processes that render: how many, and how they end with the one that started them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context, parent_process
+
+import cv2
+
+
+def processors() -> int:
+    """Count the processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def rendering_processes(count: int) -> ProcessPoolExecutor:
+    """Start processes that render; they are spawned, so that a script needs `if __name__ == "__main__":`."""
+    return ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_prepare)
+
+
+def _prepare() -> None:
+    """Leave one thread to every process; they share the processors, and the first one answers an interruption."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+
+
+def _end_with_parent() -> None:
+    """Stop this process when the first one was killed: nobody would collect its work."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

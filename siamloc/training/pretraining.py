@@ -1,0 +1,109 @@
+"""`pretrain`: train a network on random buildings, of which there is no end, before it sees any data set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import augment
+from siamloc.data.places import PlaceSettings
+from siamloc.errors import ConfigError
+from siamloc.models.batch_losses import UNIT_LENGTH
+from siamloc.models.network import Network
+from siamloc.models.places import BatchLoss, PlaceModule
+from siamloc.runs import Run
+from siamloc.settings import takes
+from siamloc.simulate.mesh import embree
+from siamloc.training.batches import BatchAugmentation
+from siamloc.training.checks import check_loss
+from siamloc.training.fitting import effect_of, learn, process_rank
+from siamloc.training.run_folder import check_folder
+from siamloc.training.settings import Training, ViewSettings
+from siamloc.training.trainer import on_gpu
+from siamloc.training.view_batches import ViewDataModule
+
+
+@takes(Training)
+def pretrain(
+    network: Network,
+    *,
+    run: str | Path | Run,
+    views: ViewSettings | Mapping[str, Any] | None = None,
+    loss: BatchLoss | None = None,
+    augmentation: augment.Effect | Mapping[str, Any] | str | None = None,
+    trainer: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    settings: Training,
+) -> Run:
+    """Train a network on random buildings, in place, each drawn, furnished, lit and rendered while others are learned.
+
+    All follows from the seed: the n-th building is the same on every machine, and so is the batch that is learned from
+    in a step, however fast buildings are rendered. Where several processes train together, each renders buildings of
+    its own. After every epoch the network is asked for places in buildings that it never learns from. With
+    `views.processes` above 0 processes are spawned: a script calls this under `if __name__ == "__main__":`.
+
+    Args:
+        network: what `siamloc.models.build` makes; pictures are rendered at its image size.
+        run: folder of the run, a new or empty one.
+        views: which buildings; the defaults of `ViewSettings` if None.
+        loss: (descriptors (N, D), `Origins`) -> scalar; `SoftContrastiveLoss()` if None.
+        augmentation: what happens to the pictures, as for `fit`.
+        trainer: further arguments of `lightning.Trainer`.
+        resume: go on from the last checkpoint of the run.
+        overwrite: replace a run.
+        settings: the fields of `Training` together, instead of one keyword each; `pairs` are a `PlaceSettings` with
+            `epoch_batches`.
+
+    Returns:
+        The run.
+
+    Raises:
+        ConfigError: settings that have no meaning or contradict each other, a folder that holds a run or other files, a
+            run of other settings to resume, or a loss that is not finite.
+        DataError: a process that renders died.
+        SiamlocError: embreex is not installed.
+        KeyboardInterrupt: the user stopped it; the run can be resumed.
+
+    Example:
+        >>> recipe = siamloc.training.recipe("pretraining")  # doctest: +SKIP
+        >>> recipe.pretrain(recipe.build(), run="runs/pretrained")  # doctest: +SKIP
+    """
+    embree()
+    run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
+    views = views if isinstance(views, ViewSettings) else ViewSettings.of(views or {})
+    places = settings.pairs
+    if not isinstance(places, PlaceSettings) or places.epoch_batches is None:
+        raise ConfigError("pretraining learns from batches of places: give pairs a number of epoch_batches")
+    if settings.monitor not in ("auto", "recall", "error"):
+        raise ConfigError(f"pretraining is judged by the places found: monitor={settings.monitor} means nothing here")
+    if not isinstance(network, Network):
+        raise ConfigError("pretraining needs a network of siamloc.models.build, whose image size the pictures have")
+    if process_rank() == 0:
+        check_folder(run, resume, overwrite)
+    settings = replace(settings, monitor="recall") if settings.monitor == "auto" else settings
+    check_loss(loss, 2)
+    effect, augmented = effect_of(augmentation, bool(network.settings["circular"]))
+    where = settings.augment_where if settings.augment_where != "auto" else "gpu" if on_gpu(trainer) else "cpu"
+    change = None if effect is None else BatchAugmentation(effect, where, settings.seed)
+    data = ViewDataModule(network.image_size, views, places, change, settings.seed)
+    module = PlaceModule(network, loss, settings.optimizer, settings.recall_radius)
+    if isinstance(module.loss, UNIT_LENGTH) and network.settings["head"] not in ("flat", "gem", "bands", "fourier"):
+        raise ConfigError("this loss needs descriptors of length 1: choose the head flat, gem, bands or fourier")
+    content = module.content()
+    used: dict[str, Any] = {
+        "data": {"name": "random buildings", "views": views.plain()},
+        "protocol": {},
+        "model": content["model"],
+        "loss": content["loss"],
+        "training": settings.plain(),
+        "augment": augmented,
+        "trainer": {"precision": str((trainer or {}).get("precision", "32-true"))},
+        "frames": {"train": None, "validation": None},
+    }
+    buildings = -(-settings.epochs * places.epoch_batches // views.batches)
+    what = f"{buildings} random buildings, {places.epoch_batches} batches per epoch"
+    learn(module, data, run, used, settings, trainer, monitor=settings.monitor, what=what, resume=resume)
+    return run

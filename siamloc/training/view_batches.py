@@ -1,0 +1,281 @@
+"""`ViewDataModule`: batches of places in random buildings, which are rendered while a network learns from others."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import DataLoader, Dataset
+
+from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.places import PlaceSampler, PlaceSettings
+from siamloc.errors import DataError
+from siamloc.simulate.processes import rendering_processes
+from siamloc.simulate.views import Views, draw_views
+from siamloc.training.batches import BatchAugmentation, EpochDataModule
+from siamloc.training.place_batches import AUGMENTATION_STREAM, origins_of
+from siamloc.training.settings import ViewSettings
+
+_SEEDS = 1 << 30  # of the buildings to learn from; those of the validation come after them
+_STEP = 1_000_003
+_VALIDATION_BUILDINGS, _VALIDATION_POSES = 3, 120
+_DESCRIBED_AT_ONCE = 64
+
+
+def building_seed(seed: int, number: int) -> int:
+    """Return the seed of the n-th building that a training of some seed learns from, for `draw_views`."""
+    return (seed * _STEP + number) % _SEEDS
+
+
+class BuildingStream:
+    """Random buildings in their order, rendered by other processes before they are needed.
+
+    Args:
+        image_size: rows and columns of the pictures.
+        settings: which buildings.
+        seed: of the training.
+        rank: number of this process among those that train together; each has buildings of its own.
+        world_size: how many those are.
+    """
+
+    def __init__(
+        self, image_size: Sequence[int], settings: ViewSettings, seed: int, rank: int = 0, world_size: int = 1
+    ) -> None:
+        self._size, self._settings, self._seed = tuple(image_size), settings, seed
+        self._rank, self._world_size = rank, world_size
+        self._pool: ProcessPoolExecutor | None = None
+        self._coming: dict[int, Future[Views]] = {}
+        self._here: OrderedDict[int, tuple[Views, FrameTable]] = OrderedDict()
+
+    def held(self, newest: int) -> list[tuple[Views, FrameTable]]:
+        """Return the buildings up to the newest one, as many as are held; waits for those that are not ready.
+
+        Raises:
+            DataError: a process that renders has died.
+        """
+        numbers = range(max(0, newest + 1 - self._settings.held), newest + 1)
+        for number in [number for number in self._here if number not in numbers]:
+            del self._here[number]
+        ahead = range(numbers.start, numbers.stop + max(2, 2 * self._settings.processes))
+        if self._settings.processes:
+            for number in ahead:
+                if number not in self._here and number not in self._coming:
+                    self._coming[number] = self._processes().submit(draw_views, *self._wanted(number))
+        for number in numbers:
+            if number not in self._here:
+                self._here[number] = self._ready(number)
+        return [self._here[number] for number in numbers]
+
+    def _ready(self, number: int) -> tuple[Views, FrameTable]:
+        try:
+            coming = self._coming.pop(number, None)
+            views = draw_views(*self._wanted(number)) if coming is None else coming.result()
+        except BrokenProcessPool as error:
+            raise DataError(
+                "a process that renders buildings died, perhaps for lack of memory: go on with resume=true and fewer "
+                "views.processes; in a script of your own, call pretrain under `if __name__ == '__main__':`"
+            ) from error
+        return views, frames_of(views, f"building {number * self._world_size + self._rank}")
+
+    def _wanted(self, number: int) -> tuple[Any, ...]:
+        settings = self._settings
+        seed = building_seed(self._seed, number * self._world_size + self._rank)
+        return seed, self._size, settings.drives, settings.lights, settings.poses
+
+    def _processes(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            self._pool = rendering_processes(self._settings.processes)
+        return self._pool
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+        self._coming.clear()
+        self._here.clear()
+
+
+def frames_of(views: Views, name: str) -> FrameTable:
+    """List the pictures of a building as frames; each light counts as a lighting of its own."""
+    count = len(views)
+    return FrameTable(
+        path=np.array([f"{name}, picture {number}" for number in range(count)]),
+        x=views.xy[:, 0],
+        y=views.xy[:, 1],
+        room=np.array([f"room {room}" for room in views.room.tolist()]),
+        lighting=np.array([f"light {light}" for light in views.light.tolist()]),
+        building=np.full(count, name),
+    )
+
+
+class ViewBatches(Dataset[dict[str, Any]]):
+    """The batches of every epoch: item (epoch, i) is a whole batch, as `PlaceBatches` has it.
+
+    What is in it follows from the seed and its number alone, not from how fast buildings are rendered.
+
+    Args:
+        stream: of buildings.
+        views: which buildings.
+        places: which pictures a batch has.
+        augmentation: what happens to them, if anything.
+        seed: of the training.
+        rank: number of this process among those that train together.
+        world_size: how many those are.
+    """
+
+    def __init__(
+        self,
+        stream: BuildingStream,
+        views: ViewSettings,
+        places: PlaceSettings,
+        augmentation: BatchAugmentation | None,
+        seed: int,
+        rank: int = 0,
+        world_size: int = 1,
+    ) -> None:
+        self._stream, self._views, self._places = stream, views, places
+        self._augmentation, self._seed = augmentation, seed
+        self._rank, self._world_size = rank, world_size
+
+    def __len__(self) -> int:
+        assert self._places.epoch_batches is not None
+        return self._places.epoch_batches
+
+    def drawn(self, epoch: int, batch: int) -> tuple[list[Views], FrameTable, NDArray[np.int64]]:
+        """Return the buildings of a batch, the frames of all their pictures, and the rows of those that are drawn."""
+        number = epoch * len(self) + batch
+        held = self._stream.held(number // self._views.batches)
+        rng = np.random.default_rng([self._seed, number, self._rank, 0xB1D6])
+        chosen = rng.permutation(len(held))[: self._views.together]
+        frames = concatenate([held[one][1] for one in chosen])
+        sampler = PlaceSampler(frames, self._places, seed=self._seed)
+        return [held[one][0] for one in chosen], frames, sampler.batch(number, self._rank)
+
+    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
+        epoch, batch = number
+        if not 0 <= batch < len(self):
+            raise IndexError(f"batch {batch} of {len(self)}")
+        views, frames, rows = self.drawn(epoch, batch)
+        first = np.cumsum([0, *(len(one) for one in views)])
+        which = np.searchsorted(first, rows, side="right") - 1
+        pictures = np.stack([views[one].images[row - first[one]] for one, row in zip(which, rows, strict=True)])
+        item: dict[str, Any] = {"images": torch.from_numpy(pictures)}
+        item |= {name: value[rows] for name, value in origins_of(frames).items()}
+        # The processes that train together number their buildings, rooms and frames apart.
+        for name in ("building", "room", "frame"):
+            item[name] = item[name] * self._world_size + self._rank
+        if self._augmentation is not None:
+            mine = slice(self._rank * len(rows), (self._rank + 1) * len(rows))
+            stream = (epoch, batch, AUGMENTATION_STREAM)
+            params = self._augmentation.draw(stream, len(rows) * self._world_size, pictures.shape[1:], mine)
+            if self._augmentation.where == "gpu":
+                item["change"] = params
+            else:
+                item["images"] = self._augmentation.effect.apply(item["images"], params)
+        return item
+
+
+class ViewValidation(Dataset[dict[str, Any]]):
+    """Drives through buildings that nothing is learned from: each is mapped under one light and asked under all others.
+
+    Args:
+        image_size: rows and columns of the pictures.
+        processes: that render them; 0 renders them here.
+    """
+
+    def __init__(self, image_size: Sequence[int], processes: int = 0) -> None:
+        wanted = [
+            (_SEEDS + number, tuple(image_size), 2, 3, _VALIDATION_POSES) for number in range(_VALIDATION_BUILDINGS)
+        ]
+        if processes:
+            with rendering_processes(min(processes, len(wanted))) as pool:
+                views = [future.result() for future in [pool.submit(draw_views, *one) for one in wanted]]
+        else:
+            views = [draw_views(*one) for one in wanted]
+        # One light of the first drive is the map, and the lights of the second drive are asked.
+        known = [one.light == one.lighting[:3].index("cloudy") for one in views]
+        taken = [np.flatnonzero(of_map | (one.light >= 3)) for one, of_map in zip(views, known, strict=True)]
+        frames = [
+            frames_of(one, f"building {n}").take(rows) for n, (one, rows) in enumerate(zip(views, taken, strict=True))
+        ]
+        self._images = np.concatenate([one.images[rows] for one, rows in zip(views, taken, strict=True)])
+        self._columns = origins_of(*frames)
+        self._columns["known"] = torch.from_numpy(
+            np.concatenate([of_map[rows] for of_map, rows in zip(known, taken, strict=True)])
+        )
+
+    def __len__(self) -> int:
+        return -(-len(self._images) // _DESCRIBED_AT_ONCE)
+
+    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
+        rows = slice(number[1] * _DESCRIBED_AT_ONCE, (number[1] + 1) * _DESCRIBED_AT_ONCE)
+        columns = {name: value[rows] for name, value in self._columns.items()}
+        return {"images": torch.from_numpy(self._images[rows]), **columns}
+
+
+class ViewDataModule(EpochDataModule):
+    """Serve batches of places in random buildings to a `PlaceModule`; see `PlaceDataModule`.
+
+    Args:
+        image_size: rows and columns of the pictures.
+        views: which buildings.
+        places: which pictures a batch has; `epoch_batches` is needed.
+        augmentation: what happens to the pictures; nothing if None.
+        seed: of buildings and batches.
+    """
+
+    def __init__(
+        self,
+        image_size: Sequence[int],
+        views: ViewSettings,
+        places: PlaceSettings,
+        augmentation: BatchAugmentation | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(None, 0, augmentation)
+        self.views, self.places, self.seed = views, places, seed
+        self._size = tuple(image_size)
+        self._stream: BuildingStream | None = None
+        self._validation: ViewValidation | None = None
+
+    def check_processes(self, processes: int) -> None:
+        """Any number of processes will do: each has buildings of its own."""
+
+    def batches(self) -> ViewBatches:
+        """Return the batches of this process."""
+        if self._stream is None:
+            self._stream = BuildingStream(self._size, self.views, self.seed, *self.share())
+        return ViewBatches(self._stream, self.views, self.places, self.augmentation, self.seed, *self.share())
+
+    def train_dataloader(self) -> DataLoader[Any]:
+        """Make the loader of the training batches."""
+        return self.loader(self.batches(), self.next_epoch())
+
+    def val_dataloader(self) -> DataLoader[Any]:
+        """Make the loader of the validation, which is rendered once."""
+        if self._validation is None:
+            self._validation = ViewValidation(self._size, self.views.processes)
+        return self.loader(self._validation, None)
+
+    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
+        """Name the pictures of a training batch."""
+        _, frames, rows = self.batches().drawn(epoch, batch)
+        return {"images": frames.path[rows]}
+
+    def needed(self) -> list[FrameTable]:
+        """Nothing lies in a library."""
+        return []
+
+    def teardown(self, stage: str) -> None:
+        """End the processes that render."""
+        super().teardown(stage)
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None

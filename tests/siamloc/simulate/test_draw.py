@@ -1,0 +1,103 @@
+"""Drawn buildings: any seed gives one that a robot can drive through, and two seeds give two architects' work."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from siamloc.errors import DataError
+from siamloc.simulate import Run, load_building
+from siamloc.simulate.draw import draw_building
+from siamloc.simulate.floor_plans import PLANS, Cell, draw_plan
+from siamloc.simulate.furnishing import USES
+from siamloc.simulate.items import KINDS
+from siamloc.simulate.parse import parse_building
+from siamloc.simulate.plan import clearance, obstacles, room_at
+from siamloc.simulate.route import FreeSpace
+from siamloc.simulate.run import draw_run
+
+SEEDS = [0, 1, 2, 3, 11, 99, 12345]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_robot_visits_every_room_and_touches_nothing(seed: int) -> None:
+    building = load_building("random", seed)
+    for path, share in (("path1", 0.3), ("path2", 1.0)):
+        poses = draw_run(building, Run("cloudy", 1, path)).track.poses
+        visited = set(room_at(building, poses[:, :2]).tolist())
+        assert -1 not in visited
+        assert len(visited) >= share * len(building.rooms)
+    segments, _ = obstacles(building)
+    assert clearance(poses[:, :2], segments).min() > 0.2, "a robot is half a metre wide"
+
+
+def test_a_seed_is_a_building_and_another_seed_another_one() -> None:
+    assert draw_building(4) == draw_building(4)
+    one, other = draw_building(4), draw_building(5)
+    assert one["rooms"] != other["rooms"]
+    assert one["paths"] != other["paths"]
+
+
+@pytest.mark.parametrize("draw", [plan for plan, _ in PLANS], ids=lambda plan: plan.__name__)
+def test_every_kind_of_plan_is_connected_and_nothing_overlaps(draw) -> None:
+    for seed in range(25):
+        plan = draw(np.random.default_rng(seed))
+        reached, waiting = set(), [plan.cells[0].name]
+        while waiting:
+            here = waiting.pop()
+            if here not in reached:
+                reached.add(here)
+                waiting += [b if a == here else a for a, b, _ in plan.doors if here in (a, b)]
+        assert reached == {cell.name for cell in plan.cells}
+        for number, a in enumerate(plan.cells):
+            for b in plan.cells[:number]:
+                across = min(a.x[1], b.x[1]) - max(a.x[0], b.x[0])
+                along = min(a.y[1], b.y[1]) - max(a.y[0], b.y[0])
+                assert min(across, along) < 1e-9, (a, b)
+        for door in plan.place_doors(np.random.default_rng(seed)):
+            assert door["width"] > 0.9
+
+
+def test_all_kinds_of_plans_are_drawn() -> None:
+    uses = {cell.use for seed in range(40) for cell in draw_plan(np.random.default_rng(seed)).cells}
+    assert {"corridor", "office", "bedroom", "living"} <= uses
+    assert {"foyer", "workshop", "canteen", "open_office"} & uses
+    assert uses <= set(USES)
+
+
+def test_what_a_room_may_hold_exists() -> None:
+    groups = {"desk_pair", "dining", "conference", "seating", "benches", "stacks", "plant_island", "television_set"}
+    for use in USES.values():
+        assert {*use.walls, *use.middle, *use.hung} - groups <= set(KINDS)
+
+
+def test_walls_that_look_outside() -> None:
+    left, right = Cell("a", "office", (0.0, 4.0), (0.0, 3.0)), Cell("b", "office", (4.0, 8.0), (1.0, 3.0))
+    assert left.shared(right) == ("y", 4.0, (1.0, 3.0))
+    assert left.outside("east", [left, right]) == [(0.0, 1.0)]
+    assert left.outside("north", [left, right]) == [(0.0, 4.0)]
+    assert right.shared(Cell("c", "office", (9.0, 10.0), (0.0, 3.0))) is None
+
+
+def test_a_way_keeps_off_what_stands_there() -> None:
+    content = {
+        "rooms": {
+            "cell": {"x": [0, 6], "y": [0, 4], "items": [{"kind": "column", "at": [3, 2], "size": [0.5, 0.5, 2.0]}]}
+        }
+    }
+    building = parse_building(content, 0, "test")
+    space = FreeSpace(building)
+    ends = [int(np.argmin(np.linalg.norm(space.points - point, axis=1))) for point in ((0.6, 2.0), (5.4, 2.0))]
+    way = space.way(ends)
+    segments, _ = obstacles(building)
+    assert clearance(way, segments).min() > 0.25
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).sum() < 6.5, "around the column, and no farther"
+
+
+def test_a_way_that_does_not_exist() -> None:
+    rooms = {"one": {"x": [0, 4], "y": [0, 3]}, "two": {"x": [4, 8], "y": [0, 3]}}
+    space = FreeSpace(parse_building({"rooms": rooms}, 0, "test"))
+    ends = [int(np.argmin(np.linalg.norm(space.points - point, axis=1))) for point in ((2.0, 1.5), (6.0, 1.5))]
+    assert not space.reachable(ends[0])[ends[1]]
+    with pytest.raises(DataError, match="cannot reach"):
+        space.way(ends)

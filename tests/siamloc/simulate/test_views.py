@@ -1,0 +1,85 @@
+"""Pictures to learn from: the quick way of rendering shows what the plain one shows."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data.panorama import PanoramaView
+from siamloc.simulate import Run, build_scene, load_building, render
+from siamloc.simulate.camera import PanoramaCamera
+from siamloc.simulate.light import ROUGH
+from siamloc.simulate.run import LIGHTINGS, draw_light, draw_run
+from siamloc.simulate.scene import Scene, relit
+from siamloc.simulate.views import draw_views, look_around
+
+
+@pytest.fixture(scope="module")
+def night() -> Scene:
+    return build_scene(load_building("mini"), Run("night", 1))
+
+
+@pytest.mark.parametrize("lighting", LIGHTINGS)
+def test_light_that_is_switched_on_later_is_the_light_of_the_run(night: Scene, lighting: str) -> None:
+    building = night.building
+    light = draw_run(building, Run(lighting, 2)).light
+    once, again = relit(night, light), relit(night, light)
+    np.testing.assert_array_equal(once.light.light, again.light.light)
+    alone = build_scene(building, Run("night", 1), light=light)
+    np.testing.assert_array_equal(once.surfaces.emission, alone.surfaces.emission)
+    np.testing.assert_array_equal(once.sky.image, alone.sky.image)
+    # The rays that gather what surfaces throw back are drawn once for all lights: equal up to their noise.
+    assert once.light.light.mean() == pytest.approx(alone.light.light.mean(), rel=0.02)
+    apart = np.abs(once.light.light - alone.light.light).mean()
+    assert apart < 0.1 * alone.light.light.mean()
+
+
+def test_a_quick_picture_shows_what_a_plain_one_shows(night: Scene) -> None:
+    view = PanoramaView(64, 256)
+    pose = night.state.track.poses[40]
+    quick = look_around([night], [[*pose[:2], 0.95, pose[2]]], view, np.random.default_rng(0))[0, 0]
+    plain = render(night, pose, PanoramaCamera(view))[0]
+    assert quick.shape == plain.shape
+    quick, plain = (cv2.blur(picture, (3, 3)) for picture in (quick, plain))  # one ray per pixel has rough edges
+    for channel in range(3):  # whatever the exposure
+        assert np.corrcoef(quick[..., channel].ravel(), plain[..., channel].ravel())[0, 1] > 0.95
+
+
+def test_rough_light_is_about_the_fine_one() -> None:
+    building, run = load_building("mini"), Run("night", 1)
+    fine, rough = build_scene(building, run), build_scene(building, run, ROUGH)
+    pose = fine.state.track.poses[40]
+    view = PanoramaView(32, 128)
+    pictures = [
+        look_around([scene], [[*pose[:2], 0.95, pose[2]]], view, np.random.default_rng(0))[0, 0].astype(float)
+        for scene in (fine, rough)
+    ]
+    assert np.abs(pictures[0] - pictures[1]).mean() < 6, "grey levels"
+
+
+def test_the_sun_of_a_drawn_light_stands_above_the_horizon() -> None:
+    building = load_building("random", 3)
+    rng = np.random.default_rng(0)
+    scene = build_scene(building, Run("cloudy", 1), ROUGH)
+    for _ in range(3):
+        assert relit(scene, draw_light(building, "sunny", rng)).sky.sun is not None
+    assert relit(scene, draw_light(building, "night", rng)).sky.sun is None
+
+
+def test_views_follow_from_their_seed() -> None:
+    one = draw_views(5, (16, 64), drives=2, lights=3, poses=4)
+    again = draw_views(5, (16, 64), drives=2, lights=3, poses=4)
+    np.testing.assert_array_equal(one.images, again.images)
+    assert one.images.shape == (24, 3, 16, 64)
+    assert one.images.dtype == np.uint8
+    assert set(one.lighting[:3]) == set(LIGHTINGS), "every drive under every light"
+    assert len(one.xy) == len(one.room) == len(one.heading) == len(one.light) == len(one)
+    assert (one.room >= 0).all()
+    # One place under three lights, then the next one; the second drive passes nearby.
+    np.testing.assert_array_equal(one.xy[0], one.xy[2])
+    np.testing.assert_array_equal(one.light[:6], [0, 1, 2, 0, 1, 2])
+    apart = np.linalg.norm(one.xy[:12, None] - one.xy[None, 12:], axis=2).min(axis=1)
+    assert apart.max() < 1.5
+    other = draw_views(6, (16, 64), drives=1, lights=3, poses=4)
+    assert not np.array_equal(other.images[:12], one.images[:12])

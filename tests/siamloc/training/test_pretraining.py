@@ -1,0 +1,159 @@
+"""Learning from random buildings: what is in a batch follows from the seed, not from how fast buildings come."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import siamloc
+from siamloc.cli.compose import composed, plain
+from siamloc.cli.objects import loss_of, network_of, training_of
+from siamloc.data.places import PlaceSettings
+from siamloc.errors import ConfigError
+from siamloc.simulate.views import Views
+from siamloc.training import Training, ViewSettings, view_batches
+from siamloc.training.view_batches import BuildingStream, ViewBatches, building_seed
+
+SIZE = (16, 64)
+SETTINGS = ViewSettings(batches=2, held=3, together=2, drives=2, lights=3, poses=6, processes=0)
+PLACES = PlaceSettings(places=4, images=3, near=0.5, reach=1.5, epoch_batches=4)
+
+
+def drawn(seed: int, image_size, drives: int, lights: int, poses: int) -> Views:
+    """Stand in for rendering: noise that follows from the seed, along a line."""
+    rng = np.random.default_rng(seed)
+    count = drives * lights * poses
+    xy = np.column_stack([np.tile(np.repeat(np.arange(poses) * 0.3, lights), drives), np.full(count, seed % 7)])
+    light = np.concatenate([np.tile(np.arange(lights) + drive * lights, poses) for drive in range(drives)])
+    images = rng.integers(0, 256, (count, 3, *image_size), dtype=np.uint8)
+    lighting = tuple(["cloudy", "night", "sunny"][number % 3] for number in range(drives * lights))
+    return Views(images, xy, np.zeros(count), (xy[:, 0] > 0.9).astype(int), light, lighting)
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """Replace rendering, and note which buildings were asked for."""
+    asked: list[int] = []
+
+    def noted(seed, *others):
+        asked.append(seed)
+        return drawn(seed, *others)
+
+    monkeypatch.setattr(view_batches, "draw_views", noted)
+    return asked
+
+
+def batches(seed: int = 0, rank: int = 0, world_size: int = 1) -> ViewBatches:
+    stream = BuildingStream(SIZE, SETTINGS, seed, rank, world_size)
+    return ViewBatches(stream, SETTINGS, PLACES, None, seed, rank, world_size)
+
+
+def test_a_batch_follows_from_its_number_alone(rendered):
+    forwards = batches()
+    in_order = [forwards[divmod(number, 4)] for number in range(10)]
+    alone = batches()[(2, 1)]
+    for name, value in in_order[9].items():
+        torch.testing.assert_close(alone[name], value)
+    assert not torch.equal(in_order[0]["images"], in_order[1]["images"])
+    assert not torch.equal(batches(seed=1)[(0, 0)]["images"], in_order[0]["images"])
+
+
+def test_a_batch_has_several_pictures_of_each_place_under_different_lights(rendered):
+    source = batches()
+    views, frames, rows = source.drawn(2, 0)
+    assert len(views) == SETTINGS.together
+    item = source[(2, 0)]
+    assert item["images"].shape == (12, 3, *SIZE)
+    for place in rows.reshape(PLACES.places, PLACES.images):
+        assert len(set(frames.building[place].tolist())) == 1
+        assert np.ptp(frames.x[place]) <= 2 * PLACES.radius + 1e-9
+        assert len(set(frames.lighting[place].tolist())) == PLACES.images
+    # The pictures are those of the rows.
+    first = len(views[0])
+    for row, picture in zip(rows, item["images"].numpy(), strict=True):
+        one, number = (views[0], row) if row < first else (views[1], row - first)
+        np.testing.assert_array_equal(picture, one.images[number])
+
+
+def test_buildings_come_and_go(rendered):
+    stream = BuildingStream(SIZE, SETTINGS, seed=3)
+    assert len(stream.held(0)) == 1
+    assert len(stream.held(5)) == SETTINGS.held
+    assert rendered == [building_seed(3, number) for number in (0, 3, 4, 5)]
+    stream.held(6)
+    assert rendered[-1] == building_seed(3, 6)
+    assert len(rendered) == 5, "those that were there are not rendered again"
+
+
+def test_processes_that_train_together_have_buildings_of_their_own(rendered):
+    one, other = (batches(rank=rank, world_size=2)[(1, 0)] for rank in range(2))
+    assert not set(one["building"].tolist()) & set(other["building"].tolist())
+    assert not set(one["frame"].tolist()) & set(other["frame"].tolist())
+    assert len(set(rendered)) == len(rendered)
+
+
+def test_a_training_that_is_resumed_is_one_that_never_stopped(rendered, tmp_path, monkeypatch):
+    monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 4)
+    changes = {
+        "pairs": {"places": 4, "images": 2, "epoch_batches": 3},
+        "views": {"batches": 2, "held": 2, "together": 1, "lights": 3, "poses": 6, "processes": 0},
+        "optimizer": {"schedule": "constant"},
+        "average": None,
+        "trainer": {"precision": "32-true"},
+    }
+    recipe = siamloc.training.recipe("pretraining")
+
+    def network():
+        return recipe.build(image_size=SIZE)
+
+    whole = network()
+    recipe.pretrain(whole, run=tmp_path / "whole", epochs=2, **changes)
+    parts = network()
+    run = recipe.pretrain(parts, run=tmp_path / "parts", epochs=1, **changes)
+    assert np.isfinite(run.curves()["val/recall"]).all()
+    recipe.pretrain(parts, run=run, epochs=2, resume=True, **changes)
+    curves = [siamloc.training.Run(tmp_path / name).curves() for name in ("whole", "parts")]
+    np.testing.assert_allclose(curves[0]["train/loss"], curves[1]["train/loss"], rtol=1e-5)
+    again = {**changes, "views": {**changes["views"], "lights": 2}}
+    with pytest.raises(ConfigError, match=r"data\.views\.lights"):
+        recipe.pretrain(parts, run=run, epochs=3, resume=True, **again)
+    started = recipe.build(image_size=SIZE, weights=run)
+    for name, value in siamloc.models.load(run).state_dict().items():
+        torch.testing.assert_close(started.state_dict()[name], value)
+
+
+def test_settings_without_a_meaning(tmp_path):
+    recipe = siamloc.training.recipe("pretraining")
+    network = recipe.build(image_size=SIZE)
+    with pytest.raises(ConfigError, match="epoch_batches"):
+        recipe.pretrain(network, run=tmp_path / "a", pairs={"epoch_batches": None})
+    with pytest.raises(ConfigError, match=r"views\.together=9"):
+        recipe.pretrain(network, run=tmp_path / "a", views={"together": 9, "held": 4})
+    with pytest.raises(ConfigError, match="monitor=room"):
+        recipe.pretrain(network, run=tmp_path / "a", monitor="room")
+    with pytest.raises(ConfigError, match=r"siamloc\.models\.build"):
+        recipe.pretrain(torch.nn.Flatten(), run=tmp_path / "a")
+    plain_head = siamloc.models.build("simple1", "fc500_500_5", image_size=SIZE)
+    with pytest.raises(ConfigError, match="length 1"):
+        recipe.pretrain(plain_head, run=tmp_path / "a")
+    assert not (tmp_path / "a").exists()
+
+
+def test_the_command_is_the_recipe():
+    config, wanted = composed("pretrain", []), siamloc.training.recipe("pretraining")
+    assert training_of(config) == Training.of(wanted.training)
+    assert ViewSettings.of(plain(config)["views"]) == ViewSettings.of(wanted.views)
+    options = network_of(config)
+    assert siamloc.models.build(**options, image_size=plain(config)["image_size"]).settings == wanted.build().settings
+    loss = loss_of(config)
+    assert {key: loss.settings[key] for key in wanted.loss} == wanted.loss
+    assert plain(config)["trainer"]["precision"] == wanted.trainer["precision"]
+
+
+def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 3)
+    words = ["epochs=1", "pairs.epoch_batches=2", "pairs.places=3", "pairs.images=2", "image_size=[16,64]"]
+    views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0"]
+    assert siamloc.cli.main(["pretrain", f"run={tmp_path / 'run'}", *words, *views, "trainer.precision=32-true"]) == 0
+    assert f"next: siamloc train model.branch.weights={tmp_path / 'run'}" in capsys.readouterr().out
