@@ -16,7 +16,7 @@ else:
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("analytic", "augment", "siamloc")
-OUTER = ("siamloc.evaluation", "siamloc.report", "siamloc.runtime", "siamloc.simulate")
+OUTER = ("siamloc.evaluation", "siamloc.report", "siamloc.runtime", "siamloc.simulate", "siamloc.pretraining")
 FORBIDDEN = {
     "analytic": ("augment", "siamloc"),
     "augment": ("analytic", "siamloc"),
@@ -28,7 +28,8 @@ FORBIDDEN = {
     "siamloc.evaluation": ("siamloc.report.page", "siamloc.runtime", "siamloc.simulate", "siamloc.training"),
     "siamloc.report": ("siamloc.evaluation", "siamloc.models", "siamloc.runtime", "siamloc.simulate"),
     "siamloc.report.draw": ("siamloc.maps", "siamloc.training", "siamloc.report.page"),
-    "siamloc.simulate": (*OUTER[:3], "siamloc.models", "siamloc.training", "siamloc.maps"),
+    "siamloc.simulate": (*OUTER[:3], "siamloc.pretraining", "siamloc.models", "siamloc.training", "siamloc.maps"),
+    "siamloc.pretraining": (*OUTER[:3], "siamloc.maps"),
 }
 MODULES = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 

@@ -88,11 +88,11 @@ def train(config: DictConfig) -> None:
 
 def pretrain(config: DictConfig) -> None:
     """Train a network on random buildings."""
-    from siamloc import models, training
+    from siamloc import models, pretraining
     from siamloc.training.fitting import process_rank
 
     network = models.build(**network_of(config), image_size=plain(config)["image_size"], seed=config.seed)
-    run = training.pretrain(
+    run = pretraining.pretrain(
         network,
         run=config.run,
         views=plain(config.views),

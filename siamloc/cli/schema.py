@@ -43,8 +43,9 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     from siamloc.evaluation.localize import Localization
     from siamloc.maps.grouping import WAYS
     from siamloc.models.registry import LOSS_SETTINGS, Optimizer
+    from siamloc.pretraining.settings import ViewSettings
     from siamloc.settings import defaults_of
-    from siamloc.training.settings import Training, ViewSettings
+    from siamloc.training.settings import Training
 
     training = defaults_of(Training)
     descriptors = {
@@ -88,19 +89,18 @@ _BY_GROUP = ("pairs", "loss", "optimizer")
 
 def _nodes_of_recipes() -> dict[str, dict[str, Any]]:
     """Return what recipes set, by the group in which it is chosen; the rest is under "settings/recipe"."""
-    from siamloc.training.recipes import PRETRAINING, RECIPES
+    from siamloc.pretraining.settings import RECIPE
+    from siamloc.training.recipes import RECIPES
 
     nodes: dict[str, dict[str, Any]] = {}
-    for name, recipe in {**RECIPES, "pretraining": PRETRAINING}.items():
+    for name, recipe in {**RECIPES, "pretraining": RECIPE}.items():
         chosen = {**recipe.training, "loss": dict(recipe.loss or {})}
         for group in _BY_GROUP:
             nodes.setdefault(f"settings/recipe/{group}", {})[name] = chosen.pop(group)
         model = {key: value for key, value in recipe.model.items() if key not in ("branch", "head")}
         rest: dict[str, Any] = {"model": model, "trainer": dict(recipe.trainer)}
-        if recipe.views is None:
-            rest["data"] = {"image_size": list(recipe.image_size)}
-        else:
-            rest |= {"image_size": list(recipe.image_size), "views": dict(recipe.views)}
+        size = {"image_size": list(recipe.image_size)}
+        rest |= size if recipe is RECIPE else {"data": size}
         nodes.setdefault("settings/recipe", {})[name] = {**rest, **chosen}
     return nodes
 

@@ -1,4 +1,4 @@
-"""Simulated buildings: an office is drawn, lit and photographed by ray casting, and written in COLD's own layout.
+"""Simulated buildings: they are furnished, lit and photographed by ray casting, and written in COLD's own layout.
 
     from siamloc.simulate import simulate
 
@@ -13,9 +13,10 @@ or, step by step, without files:
     panoramas = render(scene, scene.state.track.poses[:3])  # (3, 128, 512, 3) uint8
 
 From a building's YAML file to a panorama, in the order of the work: `layout` (what a building consists of), `parse` and
-`load` (its file), `plan` (free space), `trajectory` and `run` (one drive), `mesh`, `shell`, `furniture`, `fittings`,
-`textures` and `prints` (what is seen), `sky` and `light` (what shines), `scene` (all of it), `camera` and `render`
-(pictures), `config` and `produce` (the data set). Rendering needs the package embreex, the extra "simulate".
+`load` (its file), `floor_plans`, `furnishing`, `route` and `draw` (one that is drawn from a seed), `plan` (free space),
+`trajectory` and `run` (one drive), `mesh`, `shell`, `furniture`, `fittings`, `textures` and `prints` (what is seen),
+`sky` and `light` (what shines), `scene` (all of it), `camera` and `render` (pictures), `views` (many quick ones),
+`config` and `produce` (the data set). Rendering needs the package embreex, the extra "simulate".
 """
 
 from siamloc.simulate.config import STANDARD_RUNS, SimulateConfig
@@ -24,7 +25,8 @@ from siamloc.simulate.preview import panoramas
 from siamloc.simulate.produce import Summary, simulate
 from siamloc.simulate.render import render
 from siamloc.simulate.run import Run
-from siamloc.simulate.scene import Scene, build_scene
+from siamloc.simulate.scene import Scene, build_scene, relit
+from siamloc.simulate.views import Views, draw_views
 
 __all__ = [
     "STANDARD_RUNS",
@@ -32,10 +34,13 @@ __all__ = [
     "Scene",
     "SimulateConfig",
     "Summary",
+    "Views",
     "build_scene",
     "building_names",
+    "draw_views",
     "load_building",
     "panoramas",
+    "relit",
     "render",
     "simulate",
 ]

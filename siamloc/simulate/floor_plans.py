@@ -163,7 +163,7 @@ def offices(rng: np.random.Generator) -> Plan:
     often, others = _OFFICE if rng.random() < 0.7 else _SCHOOL
     width = float(rng.uniform(1.6, 3.0))
     both = rng.random() < 0.7
-    counts = rng.integers(2, 4 if both else 6, 2)
+    counts = rng.integers(1 if both else 2, 4 if both else 5, 2)
     # The corridor is as long as its rows need; they are drawn first, and it is put in front.
     draft = Plan(plan.height)
     probe = draft.add("corridor", (0.0, 60.0), (-width / 2, width / 2))
@@ -181,7 +181,7 @@ def offices(rng: np.random.Generator) -> Plan:
         reach = rng.uniform(0.5, 7.0, 2)
         wing = plan.add("corridor", (-wide, 0.0), (corridor.y[0] - float(reach[0]), corridor.y[1] + float(reach[1])))
         plan.join(corridor, wing, "open" if rng.random() < 0.7 else "glass")
-        row = _uses(rng, int(rng.integers(1, 4)), often, others)
+        row = _uses(rng, int(rng.integers(1, 3)), often, others)
         _row(plan, rng, wing, "west", row, wing.y[0], (2.8, 4.5), (3.2, 5.5))
         _trim(plan)
     if rng.random() < 0.35:  # a room at its end

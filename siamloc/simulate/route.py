@@ -149,12 +149,12 @@ def visits(
     margin = np.minimum(space.margin[cells], 0.8)
     chosen: list[int] = []
     score = margin + rng.uniform(0, 0.4, len(cells))
-    wanted = 2 + int((x[1] - x[0]) * (y[1] - y[0]) // 16)
-    while len(chosen) < min(wanted, 6):
+    wanted = 2 + int((x[1] - x[0]) * (y[1] - y[0]) // 30)
+    while len(chosen) < min(wanted, 4):
         best = int(np.argmax(score))
         if score[best] <= 0:
             break
         chosen.append(best)
         apart = np.linalg.norm(points - points[best], axis=1)
-        score = np.minimum(score, np.minimum(apart / 2.0, 1.0) - 0.28) * (apart > 0.5)
+        score = np.minimum(score, np.minimum(apart / 1.6, 1.0) - 0.3) * (apart > 0.5)
     return cells[chosen].tolist()

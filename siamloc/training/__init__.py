@@ -14,15 +14,13 @@ from siamloc.models.registry import Optimizer
 from siamloc.runs import Run
 from siamloc.training.comparison import Comparison, compare
 from siamloc.training.recipes import RECIPES, Recipe, recipe
-from siamloc.training.settings import Training, ViewSettings
+from siamloc.training.settings import Training
 
 if TYPE_CHECKING:
     from siamloc.training.batches import BatchAugmentation
     from siamloc.training.fitting import fit
     from siamloc.training.pair_batches import PairDataModule
     from siamloc.training.place_batches import PlaceDataModule
-    from siamloc.training.pretraining import pretrain
-    from siamloc.training.view_batches import ViewDataModule
 
 __all__ = [
     "RECIPES",
@@ -38,11 +36,8 @@ __all__ = [
     "Recipe",
     "Run",
     "Training",
-    "ViewDataModule",
-    "ViewSettings",
     "compare",
     "fit",
-    "pretrain",
     "recipe",
 ]
 
@@ -50,9 +45,7 @@ _HOMES = {
     "BatchAugmentation": "batches",
     "PairDataModule": "pair_batches",
     "PlaceDataModule": "place_batches",
-    "ViewDataModule": "view_batches",
     "fit": "fitting",
-    "pretrain": "pretraining",
 }
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

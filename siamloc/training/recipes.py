@@ -27,7 +27,6 @@ class Recipe:
         augmentation: as `siamloc.training.fit` takes it.
         training: fields of `siamloc.training.Training`.
         trainer: arguments of Lightning's trainer.
-        views: fields of `siamloc.training.ViewSettings`, of a recipe that learns from random buildings; None otherwise.
 
     Example:
         >>> recipe("modern").training["pairs"]["near"]
@@ -40,7 +39,6 @@ class Recipe:
     loss: Mapping[str, Any] | None = None
     augmentation: Mapping[str, Any] = field(default_factory=lambda: {"name": "none"})
     trainer: Mapping[str, Any] = field(default_factory=dict)
-    views: Mapping[str, Any] | None = None
 
     def build(self, image_size: Sequence[int] | None = None, seed: int = 0, **changes: Any) -> Network:
         """Make the network, for panoramas of another size if one is given; see `siamloc.models.build`."""
@@ -71,28 +69,17 @@ class Recipe:
                 "it with circular=False, or take the recipe modern"
             )
 
-        return fit(network, images, frames, run=run, validation=validation, **self._options(changes))
+        return fit(network, images, frames, run=run, validation=validation, **self.options(changes))
 
-    def pretrain(self, network: Any, *, run: str | Path | Run, **changes: Any) -> Run:
-        """Train a network on random buildings by the recipe; what is given besides takes the place of its settings.
-
-        `views` is changed key by key, too; `siamloc.training.pretrain` says what there is, and what it raises.
-        """
-        from siamloc.training.pretraining import pretrain
-
-        return pretrain(network, run=run, **self._options({"views": {}, **changes}))
-
-    def _options(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the arguments of a training with some changes."""
+    def options(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the arguments of a training by the recipe, with some changes; see `fit`."""
         from siamloc.models.batch_losses import make_loss
 
         options = {"augmentation": dict(self.augmentation), "trainer": dict(self.trainer), **self.training}
-        if self.views is not None:
-            options["views"] = dict(self.views)
         if self.loss is not None:
             options["loss"] = make_loss(**self.loss)
         for key, value in changes.items():
-            nested = key in ("pairs", "optimizer", "trainer", "views") and isinstance(value, Mapping)
+            nested = key in ("pairs", "optimizer", "trainer") and isinstance(value, Mapping)
             options[key] = {**options.get(key, {}), **value} if nested else value
         return options
 
@@ -121,23 +108,21 @@ _PHOTOGRAPHS = Recipe(
     trainer={"precision": "auto"},
 )
 
-_MODERN = Recipe(
-    image_size=(64, 256),
-    model={"branch": "panoresnet", "head": "fourier", "circular": True, "normalize": "local"},
-    loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.2},
-    augmentation={"name": "modern", "policy": "any_light", "rotate": 1.0},
-    training={
-        "epochs": 5,
-        "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 140},
-        "optimizer": {"name": "adamw", "learning_rate": 0.002, "weight_decay": 0.01, "schedule": "one_cycle"},
-        "clip": 1.0,
-        "average": 0.98,
-    },
-    trainer={"precision": "auto"},
-)
-
 RECIPES: dict[str, Recipe] = {
-    "modern": _MODERN,
+    "modern": Recipe(
+        image_size=(64, 256),
+        model={"branch": "panoresnet", "head": "fourier", "circular": True, "normalize": "local"},
+        loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.2},
+        augmentation={"name": "modern", "policy": "any_light", "rotate": 1.0},
+        training={
+            "epochs": 5,
+            "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 140},
+            "optimizer": {"name": "adamw", "learning_rate": 0.002, "weight_decay": 0.01, "schedule": "one_cycle"},
+            "clip": 1.0,
+            "average": 0.98,
+        },
+        trainer={"precision": "auto"},
+    ),
     "photographs": _PHOTOGRAPHS,
     "rooms": replace(
         _PHOTOGRAPHS,
@@ -165,18 +150,6 @@ from every place and in every direction, so the network learns to know it by wha
 target comes from the labels (`loss.room`), and the head ignores the direction in which something was seen.
 """
 
-PRETRAINING = replace(
-    _MODERN,
-    training={
-        **_MODERN.training,
-        "epochs": 28,
-        "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 500},
-        "average": 0.995,
-    },
-    views={},
-)
-"""The recipe of `siamloc.training.pretrain`: the network of `modern`, on random buildings instead of frames."""
-
 
 def recipe(name: str) -> Recipe:
     """Look up a recipe by its name.
@@ -189,7 +162,6 @@ def recipe(name: str) -> Recipe:
         >>> network = recipe.build()  # doctest: +SKIP
         >>> recipe.fit(network, images, monday, run="runs/robot", validation=wednesday)  # doctest: +SKIP
     """
-    known = {**RECIPES, "pretraining": PRETRAINING}
-    if name not in known:
-        raise ConfigError(f"unknown recipe {name!r}: {hint(name, known)}")
-    return known[name]
+    if name not in RECIPES:
+        raise ConfigError(f"unknown recipe {name!r}: {hint(name, RECIPES)}")
+    return RECIPES[name]

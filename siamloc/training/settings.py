@@ -77,36 +77,3 @@ class Training(Settings):
             for name, instead in (("batch_size", "pairs.places and pairs.images"), ("margin", "a loss of its own")):
                 if getattr(self, name) != getattr(Training, name):
                     raise ConfigError(f"{name} is of pairs, and batches of places have {instead}: leave it out")
-
-
-@dataclass(frozen=True)
-class ViewSettings(Settings):
-    """Which buildings are learned from.
-
-    Attributes:
-        batches: learned from before the next building comes; a building stays for `held` times as many.
-        held: buildings in memory.
-        together: buildings of which the places of a batch are.
-        drives: through each building; between two drives doors, chairs and people move.
-        lights: of each drive.
-        poses: of each drive.
-        processes: that render; 0 renders in the training process.
-    """
-
-    WHERE = "views"
-
-    batches: Count = 10
-    held: Count = 20
-    together: Count = 4
-    drives: Count = 2
-    lights: Count = 4
-    poses: Count = 80
-    processes: Natural = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.together > self.held:
-            raise ConfigError(
-                f"a batch cannot be of views.together={self.together} buildings where views.held={self.held} are in "
-                "memory: set the second larger"
-            )

@@ -16,11 +16,11 @@ from torch.utils.data import DataLoader, Dataset
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.errors import DataError
+from siamloc.pretraining.settings import ViewSettings
 from siamloc.simulate.processes import rendering_processes
 from siamloc.simulate.views import Views, draw_views
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 from siamloc.training.place_batches import AUGMENTATION_STREAM, origins_of
-from siamloc.training.settings import ViewSettings
 
 _SEEDS = 1 << 30  # of the buildings to learn from; those of the validation come after them
 _STEP = 1_000_003

@@ -11,9 +11,9 @@ from siamloc.cli.compose import composed, plain
 from siamloc.cli.objects import loss_of, network_of, training_of
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
+from siamloc.pretraining import RECIPE, ViewSettings, pretrain, view_batches
+from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
 from siamloc.simulate.views import Views
-from siamloc.training import Training, ViewSettings, view_batches
-from siamloc.training.view_batches import BuildingStream, ViewBatches, building_seed
 
 SIZE = (16, 64)
 SETTINGS = ViewSettings(batches=2, held=3, together=2, drives=2, lights=3, poses=6, processes=0)
@@ -102,48 +102,46 @@ def test_a_training_that_is_resumed_is_one_that_never_stopped(rendered, tmp_path
         "average": None,
         "trainer": {"precision": "32-true"},
     }
-    recipe = siamloc.training.recipe("pretraining")
 
     def network():
-        return recipe.build(image_size=SIZE)
+        return RECIPE.build(image_size=SIZE)
 
     whole = network()
-    recipe.pretrain(whole, run=tmp_path / "whole", epochs=2, **changes)
+    pretrain(whole, run=tmp_path / "whole", epochs=2, **changes)
     parts = network()
-    run = recipe.pretrain(parts, run=tmp_path / "parts", epochs=1, **changes)
+    run = pretrain(parts, run=tmp_path / "parts", epochs=1, **changes)
     assert np.isfinite(run.curves()["val/recall"]).all()
-    recipe.pretrain(parts, run=run, epochs=2, resume=True, **changes)
+    pretrain(parts, run=run, epochs=2, resume=True, **changes)
     curves = [siamloc.training.Run(tmp_path / name).curves() for name in ("whole", "parts")]
     np.testing.assert_allclose(curves[0]["train/loss"], curves[1]["train/loss"], rtol=1e-5)
     again = {**changes, "views": {**changes["views"], "lights": 2}}
     with pytest.raises(ConfigError, match=r"data\.views\.lights"):
-        recipe.pretrain(parts, run=run, epochs=3, resume=True, **again)
-    started = recipe.build(image_size=SIZE, weights=run)
+        pretrain(parts, run=run, epochs=3, resume=True, **again)
+    started = RECIPE.build(image_size=SIZE, weights=run)
     for name, value in siamloc.models.load(run).state_dict().items():
         torch.testing.assert_close(started.state_dict()[name], value)
 
 
 def test_settings_without_a_meaning(tmp_path):
-    recipe = siamloc.training.recipe("pretraining")
-    network = recipe.build(image_size=SIZE)
+    network = RECIPE.build(image_size=SIZE)
     with pytest.raises(ConfigError, match="epoch_batches"):
-        recipe.pretrain(network, run=tmp_path / "a", pairs={"epoch_batches": None})
+        pretrain(network, run=tmp_path / "a", pairs={"epoch_batches": None})
     with pytest.raises(ConfigError, match=r"views\.together=9"):
-        recipe.pretrain(network, run=tmp_path / "a", views={"together": 9, "held": 4})
+        pretrain(network, run=tmp_path / "a", views={"together": 9, "held": 4})
     with pytest.raises(ConfigError, match="monitor=room"):
-        recipe.pretrain(network, run=tmp_path / "a", monitor="room")
+        pretrain(network, run=tmp_path / "a", monitor="room")
     with pytest.raises(ConfigError, match=r"siamloc\.models\.build"):
-        recipe.pretrain(torch.nn.Flatten(), run=tmp_path / "a")
+        pretrain(torch.nn.Flatten(), run=tmp_path / "a")
     plain_head = siamloc.models.build("simple1", "fc500_500_5", image_size=SIZE)
     with pytest.raises(ConfigError, match="length 1"):
-        recipe.pretrain(plain_head, run=tmp_path / "a")
+        pretrain(plain_head, run=tmp_path / "a")
     assert not (tmp_path / "a").exists()
 
 
 def test_the_command_is_the_recipe():
-    config, wanted = composed("pretrain", []), siamloc.training.recipe("pretraining")
-    assert training_of(config) == Training.of(wanted.training)
-    assert ViewSettings.of(plain(config)["views"]) == ViewSettings.of(wanted.views)
+    config, wanted = composed("pretrain", []), RECIPE
+    assert training_of(config) == siamloc.training.Training.of(wanted.training)
+    assert ViewSettings.of(plain(config)["views"]) == ViewSettings()
     options = network_of(config)
     assert siamloc.models.build(**options, image_size=plain(config)["image_size"]).settings == wanted.build().settings
     loss = loss_of(config)

@@ -13,19 +13,18 @@ from siamloc.errors import ConfigError
 from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
+from siamloc.pretraining.settings import RECIPE, ViewSettings
+from siamloc.pretraining.view_batches import ViewDataModule
 from siamloc.runs import Run
-from siamloc.settings import takes
 from siamloc.simulate.mesh import embree
 from siamloc.training.batches import BatchAugmentation
 from siamloc.training.checks import check_loss
 from siamloc.training.fitting import effect_of, learn, process_rank
 from siamloc.training.run_folder import check_folder
-from siamloc.training.settings import Training, ViewSettings
+from siamloc.training.settings import Training
 from siamloc.training.trainer import on_gpu
-from siamloc.training.view_batches import ViewDataModule
 
 
-@takes(Training)
 def pretrain(
     network: Network,
     *,
@@ -36,7 +35,8 @@ def pretrain(
     trainer: Mapping[str, Any] | None = None,
     resume: bool = False,
     overwrite: bool = False,
-    settings: Training,
+    settings: Training | None = None,
+    **changes: Any,
 ) -> Run:
     """Train a network on random buildings, in place, each drawn, furnished, lit and rendered while others are learned.
 
@@ -49,13 +49,13 @@ def pretrain(
         network: what `siamloc.models.build` makes; pictures are rendered at its image size.
         run: folder of the run, a new or empty one.
         views: which buildings; the defaults of `ViewSettings` if None.
-        loss: (descriptors (N, D), `Origins`) -> scalar; `SoftContrastiveLoss()` if None.
-        augmentation: what happens to the pictures, as for `fit`.
+        loss: (descriptors (N, D), `Origins`) -> scalar; that of `RECIPE` if None.
+        augmentation: what happens to the pictures, as for `siamloc.training.fit`; that of `RECIPE` if None.
         trainer: further arguments of `lightning.Trainer`.
         resume: go on from the last checkpoint of the run.
         overwrite: replace a run.
-        settings: the fields of `Training` together, instead of one keyword each; `pairs` are a `PlaceSettings` with
-            `epoch_batches`.
+        settings: the fields of `siamloc.training.Training` together; those of `RECIPE` if None.
+        changes: single fields of them, instead; `pairs` and `optimizer` are changed key by key.
 
     Returns:
         The run.
@@ -68,12 +68,20 @@ def pretrain(
         KeyboardInterrupt: the user stopped it; the run can be resumed.
 
     Example:
-        >>> recipe = siamloc.training.recipe("pretraining")  # doctest: +SKIP
-        >>> recipe.pretrain(recipe.build(), run="runs/pretrained")  # doctest: +SKIP
+        >>> from siamloc.pretraining import RECIPE, pretrain
+        >>> pretrain(RECIPE.build(), run="runs/pretrained", epochs=10)  # doctest: +SKIP
     """
     embree()
     run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
     views = views if isinstance(views, ViewSettings) else ViewSettings.of(views or {})
+    options = RECIPE.options({"trainer": trainer or {}, **changes})
+    loss, trainer = options.pop("loss") if loss is None else loss, options.pop("trainer")
+    augmentation = options["augmentation"] if augmentation is None else augmentation
+    if settings is None:
+        fields = {key: value for key, value in options.items() if key not in ("loss", "augmentation")}
+        settings = Training.of(fields)
+    elif changes:
+        raise ConfigError(f"settings= has all fields: give {', '.join(changes)} in it, or leave it out")
     places = settings.pairs
     if not isinstance(places, PlaceSettings) or places.epoch_batches is None:
         raise ConfigError("pretraining learns from batches of places: give pairs a number of epoch_batches")

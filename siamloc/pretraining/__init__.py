@@ -1,0 +1,19 @@
+"""Pretraining: a network learns from random buildings, of which there is no end, before it sees any data set.
+
+Importing this package loads no torch; each name is loaded when it is first used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from siamloc.lazy import lazy
+from siamloc.pretraining.settings import RECIPE, ViewSettings
+
+if TYPE_CHECKING:
+    from siamloc.pretraining.learning import pretrain
+    from siamloc.pretraining.view_batches import ViewDataModule
+
+__all__ = ["RECIPE", "ViewDataModule", "ViewSettings", "pretrain"]
+
+__getattr__, __dir__ = lazy(__name__, {"ViewDataModule": "view_batches", "pretrain": "learning"})

@@ -1,0 +1,56 @@
+"""Which random buildings are learned from, and the recipe. Loads no torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from siamloc.errors import ConfigError
+from siamloc.settings import Count, Natural, Settings
+from siamloc.training.recipes import RECIPES, Recipe
+
+
+@dataclass(frozen=True)
+class ViewSettings(Settings):
+    """Which buildings are learned from.
+
+    Attributes:
+        batches: learned from before the next building comes; a building stays for `held` times as many.
+        held: buildings in memory.
+        together: buildings of which the places of a batch are.
+        drives: through each building; between two drives doors, chairs and people move.
+        lights: of each drive.
+        poses: of each drive.
+        processes: that render; 0 renders in the training process.
+    """
+
+    WHERE = "views"
+
+    batches: Count = 10
+    held: Count = 20
+    together: Count = 4
+    drives: Count = 2
+    lights: Count = 4
+    poses: Count = 80
+    processes: Natural = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.together > self.held:
+            raise ConfigError(
+                f"a batch cannot be of views.together={self.together} buildings where views.held={self.held} are in "
+                "memory: set the second larger"
+            )
+
+
+_MODERN = RECIPES["modern"]
+
+RECIPE: Recipe = replace(
+    _MODERN,
+    training={
+        **_MODERN.training,
+        "epochs": 28,
+        "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 500},
+        "average": 0.995,
+    },
+)
+"""The network of the recipe `modern`, trained longer."""
