@@ -46,7 +46,7 @@ def _drawn(seed: int, rng: Rng) -> Entry:
     doors = plan.place_doors(rng)
     materials = _materials(rng)
     windows = _window_style(rng, plan.height)
-    density = float(rng.choice([0.45, 0.8, 1.0, 1.35]))
+    density = float(rng.choice([0.5, 0.9, 1.3, 1.8]))
     numbers: dict[str, int] = {}
     rooms: Entry = {}
     with_walls = _walled(plan, doors)
@@ -93,7 +93,7 @@ def _materials(rng: Rng) -> Any:
     """Draw what a building is made of, and return the entries of a room by its use."""
     walls = str(rng.choice(["paint", "paint", "paint", "paint", "concrete", "brick", "stripes", "panelling"]))
     ceiling = str(rng.choice(["ceiling_panels", "paint", "paint", "concrete", "panelling"]))
-    white = rng.random() < 0.5
+    white = rng.random() < 0.65
     common = _paint(rng) if not white else [round(float(v), 2) for v in rng.uniform(0.88, 1.0, 3)]
     wainscot = [
         str(rng.choice(["panelling", "tiles_wall", "plain_wood", "stripes"])),
@@ -102,16 +102,17 @@ def _materials(rng: Rng) -> Any:
     wainscot[0] = "wood" if wainscot[0] == "plain_wood" else wainscot[0]
     everywhere = rng.random() < 0.18
     floors: dict[str, str] = {}
-    own = rng.random() < 0.5  # every room has its own colour
+    own = rng.random() < 0.25  # every room has its own colour
 
     def of_room(use: str) -> Entry:
-        if use not in floors:
-            suitable = USES[use].floors
-            floors[use] = str(rng.choice(suitable))
-        entry: Entry = {"floor": floors[use] if rng.random() < 0.8 else str(rng.choice(USES[use].floors))}
+        suitable = USES[use].floors
+        if use not in floors:  # most rooms have the floor of others
+            shared = [floor for floor in floors.values() if floor in suitable]
+            floors[use] = str(rng.choice(shared if shared and rng.random() < 0.6 else suitable))
+        entry: Entry = {"floor": floors[use] if rng.random() < 0.85 else str(rng.choice(suitable))}
         entry["walls"] = walls if rng.random() < 0.75 else "paint"
         entry["ceiling"] = ceiling if rng.random() < 0.85 else "paint"
-        entry["paint"] = _paint(rng) if own or rng.random() < 0.2 else common
+        entry["paint"] = _paint(rng) if own or rng.random() < 0.1 else common
         if use in ("toilet", "bath", "kitchen") and rng.random() < 0.7:
             tiles = str(rng.choice(["tiles_wall", "tiles_blue", "checker"]))
             entry["wainscot"] = [tiles, round(float(rng.uniform(1.2, 2.2)), 2)]
@@ -124,7 +125,7 @@ def _materials(rng: Rng) -> Any:
 
 def _paint(rng: Rng) -> list[float]:
     """Draw the linear colour of a wall: mostly light, now and then strong."""
-    strong = rng.random() < 0.25
+    strong = rng.random() < 0.2
     colour = rng.uniform(0.25, 1.0, 3) if strong else rng.uniform(0.7, 1.0, 3)
     return [round(float(value), 2) for value in colour]
 
