@@ -49,7 +49,7 @@ def main() -> None:
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--runs", type=Path, help="where to keep the networks, for benchmarks.headings")
-    arguments.add_argument("--recipes", nargs="+", default=RECIPES, choices=RECIPES)
+    arguments.add_argument("--recipes", nargs="*", default=RECIPES, choices=RECIPES)
     arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
     options = arguments.parse_args()
     report = Report(report_name("recipes", options.data), options.out)
