@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from siamloc.errors import ConfigError
-from siamloc.settings import Count, Natural, Settings
+from siamloc.settings import Count, Natural, Positive, Settings
 from siamloc.training.recipes import RECIPES, Recipe
 
 
@@ -19,7 +19,8 @@ class ViewSettings(Settings):
         together: buildings of which the places of a batch are.
         drives: through each building; between two drives doors, chairs and people move.
         lights: of each drive.
-        poses: of each drive.
+        poses: of each drive, at most.
+        spacing: metres between them.
         processes: that render; 0 renders in the training process.
     """
 
@@ -31,6 +32,7 @@ class ViewSettings(Settings):
     drives: Count = 2
     lights: Count = 4
     poses: Count = 80
+    spacing: Positive = 0.4
     processes: Natural = 1
 
     def __post_init__(self) -> None:

@@ -86,7 +86,7 @@ class BuildingStream:
     def _wanted(self, number: int) -> tuple[Any, ...]:
         settings = self._settings
         seed = building_seed(self._seed, number * self._world_size + self._rank)
-        return seed, self._size, settings.drives, settings.lights, settings.poses
+        return seed, self._size, settings.drives, settings.lights, settings.poses, settings.spacing
 
     def _processes(self) -> ProcessPoolExecutor:
         if self._pool is None:

@@ -23,6 +23,7 @@ from siamloc.simulate.scene import Scene, build_scene, relit
 
 #: Seeds of buildings to learn from begin here, so that none is one that a user or a test names.
 FIRST_SEED = 1 << 28
+_DRIVEN = 0.05  # metres between the poses that are chosen from
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ def draw_views(
     drives: int = 2,
     lights: int = 4,
     poses: int = 60,
+    spacing: float = 0.4,
 ) -> Views:
     """Draw a building, a camera and lights from a seed, and render pictures of a part of it.
 
@@ -69,7 +71,8 @@ def draw_views(
         image_size: rows and columns.
         drives: how often the robot drives by; between two drives doors, chairs and people move.
         lights: of each drive.
-        poses: of each drive.
+        poses: of each drive, at most.
+        spacing: metres between them.
 
     Raises:
         SiamlocError: embreex is not installed.
@@ -84,12 +87,12 @@ def draw_views(
     found, places, headings, light, lightings = [], [], [], [], []
     for drive in range(drives):
         shining = _draw_lights(building, lights, rng)
-        run = Run(str(rng.choice(LIGHTINGS)), first + drive)
+        run = Run(str(rng.choice(LIGHTINGS)), first + drive, spacing=_DRIVEN)
         scene = build_scene(building, run, ROUGH, shining[0])
         track = scene.state.track.poses
-        step = 2 if len(track) > 2 * poses else 1
-        begin = int(start * max(0, len(track) - step * poses))
-        chosen = track[begin : begin + step * poses : step]
+        track = track[_apart(track[:, :2], spacing)]
+        begin = int(start * max(0, len(track) - poses))
+        chosen = track[begin : begin + poses]
         scenes = [scene, *(relit(scene, one) for one in shining[1:])]
         heights = height + rng.normal(0, 0.01, len(chosen))
         images = look_around(scenes, np.column_stack([chosen[:, :2], heights, chosen[:, 2]]), view, rng)
@@ -143,6 +146,15 @@ def look_around(scenes: Sequence[Scene], poses: Array, view: PanoramaView, rng: 
             gain = float(np.clip(metered(brightness, 12) * 2 ** (stops[number] + rng.normal(0, 0.15)), 0.02, 6.0))
             found[row, number] = develop(light.reshape(rows, columns, 3), gain, balances[number], True, rng, 0.75)
     return found
+
+
+def _apart(places: Array, spacing: float) -> list[int]:
+    """Return rows of places (n, 2) that lie this far from the one before; where a robot turns it stands still."""
+    rows = [0]
+    for row in range(1, len(places)):
+        if np.hypot(*(places[row] - places[rows[-1]])) >= spacing:
+            rows.append(row)
+    return rows
 
 
 def _draw_camera(rng: np.random.Generator, image_size: Sequence[int]) -> tuple[PanoramaView, float]:

@@ -20,7 +20,7 @@ SETTINGS = ViewSettings(batches=2, held=3, together=2, drives=2, lights=3, poses
 PLACES = PlaceSettings(places=4, images=3, near=0.5, reach=1.5, epoch_batches=4)
 
 
-def drawn(seed: int, image_size, drives: int, lights: int, poses: int) -> Views:
+def drawn(seed: int, image_size, drives: int, lights: int, poses: int, spacing: float = 0.3) -> Views:
     """Stand in for rendering: noise that follows from the seed, along a line."""
     rng = np.random.default_rng(seed)
     count = drives * lights * poses

@@ -1,0 +1,73 @@
+"""How fast pictures to learn from are rendered, beside the frames of a data set of the same size and number.
+
+Of each random building as many pictures are rendered both ways, drawing the building and baking its light included:
+`draw_views` as pretraining calls it, and a scene under each of three lightings with `frames`. Processor seconds of one
+process, which render one after the other.
+
+    python -m benchmarks.views [--buildings 4]
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from dataclasses import asdict
+
+import numpy as np
+
+from benchmarks.report import Report, hardware, parser
+from siamloc.data.panorama import PanoramaView
+from siamloc.pretraining import RECIPE, ViewSettings
+from siamloc.simulate import Run, build_scene, draw_views, load_building
+from siamloc.simulate.camera import PanoramaCamera
+from siamloc.simulate.render import frames, meter
+from siamloc.simulate.run import LIGHTINGS
+from siamloc.simulate.views import FIRST_SEED
+
+LEAST_FASTER = 3.0
+
+
+def quick(seed: int) -> tuple[int, float]:
+    """Return the number of pictures of a building, and the processor seconds that they took."""
+    wanted = ViewSettings()
+    begin = time.process_time()
+    views = draw_views(seed, RECIPE.image_size, wanted.drives, wanted.lights, wanted.poses, wanted.spacing)
+    return len(views), time.process_time() - begin
+
+
+def plain(seed: int, count: int) -> tuple[int, float]:
+    """Return the same for so many frames of a data set."""
+    camera = PanoramaCamera(PanoramaView(*RECIPE.image_size))
+    begin, rendered = time.process_time(), 0
+    building = load_building("random", FIRST_SEED + seed)
+    for lighting in LIGHTINGS:
+        scene = build_scene(building, Run(lighting, 1))
+        track = scene.state.track
+        rows = np.linspace(0, len(track) - 1, count // len(LIGHTINGS)).astype(int)
+        rendered += sum(1 for _ in frames(scene, track, camera, meter(scene, track), rows.tolist()))
+    return rendered, time.process_time() - begin
+
+
+def main() -> None:
+    """Render both ways, print the ratio and write the file."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--buildings", type=int, default=4)
+    options = arguments.parse_args()
+    report = Report("views", options.out, ("embreex",))
+    quick(0)  # warm-up
+    rows = []
+    for seed in range(options.buildings):
+        pictures, seconds = quick(seed)
+        others, longer = plain(seed, pictures)
+        rows.append({"views_per_s": pictures / seconds, "frames_per_s": others / longer})
+        print(f"building {seed}: {rows[-1]['views_per_s']:.0f} and {rows[-1]['frames_per_s']:.0f} pictures/s")
+    ratio = statistics.median(row["views_per_s"] / row["frames_per_s"] for row in rows)
+    rate = statistics.median(row["views_per_s"] for row in rows)
+    print(f"{rate:.0f} pictures per second of a core, {ratio:.1f} times as many as frames; {hardware()['cpu']}")
+    report.target(f"at least {LEAST_FASTER} times as many as frames ({ratio:.1f})", ratio >= LEAST_FASTER)
+    settings = {**asdict(ViewSettings()), "image_size": list(RECIPE.image_size), "buildings": options.buildings}
+    report.write({"settings": settings, "rows": rows, "pictures_per_core_s": rate, "ratio": ratio})
+
+
+if __name__ == "__main__":
+    main()
