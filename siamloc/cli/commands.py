@@ -94,7 +94,7 @@ def pretrain(config: DictConfig) -> None:
     network = models.build(**network_of(config), image_size=plain(config)["image_size"], seed=config.seed)
     run = pretraining.pretrain(
         network,
-        run=config.run,
+        run=training_folder(config),
         views=plain(config.views),
         loss=loss_of(config),
         augmentation={key: value for key, value in plain(config.augment).items() if key != "where"},

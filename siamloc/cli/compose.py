@@ -105,7 +105,7 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
     for key in keys:
         if "." in key and (config_folder() / key.replace(".", "/")).is_dir():
             raise ConfigError(f"{key} is a choice of files: write {key.replace('.', '/')}=NAME, with a slash")
-    resumed = command == "train" and config.get("resume") is True
+    resumed = command in ("train", "pretrain") and config.get("resume") is True
     if (COMMANDS[command].inherits or resumed) and config.get("run") is not None:
         from siamloc.cli.inherit import with_settings_of_the_run
 

@@ -98,12 +98,12 @@ COMMANDS = {
         "pretrain",
         "train a network on random buildings, before it sees any data",
         """
-        Draws, furnishes, lights and renders one building after the other while the network learns from those that are
+        Draws, furnishes, lights and renders one building after another while the network learns from those that are
         there. All follows from the seed. The weights are where `siamloc train` can start from.
 
         run=runs/pretrained         where the run is written
         epochs=28                   of 500 batches each; a new building comes every views.batches=10
-        views.processes=1           that render, beside the training
+        views.processes=1           how many processes render alongside the training
         seed=0 resume=true
         trainer.devices=2 trainer.strategy=ddp   each process has buildings of its own
         """,

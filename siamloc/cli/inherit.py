@@ -60,12 +60,12 @@ def with_settings_of_the_run(
     result = config.copy()
     with open_dict(result):
         for section, values in kept.items():
-            if not any(
+            if section.partition(".")[0] in config and not any(
                 section == part or (section != "protocol.map" and section.startswith(f"{part}.")) for part in chosen
             ):
                 OmegaConf.update(result, section, values, merge=False)
         size = record.get("model", {}).get("image_size") or record.get("data", {}).get("image_size")
-        if size is not None and "experiment" not in groups and by_network(config):
+        if size is not None and "data" in config and "experiment" not in groups and by_network(config):
             result.data.image_size = size
         for key, value in said.items():
             OmegaConf.update(result, key, value, merge=False)
@@ -106,6 +106,7 @@ def _kept(
             "trainer.precision": record.get("trainer", {}).get("precision", "32-true"),
             "pairs": training["pairs"],
             "optimizer": Optimizer.of(training["optimizer"]).plain(),
+            **({"views": record["views"], "image_size": model["image_size"]} if "views" in record else {}),
             **{key: training[key] for key in OF_TRAINING if key in training},
         }
     return kept

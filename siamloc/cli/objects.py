@@ -148,7 +148,8 @@ def network_of(config: DictConfig) -> dict[str, Any]:
 
 def training_folder(config: DictConfig) -> Path:
     """Return the folder that a training writes into."""
-    names = [config.data.name or "data", config.model.branch.name, config.model.head.name, f"seed{config.seed}"]
+    data = config.data.name or "data" if "data" in config else "pretrained"
+    names = [data, config.model.branch.name, config.model.head.name, f"seed{config.seed}"]
     folder = Path("runs") / "-".join(names) if config.run is None else Path(config.run)
     if config.run is not None and not str(config.run).strip():
         raise ConfigError("run= is empty: name a folder, such as run=runs/robot")

@@ -1,4 +1,4 @@
-"""Pretraining: a network learns from random buildings, of which there is no end, before it sees any data set.
+"""Pretraining: a network learns from an endless supply of random buildings, before it sees any data set.
 
 Importing this package loads no torch; each name is loaded when it is first used.
 """

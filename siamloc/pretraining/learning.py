@@ -1,4 +1,4 @@
-"""`pretrain`: train a network on random buildings, of which there is no end, before it sees any data set."""
+"""`pretrain`: train a network on an endless supply of random buildings, before it sees any data set."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import augment
 from siamloc.data.places import PlaceSettings
@@ -18,7 +20,7 @@ from siamloc.pretraining.view_batches import ViewDataModule
 from siamloc.runs import Run
 from siamloc.simulate.mesh import embree
 from siamloc.training.batches import BatchAugmentation
-from siamloc.training.checks import check_loss
+from siamloc.training.checks import check_loss, check_network
 from siamloc.training.fitting import effect_of, learn, process_rank
 from siamloc.training.run_folder import check_folder
 from siamloc.training.settings import Training
@@ -40,8 +42,8 @@ def pretrain(
 ) -> Run:
     """Train a network on random buildings, in place, each drawn, furnished, lit and rendered while others are learned.
 
-    All follows from the seed: the n-th building is the same on every machine, and so is the batch that is learned from
-    in a step, however fast buildings are rendered. Where several processes train together, each renders buildings of
+    All follows from the seed: the n-th building, and the batch that is learned from in a step, however fast buildings
+    are rendered. Where several processes train together, each renders buildings of
     its own. After every epoch the network is asked for places in buildings that it never learns from. With
     `views.processes` above 0 processes are spawned: a script calls this under `if __name__ == "__main__":`.
 
@@ -58,7 +60,7 @@ def pretrain(
         changes: single fields of them, instead; `pairs` and `optimizer` are changed key by key.
 
     Returns:
-        The run.
+        The run; the network then holds the weights that `siamloc.models.load(run)` gives, the best by the validation.
 
     Raises:
         ConfigError: settings that have no meaning or contradict each other, a folder that holds a run or other files, a
@@ -82,11 +84,7 @@ def pretrain(
         settings = Training.of(fields)
     elif changes:
         raise ConfigError(f"settings= has all fields: give {', '.join(changes)} in it, or leave it out")
-    places = settings.pairs
-    if not isinstance(places, PlaceSettings) or places.epoch_batches is None:
-        raise ConfigError("pretraining learns from batches of places: give pairs a number of epoch_batches")
-    if settings.monitor not in ("auto", "recall", "error"):
-        raise ConfigError(f"pretraining is judged by the places found: monitor={settings.monitor} means nothing here")
+    places = _check(settings, views)
     if not isinstance(network, Network):
         raise ConfigError("pretraining needs a network of siamloc.models.build, whose image size the pictures have")
     if process_rank() == 0:
@@ -98,11 +96,12 @@ def pretrain(
     change = None if effect is None else BatchAugmentation(effect, where, settings.seed)
     data = ViewDataModule(network.image_size, views, places, change, settings.seed)
     module = PlaceModule(network, loss, settings.optimizer, settings.recall_radius)
-    if isinstance(module.loss, UNIT_LENGTH) and network.settings["head"] not in ("flat", "gem", "bands", "fourier"):
-        raise ConfigError("this loss needs descriptors of length 1: choose the head flat, gem, bands or fourier")
+    noise = np.random.default_rng(0).integers(0, 256, (1, 3, *network.image_size), dtype=np.uint8)
+    check_network(network, noise, circular=True, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used: dict[str, Any] = {
-        "data": {"name": "random buildings", "views": views.plain()},
+        "data": {},
+        "views": views.plain(),
         "protocol": {},
         "model": content["model"],
         "loss": content["loss"],
@@ -111,7 +110,34 @@ def pretrain(
         "trainer": {"precision": str((trainer or {}).get("precision", "32-true"))},
         "frames": {"train": None, "validation": None},
     }
-    buildings = -(-settings.epochs * places.epoch_batches // views.batches)
-    what = f"{buildings} random buildings, {places.epoch_batches} batches per epoch"
+    what = f"random buildings, a new one every {views.batches} batches, {places.epoch_batches} batches per epoch"
     learn(module, data, run, used, settings, trainer, monitor=settings.monitor, what=what, resume=resume)
     return run
+
+
+def _check(settings: Training, views: ViewSettings) -> PlaceSettings:
+    """Return which pictures a batch has.
+
+    Raises:
+        ConfigError: settings that have no meaning in random buildings.
+    """
+    places = settings.pairs
+    if not isinstance(places, PlaceSettings) or places.epoch_batches is None:
+        raise ConfigError("pretraining learns from batches of places: give pairs a number of epoch_batches")
+    if places.by != "position":
+        raise ConfigError(f"pretraining draws places by their positions: leave out pairs.by={places.by}")
+    if places.lightings is not None:
+        raise ConfigError("pretraining shows every place under lights that take turns: leave out pairs.lightings")
+    most = views.drives * views.lights * views.poses
+    if places.places > most:
+        raise ConfigError(
+            f"a batch of pairs.places={places.places} places needs as many pictures, and a building has {most}: set "
+            "views.poses larger"
+        )
+    if settings.workers:
+        raise ConfigError(
+            f"workers={settings.workers} gather batches of a data set; how many render buildings is views.processes"
+        )
+    if settings.monitor not in ("auto", "recall", "error"):
+        raise ConfigError(f"pretraining is judged by the places found: monitor={settings.monitor} means nothing here")
+    return places

@@ -14,14 +14,14 @@ class ViewSettings(Settings):
     """Which buildings are learned from.
 
     Attributes:
-        batches: learned from before the next building comes; a building stays for `held` times as many.
-        held: buildings in memory.
-        together: buildings of which the places of a batch are.
+        batches: before a new building replaces the oldest one; each stays for `held` times as many.
+        held: buildings in memory, fewer at the start.
+        together: how many buildings the places of one batch come from, where so many are held.
         drives: through each building; between two drives doors, chairs and people move.
         lights: of each drive.
         poses: of each drive, at most.
         spacing: metres between them.
-        processes: that render; 0 renders in the training process.
+        processes: how many processes render; 0 renders in the training process.
     """
 
     WHERE = "views"

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 import numpy as np
@@ -15,10 +12,10 @@ from torch.utils.data import DataLoader, Dataset
 
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.places import PlaceSampler, PlaceSettings
-from siamloc.errors import DataError
+from siamloc.pretraining.rendering import Renderer, Wanted
 from siamloc.pretraining.settings import ViewSettings
-from siamloc.simulate.processes import rendering_processes
-from siamloc.simulate.views import Views, draw_views
+from siamloc.progress import track
+from siamloc.simulate.views import Views
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 from siamloc.training.place_batches import AUGMENTATION_STREAM, origins_of
 
@@ -34,9 +31,10 @@ def building_seed(seed: int, number: int) -> int:
 
 
 class BuildingStream:
-    """Random buildings in their order, rendered by other processes before they are needed.
+    """Random buildings in their order, rendered before they are needed.
 
     Args:
+        renderer: renders them.
         image_size: rows and columns of the pictures.
         settings: which buildings.
         seed: of the training.
@@ -45,13 +43,17 @@ class BuildingStream:
     """
 
     def __init__(
-        self, image_size: Sequence[int], settings: ViewSettings, seed: int, rank: int = 0, world_size: int = 1
+        self,
+        renderer: Renderer,
+        image_size: Sequence[int],
+        settings: ViewSettings,
+        seed: int,
+        rank: int = 0,
+        world_size: int = 1,
     ) -> None:
-        self._size, self._settings, self._seed = tuple(image_size), settings, seed
+        self._renderer, self._size, self._settings, self._seed = renderer, tuple(image_size), settings, seed
         self._rank, self._world_size = rank, world_size
-        self._pool: ProcessPoolExecutor | None = None
-        self._coming: dict[int, Future[Views]] = {}
-        self._here: OrderedDict[int, tuple[Views, FrameTable]] = OrderedDict()
+        self._here: dict[int, tuple[Views, FrameTable]] = {}
 
     def held(self, newest: int) -> list[tuple[Views, FrameTable]]:
         """Return the buildings up to the newest one, as many as are held; waits for those that are not ready.
@@ -60,46 +62,20 @@ class BuildingStream:
             DataError: a process that renders has died.
         """
         numbers = range(max(0, newest + 1 - self._settings.held), newest + 1)
-        for number in [number for number in self._here if number not in numbers]:
-            del self._here[number]
-        ahead = range(numbers.start, numbers.stop + max(2, 2 * self._settings.processes))
-        if self._settings.processes:
-            for number in ahead:
-                if number not in self._here and number not in self._coming:
-                    self._coming[number] = self._processes().submit(draw_views, *self._wanted(number))
+        self._here = {number: here for number, here in self._here.items() if number in numbers}
+        for number in range(numbers.start, numbers.stop + max(2, 2 * self._settings.processes)):
+            if number not in self._here:
+                self._renderer.begin(self._wanted(number))
         for number in numbers:
             if number not in self._here:
-                self._here[number] = self._ready(number)
+                views = self._renderer.views(self._wanted(number))
+                self._here[number] = views, frames_of(views, f"building {number * self._world_size + self._rank}")
         return [self._here[number] for number in numbers]
 
-    def _ready(self, number: int) -> tuple[Views, FrameTable]:
-        try:
-            coming = self._coming.pop(number, None)
-            views = draw_views(*self._wanted(number)) if coming is None else coming.result()
-        except BrokenProcessPool as error:
-            raise DataError(
-                "a process that renders buildings died, perhaps for lack of memory: go on with resume=true and fewer "
-                "views.processes; in a script of your own, call pretrain under `if __name__ == '__main__':`"
-            ) from error
-        return views, frames_of(views, f"building {number * self._world_size + self._rank}")
-
-    def _wanted(self, number: int) -> tuple[Any, ...]:
+    def _wanted(self, number: int) -> Wanted:
         settings = self._settings
         seed = building_seed(self._seed, number * self._world_size + self._rank)
         return seed, self._size, settings.drives, settings.lights, settings.poses, settings.spacing
-
-    def _processes(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            self._pool = rendering_processes(self._settings.processes)
-        return self._pool
-
-    def close(self) -> None:
-        """End the processes."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            self._pool = None
-        self._coming.clear()
-        self._here.clear()
 
 
 def frames_of(views: Views, name: str) -> FrameTable:
@@ -183,22 +159,22 @@ class ViewBatches(Dataset[dict[str, Any]]):
 
 
 class ViewValidation(Dataset[dict[str, Any]]):
-    """Drives through buildings that nothing is learned from: each is mapped under one light and asked under all others.
+    """Drives through buildings that nothing is learned from.
+
+    Each is mapped in its first drive under clouds, and asked for places in its second one under every lighting.
 
     Args:
+        renderer: renders them.
         image_size: rows and columns of the pictures.
-        processes: that render them; 0 renders them here.
     """
 
-    def __init__(self, image_size: Sequence[int], processes: int = 0) -> None:
+    def __init__(self, renderer: Renderer, image_size: Sequence[int]) -> None:
         wanted = [
             (_SEEDS + number, tuple(image_size), 2, 3, _VALIDATION_POSES) for number in range(_VALIDATION_BUILDINGS)
         ]
-        if processes:
-            with rendering_processes(min(processes, len(wanted))) as pool:
-                views = [future.result() for future in [pool.submit(draw_views, *one) for one in wanted]]
-        else:
-            views = [draw_views(*one) for one in wanted]
+        for one in wanted:
+            renderer.begin(one)
+        views = [renderer.views(one) for one in track(wanted, len(wanted), "rendering buildings to validate with")]
         # One light of the first drive is the map, and the lights of the second drive are asked.
         known = [one.light == one.lighting[:3].index("cloudy") for one in views]
         taken = [np.flatnonzero(of_map | (one.light >= 3)) for one, of_map in zip(views, known, strict=True)]
@@ -242,6 +218,7 @@ class ViewDataModule(EpochDataModule):
         super().__init__(None, 0, augmentation)
         self.views, self.places, self.seed = views, places, seed
         self._size = tuple(image_size)
+        self._renderer = Renderer(views.processes)
         self._stream: BuildingStream | None = None
         self._validation: ViewValidation | None = None
 
@@ -251,7 +228,7 @@ class ViewDataModule(EpochDataModule):
     def batches(self) -> ViewBatches:
         """Return the batches of this process."""
         if self._stream is None:
-            self._stream = BuildingStream(self._size, self.views, self.seed, *self.share())
+            self._stream = BuildingStream(self._renderer, self._size, self.views, self.seed, *self.share())
         return ViewBatches(self._stream, self.views, self.places, self.augmentation, self.seed, *self.share())
 
     def train_dataloader(self) -> DataLoader[Any]:
@@ -261,7 +238,7 @@ class ViewDataModule(EpochDataModule):
     def val_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the validation, which is rendered once."""
         if self._validation is None:
-            self._validation = ViewValidation(self._size, self.views.processes)
+            self._validation = ViewValidation(self._renderer, self._size)
         return self.loader(self._validation, None)
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
@@ -276,6 +253,5 @@ class ViewDataModule(EpochDataModule):
     def teardown(self, stage: str) -> None:
         """End the processes that render."""
         super().teardown(stage)
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
+        self._renderer.close()
+        self._stream = None

@@ -1,4 +1,4 @@
-"""Pictures to learn from: random buildings under several lights, rendered many times faster than a data set.
+"""Pictures to learn from: random buildings under several lights, rendered several times faster than a data set.
 
 A data set shows one drive under one light after the other. Here the things in a building stay where they are while the
 light changes: what a ray meets, what a lamp lights and what surfaces throw at each other is found once for all lights.
@@ -51,7 +51,7 @@ class Views:
 
     def __repr__(self) -> str:
         lights = ", ".join(self.lighting)
-        return f"Views({len(self)} pictures of {len(np.unique(self.room))} rooms; lights: {lights})"
+        return f"Views({len(self)} pictures; rooms: {len(np.unique(self.room))}; lights: {lights})"
 
 
 def draw_views(
@@ -78,7 +78,7 @@ def draw_views(
         SiamlocError: embreex is not installed.
 
     >>> draw_views(0, (16, 64), drives=1, lights=2, poses=3)
-    Views(6 pictures of 1 rooms; lights: night, sunny)
+    Views(6 pictures; rooms: 1; lights: sunny, cloudy)
     """
     rng = seeded(seed, "views")
     building = load_building("random", FIRST_SEED + seed)
@@ -113,7 +113,7 @@ def look_around(scenes: Sequence[Scene], poses: Array, view: PanoramaView, rng: 
         scenes: one scene, and others that `relit` made of it (L).
         poses: x, y, height in metres and heading in rad (P, 4).
         view: size and elevations.
-        rng: draws where in each pixel its ray passes, exposure, white balance and noise.
+        rng: draws where in their pixels the rays of a picture pass, exposure, white balance and noise.
 
     Returns:
         (P, L, rows, columns, 3) uint8, RGB.
@@ -169,5 +169,5 @@ def _draw_camera(rng: np.random.Generator, image_size: Sequence[int]) -> tuple[P
 def _draw_lights(building: Building, count: int, rng: np.random.Generator) -> list[Light]:
     """Draw lights, each lighting in its turn, in any order."""
     order = [LIGHTINGS[i % 3] for i in rng.permutation(3)]
-    names = [order[i % 3] if i < 3 else str(rng.choice(LIGHTINGS)) for i in range(count)]
+    names = [order[i] if i < 3 else str(rng.choice(LIGHTINGS)) for i in range(count)]
     return [draw_light(building, name, rng) for name in names]

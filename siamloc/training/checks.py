@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from siamloc.data.frames import FrameTable
@@ -129,25 +130,25 @@ def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> No
     raise ConfigError(f"these batches teach the loss nothing, {_TRIED} of {_TRIED} drawn have no {lacking}")
 
 
-def check_network(network: nn.Module, images: PanoramaLibrary, *, unit: bool) -> None:
-    """Describe one image, so that a network of another image size is found before anything is written.
+def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, *, unit: bool) -> None:
+    """Describe one image (1, 3, H, W), so that a network of another size is found before anything is written.
 
     Raises:
         ConfigError: a network that wraps around the azimuth for images that do not, or descriptors of another length.
         DataError: a network that does not take the images.
     """
-    if getattr(network, "settings", {}).get("circular") and not images.circular:
+    if getattr(network, "settings", {}).get("circular") and not circular:
         raise ConfigError(
             "the network wraps around the azimuth (model.circular=true, from Python build(circular=True)), and the "
             "columns of these images do not (data.circular=false): set model.circular=false, take the recipe "
             "photographs or rooms for pictures of an ordinary camera, or set data.circular=true for panoramas"
         )
     try:
-        descriptor = describe(network, images.batch([0]))
+        descriptor = describe(network, image)
     except SiamlocError:
         raise
     except Exception as error:  # a module of one's own may raise anything
-        shape = " x ".join(map(str, images.image_shape))
+        shape = " x ".join(map(str, image.shape[1:]))
         first_line = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise DataError(f"the network cannot take panoramas of {shape}: {first_line}") from error
     if descriptor.ndim != 2 or len(descriptor) != 1:

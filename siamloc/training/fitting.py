@@ -146,7 +146,7 @@ def fit(
     monitor = monitored(settings, train, validated)
     settings = settings if monitor is None else replace(settings, monitor=monitor)
     data, module = _parts(network, images, train, validated, loss, change, settings)
-    check_network(network, images, unit=isinstance(module.loss, UNIT_LENGTH))
+    check_network(network, images.batch([0]), images.circular, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
@@ -346,7 +346,8 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
             run.discard()  # a loss that fails at once must not block the folder for the next call
         raise
     finally:
-        module.teardown("fit")  # which Lightning leaves out where something fails
+        module.teardown("fit")  # which Lightning leaves out where something fails, as the next one
+        data.teardown("fit")
 
 
 def _protocol(train: FrameTable, validation: FrameTable | None) -> dict[str, Any]:

@@ -21,9 +21,9 @@ _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
     *("training.epochs", "training.workers", "training.augment_where", "training.compile"),
-    *("training.checkpoint_every", "training.patience", "training.recall_radius"),
+    *("training.checkpoint_every", "training.patience", "training.recall_radius", "views.processes"),
 )
-_LEARNED = ("data", "protocol", "model", "loss", "training", "augment")
+_LEARNED = ("data", "views", "protocol", "model", "loss", "training", "augment")
 _ROLES = {"train": "training", "validation": "validation"}
 
 KEPT = "bad_batch*.npz"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+
 import numpy as np
 import pytest
 import torch
@@ -10,8 +12,9 @@ import siamloc
 from siamloc.cli.compose import composed, plain
 from siamloc.cli.objects import loss_of, network_of, training_of
 from siamloc.data.places import PlaceSettings
-from siamloc.errors import ConfigError
-from siamloc.pretraining import RECIPE, ViewSettings, pretrain, view_batches
+from siamloc.errors import ConfigError, DataError
+from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_batches
+from siamloc.pretraining.rendering import Renderer
 from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
 from siamloc.simulate.views import Views
 
@@ -40,12 +43,12 @@ def rendered(monkeypatch):
         asked.append(seed)
         return drawn(seed, *others)
 
-    monkeypatch.setattr(view_batches, "draw_views", noted)
+    monkeypatch.setattr(rendering, "draw_views", noted)
     return asked
 
 
 def batches(seed: int = 0, rank: int = 0, world_size: int = 1) -> ViewBatches:
-    stream = BuildingStream(SIZE, SETTINGS, seed, rank, world_size)
+    stream = BuildingStream(Renderer(0), SIZE, SETTINGS, seed, rank, world_size)
     return ViewBatches(stream, SETTINGS, PLACES, None, seed, rank, world_size)
 
 
@@ -77,7 +80,7 @@ def test_a_batch_has_several_pictures_of_each_place_under_different_lights(rende
 
 
 def test_buildings_come_and_go(rendered):
-    stream = BuildingStream(SIZE, SETTINGS, seed=3)
+    stream = BuildingStream(Renderer(0), SIZE, SETTINGS, seed=3)
     assert len(stream.held(0)) == 1
     assert len(stream.held(5)) == SETTINGS.held
     assert rendered == [building_seed(3, number) for number in (0, 3, 4, 5)]
@@ -115,7 +118,7 @@ def test_a_training_that_is_resumed_is_one_that_never_stopped(rendered, tmp_path
     curves = [siamloc.training.Run(tmp_path / name).curves() for name in ("whole", "parts")]
     np.testing.assert_allclose(curves[0]["train/loss"], curves[1]["train/loss"], rtol=1e-5)
     again = {**changes, "views": {**changes["views"], "lights": 2}}
-    with pytest.raises(ConfigError, match=r"data\.views\.lights"):
+    with pytest.raises(ConfigError, match=r"views\.lights"):
         pretrain(parts, run=run, epochs=3, resume=True, **again)
     started = RECIPE.build(image_size=SIZE, weights=run)
     for name, value in siamloc.models.load(run).state_dict().items():
@@ -128,6 +131,16 @@ def test_settings_without_a_meaning(tmp_path):
         pretrain(network, run=tmp_path / "a", pairs={"epoch_batches": None})
     with pytest.raises(ConfigError, match=r"views\.together=9"):
         pretrain(network, run=tmp_path / "a", views={"together": 9, "held": 4})
+    with pytest.raises(ConfigError, match=r"leave out pairs\.by=sequence"):
+        pretrain(network, run=tmp_path / "a", pairs={"by": "sequence"})
+    with pytest.raises(ConfigError, match=r"leave out pairs\.lightings"):
+        pretrain(network, run=tmp_path / "a", pairs={"lightings": {"night": 2}})
+    with pytest.raises(ConfigError, match=r"set views\.poses larger"):
+        pretrain(network, run=tmp_path / "a", views={"drives": 1, "lights": 1, "poses": 8})
+    with pytest.raises(ConfigError, match=r"views\.processes"):
+        pretrain(network, run=tmp_path / "a", workers=2)
+    with pytest.raises(ConfigError, match="give epochs in it"):
+        pretrain(network, run=tmp_path / "a", epochs=1, settings=siamloc.training.Training())
     with pytest.raises(ConfigError, match="monitor=room"):
         pretrain(network, run=tmp_path / "a", monitor="room")
     with pytest.raises(ConfigError, match=r"siamloc\.models\.build"):
@@ -147,6 +160,59 @@ def test_the_command_is_the_recipe():
     loss = loss_of(config)
     assert {key: loss.settings[key] for key in wanted.loss} == wanted.loss
     assert plain(config)["trainer"]["precision"] == wanted.trainer["precision"]
+
+
+def test_choices_of_the_command_take_the_place_of_the_recipes():
+    assert training_of(composed("pretrain", ["optimizer=sgd"])).optimizer == siamloc.training.Optimizer()
+    assert loss_of(composed("pretrain", ["loss=triplet"])).settings["name"] == "triplet"
+    assert training_of(composed("pretrain", ["pairs=in_batch"])).pairs == PlaceSettings()
+    assert training_of(composed("pretrain", ["pairs.places=8"])).pairs.places == 8
+
+
+@pytest.mark.slow
+def test_buildings_of_other_processes_are_those_of_this_one():
+    wanted = (7, SIZE, 1, 2, 3, 0.4)
+    there = Renderer(1)
+    try:
+        there.begin(wanted)
+        one, other = there.views(wanted), Renderer(0).views(wanted)
+        np.testing.assert_array_equal(one.images, other.images)
+        np.testing.assert_array_equal(one.xy, other.xy)
+        (child,) = multiprocessing.active_children()
+        child.kill()
+        child.join()
+        with pytest.raises(DataError, match=r"died.*fewer views\.processes"):
+            there.views((8, *wanted[1:]))
+    finally:
+        there.close()
+
+
+@pytest.mark.slow
+def test_a_training_that_fails_leaves_no_process_behind(tmp_path):
+    class Failing(torch.nn.Module):
+        def forward(self, descriptors, origins):
+            raise RuntimeError("as it was asked to")
+
+    views = {"held": 2, "together": 1, "lights": 1, "drives": 1, "poses": 16, "processes": 1}
+    places = {"places": 4, "images": 2, "epoch_batches": 2}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(view_batches, "_VALIDATION_POSES", 2)
+        with pytest.raises(RuntimeError, match="as it was asked to"):
+            pretrain(RECIPE.build(image_size=SIZE), run=tmp_path / "a", views=views, pairs=places, loss=Failing())
+    for child in multiprocessing.active_children():
+        child.join(timeout=60)  # gives up after the building it is at
+    assert not multiprocessing.active_children()
+    assert not list((tmp_path / "a").rglob("*.ckpt"))
+
+
+def test_an_interrupted_command_goes_on_with_the_settings_of_its_run(rendered, tmp_path, monkeypatch):
+    monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 3)
+    words = ["pairs.epoch_batches=2", "pairs.places=3", "pairs.images=2", "image_size=[16,64]", "optimizer=sgd"]
+    views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0"]
+    run = f"run={tmp_path / 'run'}"
+    assert siamloc.cli.main(["pretrain", run, "epochs=1", *words, *views, "trainer.precision=32-true"]) == 0
+    assert siamloc.cli.main(["pretrain", run, "resume=true", "epochs=2"]) == 0
+    assert len(siamloc.training.Run(tmp_path / "run").curves()["epoch"]) == 2
 
 
 def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, monkeypatch):
