@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,6 @@ from siamloc.simulate.trajectory import rounded
 Rng = np.random.Generator
 Entry = dict[str, Any]
 _ATTEMPTS = 30
-#: What stands in the way of a robot is taken out again so often.
-_CLEARED = 6
 
 
 def draw_building(seed: int) -> Entry:
@@ -31,14 +30,10 @@ def draw_building(seed: int) -> Entry:
     ['doors', 'height', 'materials', 'name', 'north', 'paths', 'rooms']
     """
     for attempt in range(_ATTEMPTS):
-        rng = seeded(seed, attempt, "random building")
-        try:
-            return _drawn(seed, rng)
-        except DataError:
-            # Now and then the furniture leaves no way, or a window meets a wall; then another one is drawn.
-            if attempt == _ATTEMPTS - 1:
-                raise
-    raise AssertionError
+        # Now and then the furniture leaves no way, or a window meets a wall; then another one is drawn.
+        with suppress(DataError):
+            return _drawn(seed, seeded(seed, attempt, "random building"))
+    return _drawn(seed, seeded(seed, _ATTEMPTS, "random building"))
 
 
 def _drawn(seed: int, rng: Rng) -> Entry:
@@ -95,11 +90,8 @@ def _materials(rng: Rng) -> Any:
     ceiling = str(rng.choice(["ceiling_panels", "paint", "paint", "concrete", "panelling"]))
     white = rng.random() < 0.65
     common = _paint(rng) if not white else [round(float(v), 2) for v in rng.uniform(0.88, 1.0, 3)]
-    wainscot = [
-        str(rng.choice(["panelling", "tiles_wall", "plain_wood", "stripes"])),
-        round(float(rng.uniform(0.8, 1.5)), 2),
-    ]
-    wainscot[0] = "wood" if wainscot[0] == "plain_wood" else wainscot[0]
+    panels = str(rng.choice(["panelling", "tiles_wall", "wood", "stripes"]))
+    wainscot = [panels, round(float(rng.uniform(0.8, 1.5)), 2)]
     everywhere = rng.random() < 0.18
     floors: dict[str, str] = {}
     own = rng.random() < 0.25  # every room has its own colour
@@ -168,27 +160,20 @@ def _windows(cell: Cell, plan: Plan, style: Entry, rng: Rng) -> list[Entry]:
 
 
 def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
-    """Find the robot's ways; what blocks a room is taken out.
+    """Find the robot's ways.
 
     Raises:
         DataError: there is no way.
     """
-    for _ in range(_CLEARED):
-        building = parse_building(content, seed, content["name"])
-        space = FreeSpace(building)
-        start_cells = space.inside(plan.cells[0].x, plan.cells[0].y)
-        if not len(start_cells):
-            raise DataError("the robot has no place to set out from")
-        start = int(start_cells[np.argmin(space.points[start_cells].sum(axis=1))])
-        seen = space.reachable(start)
-        places = {cell.name: visits(space, cell.x, cell.y, seen, rng) for cell in plan.cells}
-        shut = [name for name, found in places.items() if not found]
-        if not shut:
-            break
-        for name in shut:
-            items = content["rooms"][name]["items"]
-            content["rooms"][name]["items"] = items[: len(items) // 2]
-    else:
+    building = parse_building(content, seed, content["name"])
+    space = FreeSpace(building)
+    start_cells = space.inside(plan.cells[0].x, plan.cells[0].y)
+    if not len(start_cells):
+        raise DataError("the robot has no place to set out from")
+    start = int(start_cells[np.argmin(space.points[start_cells].sum(axis=1))])
+    seen = space.reachable(start)
+    places = {cell.name: visits(space, cell.x, cell.y, seen, rng) for cell in plan.cells}
+    if shut := [name for name, found in places.items() if not found]:
         raise DataError(f"a robot cannot reach {', '.join(shut)}")
     order = _order(plan)
     ways: Entry = {}

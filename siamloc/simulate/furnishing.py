@@ -199,7 +199,7 @@ class Room:
         """Return where a wall begins and ends."""
         return self.x if side in ("north", "south") else self.y
 
-    def stand(self, side: str, at: float, size: tuple[float, float, float], entry: Entry, blocks: bool = True) -> bool:
+    def stand(self, side: str, at: float, size: tuple[float, float, float], entry: Entry) -> bool:
         """Put an item against a wall, if there is room for it."""
         w, d, h = size
         low, high = self.span(side)
