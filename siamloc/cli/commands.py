@@ -31,7 +31,7 @@ from siamloc.errors import ConfigError, DataError
 
 
 def simulate(config: DictConfig) -> None:
-    """Render a made-up office building."""
+    """Render a made-up building."""
     from siamloc.simulate import SimulateConfig
     from siamloc.simulate import simulate as render
 

@@ -21,7 +21,7 @@ class Command:
 COMMANDS = {
     "simulate": Command(
         "simulate",
-        "render a made-up office building in COLD's layout",
+        "render a made-up building in COLD's layout",
         """
         Renders drives of a robot with an omnidirectional camera under cloudy, night and sunny light, and writes them
         as COLD's folders and file names. One seed gives the same bytes again, whatever the number of workers.
