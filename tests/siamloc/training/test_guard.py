@@ -58,7 +58,9 @@ def test_the_batch_of_places_that_did_it_is_kept(images, drives, tmp_path, what)
         images,
         drives[0],
         places=siamloc.training.PlaceSettings(**SETTINGS["pairs"]),
-        augmentation=siamloc.training.BatchAugmentation(siamloc.training.fitting._effect("lighting", images)[0]),
+        augmentation=siamloc.training.BatchAugmentation(
+            siamloc.training.fitting.effect_of("lighting", circular=images.circular)[0]
+        ),
     )
     expected = data.train_dataloader().dataset[1, 2]
     assert all(np.array_equal(kept[name], value.numpy()) for name, value in expected.items())
