@@ -63,8 +63,12 @@ class Renderer:
         )
 
     def close(self) -> None:
-        """End the processes; what they are at is given up."""
+        """End the processes at once; what they are at is given up."""
         pool, self._pool = self._pool, None
         self._coming.clear()
         if pool is not None:
+            # The executor itself would let each end its building; before Python 3.14 it has no public way to stop them.
+            processes = list((getattr(pool, "_processes", None) or {}).values())
             pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:
+                process.terminate()
