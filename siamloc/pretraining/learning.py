@@ -19,12 +19,10 @@ from siamloc.pretraining.settings import RECIPE, ViewSettings
 from siamloc.pretraining.view_batches import ViewDataModule
 from siamloc.runs import Run
 from siamloc.simulate.mesh import embree
-from siamloc.training.batches import BatchAugmentation
 from siamloc.training.checks import check_loss, check_network
-from siamloc.training.fitting import effect_of, learn, process_rank
+from siamloc.training.fitting import augmentation_of, learn, process_rank
 from siamloc.training.run_folder import check_folder
 from siamloc.training.settings import Training
-from siamloc.training.trainer import on_gpu
 
 
 def pretrain(
@@ -43,9 +41,9 @@ def pretrain(
     """Train a network on random buildings, in place, each drawn, furnished, lit and rendered while others are learned.
 
     All follows from the seed: the n-th building, and the batch that is learned from in a step, however fast buildings
-    are rendered. Where several processes train together, each renders buildings of
-    its own. After every epoch the network is asked for places in buildings that it never learns from. With
-    `views.processes` above 0 processes are spawned: a script calls this under `if __name__ == "__main__":`.
+    are rendered. Where several processes train together, each renders buildings of its own. After every epoch the
+    network is asked for places in buildings that it never learns from. With `views.processes` above 0 processes are
+    spawned: a script calls this under `if __name__ == "__main__":`.
 
     Args:
         network: what `siamloc.models.build` makes; pictures are rendered at its image size.
@@ -91,9 +89,7 @@ def pretrain(
         check_folder(run, resume, overwrite)
     settings = replace(settings, monitor="recall") if settings.monitor == "auto" else settings
     check_loss(loss, 2)
-    effect, augmented = effect_of(augmentation, bool(network.settings["circular"]))
-    where = settings.augment_where if settings.augment_where != "auto" else "gpu" if on_gpu(trainer) else "cpu"
-    change = None if effect is None else BatchAugmentation(effect, where, settings.seed)
+    change, augmented = augmentation_of(augmentation, bool(network.settings["circular"]), settings, trainer)
     data = ViewDataModule(network.image_size, views, places, change, settings.seed)
     module = PlaceModule(network, loss, settings.optimizer, settings.recall_radius)
     noise = np.random.default_rng(0).integers(0, 256, (1, 3, *network.image_size), dtype=np.uint8)

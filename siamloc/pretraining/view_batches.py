@@ -17,7 +17,7 @@ from siamloc.pretraining.settings import ViewSettings
 from siamloc.progress import track
 from siamloc.simulate.views import Views
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
-from siamloc.training.place_batches import AUGMENTATION_STREAM, origins_of
+from siamloc.training.place_batches import origins_of
 
 _SEEDS = 1 << 30  # of the buildings to learn from; those of the validation come after them
 _STEP = 1_000_003
@@ -148,13 +148,7 @@ class ViewBatches(Dataset[dict[str, Any]]):
         for name in ("building", "room", "frame"):
             item[name] = item[name] * self._world_size + self._rank
         if self._augmentation is not None:
-            mine = slice(self._rank * len(rows), (self._rank + 1) * len(rows))
-            stream = (epoch, batch, AUGMENTATION_STREAM)
-            params = self._augmentation.draw(stream, len(rows) * self._world_size, pictures.shape[1:], mine)
-            if self._augmentation.where == "gpu":
-                item["change"] = params
-            else:
-                item["images"] = self._augmentation.effect.apply(item["images"], params)
+            self._augmentation.add(item, number, pictures.shape[1:], self._rank, self._world_size)
         return item
 
 

@@ -156,11 +156,20 @@ def draw_light(building: Building, lighting: str, rng: np.random.Generator) -> L
     level, warmth = rng.uniform(0.6, 1.3), rng.uniform(0.0, 1.4)
     lamps: dict[str, tuple[float, float, float]] = {}
     for room in building.rooms.values():
-        windows = any(opening.kind == "window" for opening in building.openings_of(room.name))
-        bright = _LAMP[room.lamps[0]] * float(level * rng.uniform(0.8, 1.2))
-        if rng.random() < share or (not windows and rng.random() < 0.9):
-            lamps[room.name] = (bright, bright * float(0.86 - 0.05 * warmth), bright * float(0.66 - 0.12 * warmth))
+        brighter = level * rng.uniform(0.8, 1.2)
+        if rng.random() < share or (not _has_window(building, room) and rng.random() < 0.9):
+            lamps[room.name] = _lamp_light(room, brighter, warmth)
     return Light(lighting, hour, declination, lamps, int(rng.integers(1, 1_000_000)))
+
+
+def _has_window(building: Building, room: Room) -> bool:
+    return any(opening.kind == "window" for opening in building.openings_of(room.name))
+
+
+def _lamp_light(room: Room, level: float, warmth: float) -> tuple[float, float, float]:
+    """Return the radiosity of a room's lamps: red, green and blue, of which the last two fade with the warmth."""
+    red = _LAMP[room.lamps[0]] * level
+    return red, red * (0.86 - 0.05 * warmth), red * (0.66 - 0.12 * warmth)
 
 
 def _door_angles(building: Building, track: Track, rng: np.random.Generator) -> dict[int, float]:
@@ -197,13 +206,12 @@ def _lamps_on(building: Building, lighting: str, rng: np.random.Generator) -> di
     usual = seeded(building.seed, building.name, "lamps")
     lamps = {}
     for room in building.rooms.values():
-        windows = any(opening.kind == "window" for opening in building.openings_of(room.name))
+        windows = _has_window(building, room)
         by_day = usual.random() < (0.97 if windows else 1.0)
         change, warmth, level = rng.random(), usual.uniform(0.0, 1.0), usual.uniform(0.85, 1.15)
         on = {"night": True, "cloudy": by_day, "sunny": change < 0.06 or not windows}[lighting]
         if on:
-            b = _LAMP[room.lamps[0]] * level
-            lamps[room.name] = (b, b * (0.86 - 0.05 * warmth), b * (0.66 - 0.12 * warmth))
+            lamps[room.name] = _lamp_light(room, level, warmth)
     return lamps
 
 

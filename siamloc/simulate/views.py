@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate.camera import HEIGHT, develop, metered
 from siamloc.simulate.layout import Array, Building, seeded
@@ -89,8 +90,9 @@ def draw_views(
         shining = _draw_lights(building, lights, rng)
         run = Run(str(rng.choice(LIGHTINGS)), first + drive, spacing=_DRIVEN)
         scene = build_scene(building, run, ROUGH, shining[0])
-        track = scene.state.track.poses
-        track = track[_apart(track[:, :2], spacing)]
+        x, y, theta = scene.state.track.poses.T
+        spaced = FrameTable(path=np.array(scene.state.track.names), x=x, y=y, theta=theta).spaced(spacing)
+        track = np.column_stack([spaced.xy, spaced.theta])
         begin = int(start * max(0, len(track) - poses))
         chosen = track[begin : begin + poses]
         scenes = [scene, *(relit(scene, one) for one in shining[1:])]
@@ -146,15 +148,6 @@ def look_around(scenes: Sequence[Scene], poses: Array, view: PanoramaView, rng: 
             gain = float(np.clip(metered(brightness, 12) * 2 ** (stops[number] + rng.normal(0, 0.15)), 0.02, 6.0))
             found[row, number] = develop(light.reshape(rows, columns, 3), gain, balances[number], True, rng, 0.75)
     return found
-
-
-def _apart(places: Array, spacing: float) -> list[int]:
-    """Return rows of places (n, 2) that lie this far from the one before; where a robot turns it stands still."""
-    rows = [0]
-    for row in range(1, len(places)):
-        if np.hypot(*(places[row] - places[rows[-1]])) >= spacing:
-            rows.append(row)
-    return rows
 
 
 def _draw_camera(rng: np.random.Generator, image_size: Sequence[int]) -> tuple[PanoramaView, float]:

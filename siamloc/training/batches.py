@@ -23,6 +23,8 @@ from siamloc.training.resident import Resident, room_for
 ensure_torchvision()
 from lightning.pytorch import LightningDataModule  # noqa: E402
 
+_PLACES = 0xA07  # sets the draws for batches of places apart from others
+
 
 @dataclass(frozen=True)
 class BatchAugmentation:
@@ -54,6 +56,26 @@ class BatchAugmentation:
         words = np.random.SeedSequence([self.seed, *stream]).generate_state(1, np.uint64)
         drawn = self.effect.draw(torch.Generator().manual_seed(int(words[0] >> np.uint64(1))), whole)
         return {name: value[mine] for name, value in drawn.items()}
+
+    def add(
+        self, item: dict[str, Any], batch: tuple[int, int], image_shape: tuple[int, ...], rank: int, world_size: int
+    ) -> None:
+        """Change the images of a batch of places, or add the parameters by which they are changed on the device.
+
+        Args:
+            item: the batch, of which `frame` has an entry for each image.
+            batch: its epoch and its number.
+            image_shape: (3, H, W).
+            rank: number of this process among those that draw a batch together.
+            world_size: how many those are.
+        """
+        count = len(item["frame"])
+        mine = slice(rank * count, (rank + 1) * count)
+        params = self.draw((*batch, _PLACES), count * world_size, image_shape, mine)
+        if self.where == "gpu":
+            item["change"] = params
+        else:
+            item["images"] = self.effect.apply(item["images"], params)
 
 
 class EpochSampler(DistributedSampler):  # type: ignore[type-arg]

@@ -136,11 +136,8 @@ def fit(
     elif first:
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
-    effect, augmented = effect_of(augmentation, images.circular)
-    gpu = on_gpu(trainer)
-    faster = compiles(settings.compile, gpu)
-    where = settings.augment_where if settings.augment_where != "auto" else "gpu" if gpu else "cpu"
-    change = None if effect is None else BatchAugmentation(effect, where, settings.seed)
+    change, augmented = augmentation_of(augmentation, images.circular, settings, trainer)
+    faster = compiles(settings.compile, on_gpu(trainer))
     if resume and settings.monitor == "auto" and same_kind_of_pairs(run, settings):
         settings = replace(settings, monitor=monitor_of(run))
     monitor = monitored(settings, train, validated)
@@ -294,6 +291,18 @@ def _parts(
     pairs = PairDataModule(images, train, validated, pairs=settings.pairs, batch_size=settings.batch_size, **common)
     chosen = ContrastiveLoss(settings.margin) if loss is None else cast(Loss, loss)
     return pairs, SiameseModule(network, chosen, settings.optimizer, settings.recall_radius)
+
+
+def augmentation_of(
+    given: augment.Effect | Mapping[str, Any] | str | None,
+    circular: bool,
+    settings: Training,
+    trainer: Mapping[str, Any] | None,
+) -> tuple[BatchAugmentation | None, dict[str, Any]]:
+    """Make what changes the training images, and where; and describe it in plain values."""
+    effect, described = effect_of(given, circular)
+    where = settings.augment_where if settings.augment_where != "auto" else "gpu" if on_gpu(trainer) else "cpu"
+    return None if effect is None else BatchAugmentation(effect, where, settings.seed), described
 
 
 def effect_of(

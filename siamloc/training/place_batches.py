@@ -15,7 +15,6 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings, places_of
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 
-AUGMENTATION_STREAM = 0xA07  # sets the draws of the augmentation apart from others
 _DESCRIBED_AT_ONCE = 64
 _VALIDATED_WITH = 500  # map frames, and queries, at most
 
@@ -67,15 +66,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
         item: dict[str, Any] = dict(_images(self._library, self._rows[rows], self._numbers))
         item |= {name: value[rows] for name, value in self._origins.items()}
         if self._augmentation is not None:
-            mine = slice(self._rank * len(rows), (self._rank + 1) * len(rows))
-            images_of_all = len(rows) * self._world_size
-            params = self._augmentation.draw(
-                (epoch, batch, AUGMENTATION_STREAM), images_of_all, self._library.image_shape, mine
-            )
-            if self._augmentation.where == "gpu":
-                item["change"] = params
-            else:
-                item["images"] = self._augmentation.effect.apply(item["images"], params)
+            self._augmentation.add(item, number, self._library.image_shape, self._rank, self._world_size)
         return item
 
 
