@@ -143,6 +143,7 @@ def network_of(config: DictConfig) -> dict[str, Any]:
         "outputs": model["head"].get("outputs"),
         "circular": checked(model["circular"], bool, "model.circular"),
         "normalize": model["normalize"],
+        "canonical": checked(model["canonical"], bool, "model.canonical"),
     }
 
 

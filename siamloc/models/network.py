@@ -13,8 +13,9 @@ from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.models.canonical import Canonical
 from siamloc.models.circular import circular as around
-from siamloc.models.heads import Fourier, GeneralizedMean, make_head
+from siamloc.models.heads import Fourier, GeneralizedMean, Head, make_head
 from siamloc.models.normalization import by_image, by_surroundings
 from siamloc.models.orientation import Orientation
 from siamloc.models.panoresnet import ResidualBlock, residual_features
@@ -38,6 +39,7 @@ def build(
     outputs: int | None = None,
     circular: bool = False,
     normalize: Normalization | None = None,
+    canonical: bool = False,
 ) -> Network:
     """Make a network that describes panoramas: (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
 
@@ -62,6 +64,9 @@ def build(
             the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.
             "local": give the surroundings of each pixel zero mean and unit contrast, whatever light falls there;
             "local_brightness": the same, but colours stay. What the branch is meant for if None.
+        canonical: turn each panorama first, by fewer columns than one of the features has, so that turning the robot by
+            any whole column of the panorama changes nothing; see `siamloc.models.canonical`. For circular=True and a
+            head that forgets the direction: "fourier", "gem" or "bands".
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
@@ -81,7 +86,7 @@ def build(
     if norm not in NORMALIZATIONS:
         raise ConfigError(f"unknown normalization {normalize!r}: {hint(str(normalize), NORMALIZATIONS)}")
     with torch.device("meta"):
-        network = Network(branch, head, size, outputs=outputs, circular=circular, normalize=norm)
+        network = Network(branch, head, size, outputs, circular, norm, canonical)
     network.to_empty(device="cpu")
     _initialize(network, seed)
     network.settings = {
@@ -93,6 +98,7 @@ def build(
         "outputs": network.outputs if len(head_widths(head)) == 1 else None,
         "circular": bool(circular),
         "normalize": norm,
+        "canonical": bool(canonical),
     }
     if weights is not None:
         found = find_weights(branch, weights)
@@ -112,6 +118,7 @@ class Network(nn.Module):
         outputs: length of a descriptor, for heads that let it be chosen.
         circular: whether the branch wraps around the azimuth.
         normalize: a name in `NORMALIZATIONS`.
+        canonical: whether panoramas are turned to a canonical direction first.
 
     Attributes:
         branch: the `Branch`, which also normalizes.
@@ -130,6 +137,7 @@ class Network(nn.Module):
         outputs: int | None = None,
         circular: bool = False,
         normalize: str = "channels",
+        canonical: bool = False,
     ) -> None:
         super().__init__()
         shape = feature_shape(branch, image_size, circular)
@@ -138,10 +146,12 @@ class Network(nn.Module):
         self.grid = shape[1:]
         self.branch = Branch(branch, circular, normalize)
         self.head = make_head(head, shape, outputs)
+        self.canonical = _canonical(self.head, image_size, shape, circular) if canonical else None
         self.orientation: Orientation | None = None
         finer = finer_features(branch, image_size) if circular and isinstance(self.head, Fourier) else None
         if finer is not None and shape[2] > 1:
-            self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]))
+            turned = image_size[1] if canonical else None
+            self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]), turned)
 
     @property
     def outputs(self) -> int:
@@ -169,6 +179,7 @@ class Network(nn.Module):
             "weights": state_hash(self.state_dict()),
             **({"circular": True} if self.branch.circular else {}),
             **({"normalize": self.branch.normalize} if self.branch.normalize != "channels" else {}),
+            **({"canonical": True} if self.canonical is not None else {}),
         }
 
     def forward(self, panorama: Tensor) -> Tensor:
@@ -179,6 +190,8 @@ class Network(nn.Module):
         """
         if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
             self._check(panorama)
+        if self.canonical is not None:
+            panorama, _ = self.canonical(panorama)
         return self.head(self.branch(panorama))
 
     def with_orientation(self, panorama: Tensor) -> tuple[Tensor, Tensor]:
@@ -192,8 +205,11 @@ class Network(nn.Module):
             raise ConfigError("this network finds no headings: build one with the head 'fourier' and circular=True")
         if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
             self._check(panorama)
+        turned = None
+        if self.canonical is not None:
+            panorama, turned = self.canonical(panorama)
         finer, features = self.branch.both(panorama, self.orientation.level)
-        return self.head(features), self.orientation(finer)
+        return self.head(features), self.orientation(finer, turned)
 
     def _check(self, panorama: Tensor) -> None:
         rows, columns = self.image_size
@@ -334,6 +350,25 @@ def state_hash(state: Mapping[str, Tensor], length: int = 16) -> str:
     return digest.hexdigest()[:length]
 
 
+def _canonical(head: Head, image_size: tuple[int, int], shape: tuple[int, int, int], circular: bool) -> Canonical:
+    """Return what turns panoramas first.
+
+    Raises:
+        ConfigError: a head for which that would mean nothing, or columns that cannot be told in whole ones.
+    """
+    if not circular or not isinstance(head, (Fourier, GeneralizedMean)):
+        raise ConfigError(
+            "canonical=True needs circular=True and a head that forgets how far the robot has turned, fourier, gem or "
+            f"bands: here circular={circular}, and the head is {head.name}"
+        )
+    if image_size[1] % shape[2]:
+        raise ConfigError(
+            f"canonical=True needs columns of features that are whole columns of the panorama: {image_size[1]} columns "
+            f"are not a multiple of {shape[2]}"
+        )
+    return Canonical(image_size[1] // shape[2])
+
+
 def _initialize(network: Network, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     network.branch.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
@@ -348,7 +383,7 @@ def _initialize(network: Network, seed: int) -> None:
                     module.weight /= (2 * network.outputs) ** 0.5
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
-        elif isinstance(module, (Fourier, GeneralizedMean, Orientation)):
+        elif isinstance(module, (Fourier, GeneralizedMean, Orientation, Canonical)):
             module.reset()
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")

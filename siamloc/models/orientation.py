@@ -7,6 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from siamloc.models.canonical import shifts
+
 VALUES = 64
 _SMALLEST = 1e-12
 
@@ -23,6 +25,7 @@ class Orientation(nn.Module):
         level: how many layers of the branch give the features.
         shape: (C, h, w) of the features.
         grid: rows and columns to which they are averaged where they have more.
+        canonical: columns of the panorama, where it is turned to its canonical direction first, which is undone here.
 
     Example:
         >>> from siamloc.models import build
@@ -33,25 +36,41 @@ class Orientation(nn.Module):
     """
 
     signs: Tensor
+    back: Tensor | None
 
-    def __init__(self, level: int, shape: tuple[int, int, int], grid: tuple[int, int]) -> None:
+    def __init__(
+        self, level: int, shape: tuple[int, int, int], grid: tuple[int, int], canonical: int | None = None
+    ) -> None:
         super().__init__()
         self.level = level
+        self.columns = grid[1], canonical
         self.grid = grid if shape[1:] != grid else None
         self.register_buffer("signs", torch.empty(VALUES, shape[0] * grid[0]), persistent=False)
+        back = None if canonical is None else torch.empty(2 * canonical // grid[1], grid[1], grid[1])
+        self.register_buffer("back", back, persistent=False)
 
     def reset(self) -> None:
-        """Fill in the signs."""
+        """Fill in the signs, and what turns back."""
+        columns, canonical = self.columns
         with torch.no_grad():
+            if self.back is not None and canonical is not None:
+                self.back.copy_(shifts(columns, torch.arange(len(self.back)) * (columns / canonical)))
             # Raw bits, because their order is promised for all versions of NumPy: maps keep what they make.
             bits = np.random.PCG64(0).random_raw(self.signs.numel()) >> np.uint64(63)
             self.signs.copy_(torch.from_numpy(bits.astype(np.float32) * 2 - 1).view(self.signs.shape))
 
-    def forward(self, features: Tensor) -> Tensor:
-        """Return the orientation parts (B, columns, 64) of features (B, C, h, w)."""
+    def forward(self, features: Tensor, turned: Tensor | None = None) -> Tensor:
+        """Return the orientation parts (B, columns, 64) of features (B, C, h, w).
+
+        Args:
+            features: of the layer.
+            turned: by how many columns the panoramas were turned first (B,), see `siamloc.models.canonical`.
+        """
         if self.grid is not None:
             features = F.adaptive_avg_pool2d(features, self.grid)
         mixed = self.signs @ features.flatten(1, 2)
+        if self.back is not None and turned is not None:
+            mixed = mixed @ self.back[turned]
         mixed = mixed + mixed.roll(1, dims=2)
         mixed = mixed - mixed.mean(dim=2, keepdim=True)
         square = mixed.square().mean(dim=(1, 2), keepdim=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from siamloc.errors import ConfigError, hint
 from siamloc.settings import Natural, NotNegative, Positive, Rule, Settings, Share
@@ -255,6 +256,19 @@ def branch_spec(name: str) -> BranchSpec:
     if name not in BRANCHES:
         raise ConfigError(f"unknown branch {name!r}: {hint(name, BRANCHES)}")
     return BRANCHES[name]
+
+
+def whole_model(model: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the record of a network with what older ones leave out; that of a module of one's own as it is."""
+    if "branch" not in model:
+        return dict(model)
+    usual = {
+        "outputs": None,
+        "circular": False,
+        "normalize": branch_spec(model["branch"]).normalize,
+        "canonical": False,
+    }
+    return {**usual, **model}
 
 
 def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:

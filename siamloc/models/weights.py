@@ -17,7 +17,7 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, hint
 from siamloc.models.checkpoint_file import CONTENT_KEY, checked_content, network_state
 from siamloc.models.heads import GeneralizedMean
-from siamloc.models.registry import BRANCHES, branch_spec
+from siamloc.models.registry import BRANCHES, branch_spec, whole_model
 from siamloc.runs import Run
 
 # The published DenseNet files number the layers "norm.1", the class has called them "norm1" for years.
@@ -173,8 +173,8 @@ def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, A
             f"the weights of {weights.origin} are of another architecture than {what}: their branch is "
             f"{model['branch']}"
         )
-    there = {"outputs": None, "circular": False, "normalize": branch_spec(model["branch"]).normalize, **model}
-    keys = ("head", "outputs", "image_size", "circular", "normalize")
+    there = whole_model(model)
+    keys = ("head", "outputs", "image_size", "circular", "normalize", "canonical")
     differing = [f"{key} is {there[key]} there and {here[key]} here" for key in keys if there[key] != here[key]]
     sizes = () if isinstance(network.get_submodule("head"), GeneralizedMean) else ("image_size",)
     target, state = network, weights.state

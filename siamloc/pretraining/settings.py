@@ -48,6 +48,7 @@ _MODERN = RECIPES["modern"]
 
 RECIPE: Recipe = replace(
     _MODERN,
+    model={**_MODERN.model, "canonical": True},
     training={
         **_MODERN.training,
         "epochs": 28,
@@ -55,4 +56,4 @@ RECIPE: Recipe = replace(
         "average": 0.995,
     },
 )
-"""The network of the recipe `modern`, trained longer."""
+"""The network of the recipe `modern` on panoramas in their canonical direction, trained longer."""

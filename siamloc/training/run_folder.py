@@ -10,7 +10,7 @@ from siamloc.data.places import PlaceSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
 from siamloc.models.checkpoint_file import read_checkpoint
-from siamloc.models.registry import LOSS_SETTINGS, branch_spec
+from siamloc.models.registry import LOSS_SETTINGS, whole_model
 from siamloc.runs import Run
 from siamloc.settings import defaults_of
 from siamloc.training.seen_frames import differing_frames
@@ -85,7 +85,7 @@ def _only_profiled(run: Run) -> bool:
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
-    before = {**before, "training": Training.of(before["training"]).plain(), "model": _whole(before["model"])}
+    before = {**before, "training": Training.of(before["training"]).plain(), "model": whole_model(before["model"])}
     before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
     if before["loss"].get("name") in LOSS_SETTINGS:  # with what older records lack
         before["loss"] = {**defaults_of(LOSS_SETTINGS[before["loss"]["name"]]), **before["loss"]}
@@ -158,13 +158,6 @@ def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any
             f"the {what} of {run.folder} was laid out for the steps of an epoch with {used}, and there would be others "
             f"with {meant}: {advice}, or train another run"
         )
-
-
-def _whole(model: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a record of a network with what older ones left out."""
-    if "branch" not in model:
-        return dict(model)
-    return {"outputs": None, "circular": False, "normalize": branch_spec(model["branch"]).normalize, **model}
 
 
 def progress(run: Run) -> tuple[int, int]:

@@ -1,0 +1,70 @@
+"""Turning panoramas to a canonical direction, so that a turn by any whole column changes nothing that is seen after."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+_PRECISION = 1 << 20
+
+
+class Canonical(nn.Module):
+    """Turn each panorama by fewer columns than one of the features has, to where a wave of that length has its crest.
+
+    Features that are computed with strides along the azimuth move along when the robot turns by one of their columns;
+    in between they change. The sum of all pixels in columns that lie such a stride apart is a signal with one period.
+    Turning the robot turns it, too, so that its first harmonic says by how much to turn back. Which of the whole
+    columns comes nearest is decided in whole numbers: a panorama and its turned copies become the same one, bit by bit,
+    on every machine. The head `fourier` then forgets the turns by whole columns of the features.
+
+    Args:
+        period: columns of the panorama to one column of the features.
+
+    Example:
+        >>> panorama = torch.rand(1, 3, 8, 32, generator=torch.Generator().manual_seed(0))
+        >>> turn = Canonical(period=4)
+        >>> turn.reset()
+        >>> (one, turned), (other, further) = turn(panorama), turn(panorama.roll(1, dims=3))
+        >>> turned.item(), further.item(), bool((other == one).all())
+        (2, 3, True)
+    """
+
+    waves: Tensor
+
+    def __init__(self, period: int) -> None:
+        super().__init__()
+        self.period = period
+        self.register_buffer("waves", torch.empty(period, period, dtype=torch.float64), persistent=False)
+
+    def reset(self) -> None:
+        """Fill in one period of a cosine from each of its columns on, in whole numbers."""
+        column = torch.arange(self.period)
+        angle = ((column[:, None] - column) % self.period).double() * (2 * torch.pi / self.period)
+        with torch.no_grad():
+            self.waves.copy_((angle.cos() * _PRECISION).round())
+
+    def forward(self, panorama: Tensor) -> tuple[Tensor, Tensor]:
+        """Return panoramas (B, 3, H, W) in their canonical direction, and by how many columns each was turned (B,).
+
+        Their column c is what was column c + turned before.
+        """
+        levels = (panorama * 255).round().double()  # sums of whole numbers are the same in any order
+        signal = levels.sum(dim=(1, 2)).unflatten(1, (-1, self.period)).sum(dim=1)
+        turned = (signal @ self.waves).argmax(dim=1)
+        columns = torch.arange(panorama.shape[3], device=panorama.device)
+        seen = (columns + turned[:, None]) % panorama.shape[3]
+        return panorama.gather(3, seen[:, None, None].expand_as(panorama)), turned
+
+
+def shifts(columns: int, steps: Tensor) -> Tensor:
+    """Return the matrices (S, n, n) that shift periodic signals of n columns by parts of a column, by their harmonics.
+
+    signal @ matrix has at column c what the signal, taken as the sum of its n harmonics, has at c - step.
+    """
+    column = torch.arange(columns, dtype=torch.float64)
+    apart = column - column[:, None] - steps.double()[:, None, None]
+    harmonics = torch.arange(1, (columns + 1) // 2, dtype=torch.float64)
+    found = 1 + 2 * (apart[..., None] * harmonics * (2 * torch.pi / columns)).cos().sum(dim=-1)
+    if columns % 2 == 0:
+        found = found + (apart * torch.pi).cos()
+    return found / columns

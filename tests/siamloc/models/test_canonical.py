@@ -1,0 +1,101 @@
+"""Panoramas in their canonical direction: turning the robot by any whole column changes nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from siamloc.errors import ConfigError
+from siamloc.models import as_descriptor, build
+from siamloc.models.canonical import Canonical, shifts
+from siamloc.models.network import Network
+
+SIZE = (32, 128)
+
+
+def panoramas(count: int = 3) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(5)
+    return torch.randint(0, 256, (count, 3, *SIZE), generator=generator) / 255
+
+
+def made(head: str = "fourier", canonical: bool = True) -> Network:
+    return build("panoresnet", head, SIZE, circular=True, canonical=canonical).eval()
+
+
+def test_every_turn_gives_the_same_panorama_up_to_columns_of_the_features():
+    turn = Canonical(16)
+    turn.reset()
+    images = panoramas()
+    canonical, turned = turn(images)
+    for columns in range(SIZE[1]):
+        other, further = turn(images.roll(columns, dims=3))
+        assert torch.equal((further - turned) % 16, torch.full((3,), columns % 16))
+        moved = (columns + turned - further).tolist()
+        for one, whole, by in zip(canonical, other, moved, strict=True):
+            assert by % 16 == 0
+            assert torch.equal(one.roll(by, dims=2), whole)
+
+
+def test_the_direction_is_that_of_the_crest_of_the_first_harmonic():
+    images = panoramas(20)
+    turn = Canonical(16)
+    turn.reset()
+    _, turned = turn(images)
+    signal = (images * 255).sum(dim=(1, 2)).reshape(20, -1, 16).sum(dim=1).numpy()
+    phase = -np.angle(np.fft.rfft(signal)[:, 1]) * 16 / (2 * np.pi)
+    apart = (turned.numpy() - phase + 8) % 16 - 8
+    assert np.abs(apart).max() <= 0.5 + 1e-4  # the nearest whole column, and rounding of the transform
+
+
+@pytest.mark.parametrize("head", ["fourier", "gem", "bands"])
+@pytest.mark.parametrize("columns", [1, 7, 16, 45])
+def test_descriptors_stay_when_the_robot_turns(head: str, columns: int):
+    images = panoramas()
+    with torch.no_grad():
+        here, there = (made(head)(one) for one in (images, images.roll(columns, dims=3)))
+        without = made(head, canonical=False)
+        moved = (without(images) - without(images.roll(columns, dims=3))).abs().max()
+    # Sums over turned features round otherwise; without the canonical direction the change is of another order.
+    torch.testing.assert_close(there, here, rtol=0, atol=1e-6)
+    assert columns % 16 == 0 or moved > 1e-4
+
+
+def test_headings_come_with_it():
+    descriptor = as_descriptor(made())
+    images = panoramas().numpy()
+    known = descriptor.describe(images)
+    for columns in (0, 1, 5, 11, 16, 77, 127):
+        found = descriptor.localize(descriptor.describe(np.roll(images, columns, axis=3)), known)
+        assert found.index.tolist() == [0, 1, 2]
+        expected = columns * 360 / SIZE[1]
+        apart = (np.degrees(found.heading) - expected + 180) % 360 - 180
+        np.testing.assert_allclose(apart, 0, atol=0.1)  # the peak is interpolated between columns of 11.25 degrees
+
+
+@pytest.mark.parametrize("columns", [8, 9])
+def test_shifts_are_those_of_the_harmonics(columns: int):
+    generator = np.random.default_rng(3)
+    position = np.arange(columns)
+    signal, expected = np.full(columns, 0.7), np.full((2, columns), 0.7)
+    steps = torch.tensor([0.25, 3.5])
+    for harmonic in range(1, (columns + 1) // 2):
+        size, phase = generator.uniform(0.5, 1.0), generator.uniform(0, 6)
+        signal = signal + size * np.cos(2 * np.pi * harmonic * position / columns + phase)
+        moved = position - steps.numpy()[:, None]
+        expected += size * np.cos(2 * np.pi * harmonic * moved / columns + phase)
+    np.testing.assert_allclose(signal @ shifts(columns, steps).numpy(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"circular": False}, "needs circular=True"),
+        ({"head": "flat"}, "the head is flat"),
+        ({"image_size": (32, 124)}, "124 columns are not a multiple of 8"),
+    ],
+)
+def test_refused_where_it_means_nothing(changes: dict, message: str):
+    options = {"branch": "panoresnet", "head": "fourier", "image_size": SIZE, "circular": True, **changes}
+    with pytest.raises(ConfigError, match=message):
+        build(**options, canonical=True)
