@@ -21,11 +21,11 @@ from siamloc.errors import SiamlocError
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc import data, evaluation, maps, models, report, runtime, simulate, training
+    from siamloc import data, evaluation, maps, models, pretraining, report, runtime, simulate, training
 
 __version__ = "0.1.0"
 
-_PARTS = ("data", "evaluation", "maps", "models", "report", "runtime", "simulate", "training")
+_PARTS = ("data", "evaluation", "maps", "models", "pretraining", "report", "runtime", "simulate", "training")
 __all__ = [
     "SiamlocError",
     "__version__",
@@ -33,6 +33,7 @@ __all__ = [
     "evaluation",
     "maps",
     "models",
+    "pretraining",
     "report",
     "runtime",
     "simulate",

@@ -81,6 +81,11 @@ class Run:
         return self.folder / "map.npz"
 
     @property
+    def weights(self) -> Path:
+        """File of the weights alone, which pretraining writes."""
+        return self.folder / "weights.safetensors"
+
+    @property
     def bundle(self) -> Path:
         """Folder with what the robot needs."""
         return self.folder / "bundle"

@@ -157,21 +157,22 @@ def export(config: DictConfig) -> None:
     from siamloc.maps import VisualMap
     from siamloc.maps.error_model import saved_errors
 
-    if config.run is None:
+    label = label_of(config.descriptor)
+    if not by_network(config) and label != "pretrained":
+        raise ConfigError(f"only a network can be exported, not descriptor={config.descriptor.name}")
+    if config.run is None and by_network(config):
         raise ConfigError(f"no run is named: {suggestion()}")
     run = run_of(config)
-    if not by_network(config):
-        raise ConfigError(f"only a network can be exported, not descriptor={config.descriptor.name}")
-    network = descriptor_of(config, run)
-    known = VisualMap.load(run.map, network) if run.map.is_file() else None
-    errors = saved_errors(run.evaluation(label_of(config.descriptor)) / "error_model.json", known)
+    network, path = descriptor_of(config, run), map_file(run, label)
+    known = VisualMap.load(path, network) if path.is_file() else None
+    errors = saved_errors(run.evaluation(label) / "error_model.json", known)
     images = {} if known is not None else {"preprocessing": preprocessing_of(config)}
     folder = Path(config.bundle) if config.bundle is not None else run.bundle
     bundle = runtime.export(network, known, folder, errors=errors, **images)
     if folder == run.bundle:
         run.record_written(files_in(folder))
     print(bundle.summary())
-    for line in further_steps(run, known, errors, label_of(config.descriptor)):
+    for line in further_steps(run, known, errors, label):
         print(line)
 
 

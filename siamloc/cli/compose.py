@@ -121,6 +121,10 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
         from siamloc.cli.inherit import check_named
 
         check_named(config)
+    if config.get("descriptor", {}).get("name") == "pretrained" and "data.image_size" not in keys:
+        from siamloc.models.registry import PRETRAINED_SIZE
+
+        config.data.image_size = list(PRETRAINED_SIZE)
     missing = sorted(OmegaConf.missing_keys(config))
     if not COMMANDS[command].reads_data:
         missing = [key for key in missing if not key.startswith("data.")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps import ErrorModel, VisualMap
+from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run
 from siamloc.settings import checked, fields_of
 from siamloc.training.settings import Training
@@ -178,10 +179,14 @@ def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | Non
         return Thumbnail(**parameters)
     if name in DESCRIPTORS:
         return descriptor(name, **parameters, circular=config.data.circular, device=device(config))
-    if name not in ("network", "untrained"):
-        raise ConfigError(f"unknown descriptor {name!r}: {hint(name, ('network', 'thumbnail', *DESCRIPTORS))}")
+    if name not in ("network", "untrained", "pretrained"):
+        known = ("network", "pretrained", "thumbnail", *DESCRIPTORS)
+        raise ConfigError(f"unknown descriptor {name!r}: {hint(name, known)}")
     from siamloc import models
 
+    if name == "pretrained":
+        _check_size(config, PRETRAINED_SIZE, "the network that comes with siamloc")
+        return models.as_descriptor(models.pretrained(circular=config.data.circular), device=device(config))
     trained = Run(Path(parameters["run"])) if parameters.get("run") else run
     network = models.load(trained, which="untrained" if name == "untrained" else config.checkpoint)
     _check_architecture(config, network, trained, own=trained == run)
@@ -255,13 +260,7 @@ def files_in(folder: Path) -> list[Path]:
 
 def _check_architecture(config: DictConfig, network: Any, run: Run, *, own: bool) -> None:
     """Refuse a network that takes other images than are configured, or is another one than the words ask for."""
-    size = tuple(getattr(network, "image_size", None) or config.data.image_size)
-    if size != tuple(config.data.image_size):
-        rows, columns = size
-        raise ConfigError(
-            f"the network of {run.folder} takes panoramas of {rows} x {columns}, and data.image_size says "
-            f"{list(config.data.image_size)}: leave it out, or say data.image_size=[{rows},{columns}]"
-        )
+    _check_size(config, getattr(network, "image_size", None), f"the network of {run.folder}")
     for key in ("branch", "head") if own else ():
         found, wanted = getattr(getattr(network, key, None), "name", None), config.model[key].name
         if found is not None and found != wanted:
@@ -269,3 +268,13 @@ def _check_architecture(config: DictConfig, network: Any, run: Run, *, own: bool
                 f"the checkpoint of {run.folder} is of another architecture: its {key} is {found}, and the "
                 f"configuration says {wanted}: leave model/{key} out, or train another run"
             )
+
+
+def _check_size(config: DictConfig, size: Sequence[int] | None, network: str) -> None:
+    """Refuse panoramas of another size than a network takes."""
+    if size is not None and list(size) != list(config.data.image_size):
+        rows, columns = size
+        raise ConfigError(
+            f"{network} takes panoramas of {rows} x {columns}, and data.image_size says "
+            f"{list(config.data.image_size)}: leave it out, or say data.image_size=[{rows},{columns}]"
+        )

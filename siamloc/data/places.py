@@ -22,7 +22,8 @@ class PlaceSettings(Settings):
         by: "position", or "sequence" where there are no positions: how near two images are is then counted in frames
             between them, in the order of the table, and images of two sequences are never near each other.
         places: in a batch.
-        images: of each place, under different lightings where the place was seen under several.
+        images: of each place, from different positions where there are several, and under different lightings where
+            the place was seen under several.
         radius: images of a place lie this near its first one, in the unit of the positions, or in frames; 0 for the
             same image again, of which augmentation makes different views.
         near: share of the places that lie within `reach` of another place of the batch, so that it learns to tell
@@ -119,6 +120,7 @@ class PlaceSampler:
         self._points = np.column_stack([place, apart * far])
         self._tree = cKDTree(self._points)
         self._kind = _kinds(frames)
+        self._position = np.unique(self._points, axis=0, return_inverse=True)[1].reshape(-1)
         self._room = np.unique(frames.place, return_inverse=True)[1]
         weights = settings.lightings or {}
         self._weight = np.array([weights.get(name, 1.0) for name in frames.lighting.tolist()])
@@ -228,11 +230,13 @@ class PlaceSampler:
         found = np.asarray(self._tree.query_ball_point(self._points[centre], self.settings.radius), dtype=np.int64)
         found = generator.permutation(found[found != centre])
         order = np.concatenate([[centre], found])
-        turn = _turns(self._kind[order])
+        # Another picture from the same position, under other light, comes after those of all other positions.
+        again = _turns(self._position[order])
+        turn = _turns(self._kind[order] + again * len(self._kind))
         if self.settings.lightings is not None:  # first as many of each as are due, then what is left in turn
             due = _due(self._kind[order], self._weight[order], self.settings.images, generator.random())
             turn = np.where(turn < due, -1, turn)
-        chosen = order[np.argsort(turn, kind="stable")][: self.settings.images]
+        chosen = order[np.lexsort((turn, again))][: self.settings.images]
         return np.resize(chosen, self.settings.images)
 
 

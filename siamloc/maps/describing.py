@@ -132,8 +132,12 @@ def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool = True, d
     if isinstance(by, str):
         if by == Thumbnail.name:
             return Thumbnail()
+        if by == "pretrained":
+            from siamloc.models import as_descriptor, pretrained
+
+            return as_descriptor(pretrained(circular=circular), device)
         if by not in DESCRIPTORS:
-            raise ConfigError(f"unknown descriptor {by!r}: {hint(by, (Thumbnail.name, *DESCRIPTORS))}")
+            raise ConfigError(f"unknown descriptor {by!r}: {hint(by, ('pretrained', Thumbnail.name, *DESCRIPTORS))}")
         return descriptor(by, circular=circular, **({} if device is None else {"device": device}))
     if isinstance(by, Descriptor):
         return by

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from siamloc.models.network_stages import stages
     from siamloc.models.origins import Origins
     from siamloc.models.places import PlaceModule
+    from siamloc.models.pretrained import pretrained, save_weights
     from siamloc.models.siamese import SiameseModule
 
 __all__ = [
@@ -40,6 +41,8 @@ __all__ = [
     "as_descriptor",
     "build",
     "load",
+    "pretrained",
+    "save_weights",
     "stages",
 ]
 
@@ -58,6 +61,8 @@ _HOMES = {
     "as_descriptor": "describing",
     "build": "network",
     "load": "checkpoint",
+    "pretrained": "pretrained",
+    "save_weights": "pretrained",
     "stages": "network_stages",
 }
 

@@ -10,7 +10,7 @@ from torch import nn
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.models.checkpoint_file import CONTENT_KEY, network_state, read_checkpoint
 from siamloc.models.network import build
-from siamloc.models.weights import mismatch
+from siamloc.models.weights import mismatch, read_weights
 from siamloc.runs import Run
 
 
@@ -20,20 +20,22 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     No code in the file is run, and nothing is downloaded, whatever weights the training started from.
 
     Args:
-        run_or_checkpoint: a run, its folder, or the file of a checkpoint.
+        run_or_checkpoint: a run, its folder, the file of a checkpoint, or one that `save_weights` wrote.
         which: of a run's checkpoints: "best" (by the validation; the last where nothing was validated) or "last".
             "untrained" gives the network as it was before the training.
         network: where the weights go, for a module of your own; networks of `build` are made again if None.
 
     Raises:
         ConfigError: a folder without a checkpoint, another `which`, or a module of your own that is not given.
-        FormatError: the file is missing, not whole, not such a checkpoint, or of another architecture.
+        FormatError: the file is missing, not whole, altered, not such a checkpoint, or of another architecture.
 
     Example:
         >>> network = load("runs/robot")  # doctest: +SKIP
         >>> network = load("runs/own", network=MyNetwork())  # doctest: +SKIP
     """
     path = _checkpoint_of(run_or_checkpoint, "best" if which == "untrained" else which)
+    if path.suffix == ".safetensors":
+        return _from_weights(path)
     content = read_checkpoint(path)
     about = content[CONTENT_KEY]
     if which == "untrained":
@@ -81,6 +83,19 @@ def _checkpoint_of(source: str | Path | Run, which: str) -> Path:
         return source.checkpoint(which)
     path = Path(source).expanduser()
     return Run(path).checkpoint(which) if path.is_dir() else path
+
+
+def _from_weights(path: Path) -> nn.Module:
+    """Return the network in a file of weights."""
+    weights = read_weights(path)
+    if weights.model is None:
+        raise FormatError(f"the weights file {path} does not say of which network it is: build one with weights=FILE")
+    network = _made(path, dict(weights.model))
+    difference = mismatch(network, weights.state)
+    if difference is not None:
+        raise FormatError(f"the weights file {path} is of another network than it says: {difference}")
+    network.load_state_dict(weights.state)
+    return network.eval()
 
 
 def _made(path: Path, model: dict[str, Any]) -> nn.Module:

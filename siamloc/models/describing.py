@@ -15,7 +15,8 @@ from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.losses import ContrastiveLoss
-from siamloc.models.network import Network, state_hash
+from siamloc.models.network import Network
+from siamloc.models.weights_file import state_hash
 
 CHUNK = 64
 _ROUNDING = 1e-3

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from os import PathLike, fspath
 from typing import Any, cast
@@ -21,6 +20,7 @@ from siamloc.models.orientation import Orientation
 from siamloc.models.panoresnet import ResidualBlock, residual_features
 from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
 from siamloc.models.weights import fill, find_weights
+from siamloc.models.weights_file import state_hash
 from siamloc.runs import Run
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -55,7 +55,8 @@ def build(
         image_size: (H, W) of the panoramas in pixels.
         weights: None for random weights; "imagenet" or the name of a torchvision weight enum such as
             "IMAGENET1K_V1" for a pre-trained branch; the path of a state dict (.pth, .safetensors) of this network or
-            of a torchvision network with this branch; or a run, its folder or a checkpoint: of a run the best one is
+            of a torchvision network with this branch; "siamloc" for the network that comes along, see
+            `siamloc.models.pretrained`; or a run, its folder or a checkpoint: of a run the best one is
             taken, all of it where head and image size agree, else the branch alone, as a printed note says.
         seed: of the random weights; any integer from 0 to 2**63 - 1.
         outputs: length D of a descriptor, for the heads "flat", "gem", "bands" and "fourier"; 256 if None.
@@ -338,16 +339,6 @@ def checked_image_size(image_size: Sequence[int]) -> tuple[int, int]:
     if len(values) != 2 or not all(isinstance(side, int) and side > 0 for side in values):
         raise ConfigError(f"image_size must be two positive integers (height, width), got {image_size!r}")
     return int(values[0]), int(values[1])
-
-
-def state_hash(state: Mapping[str, Tensor], length: int = 16) -> str:
-    """Return a short hash of the names, types, shapes and values in a state dict, the same on every device."""
-    digest = hashlib.sha256()
-    for name in sorted(state):
-        tensor = state[name].detach().cpu().contiguous()
-        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
-    return digest.hexdigest()[:length]
 
 
 def _canonical(head: Head, image_size: tuple[int, int], shape: tuple[int, int, int], circular: bool) -> Canonical:

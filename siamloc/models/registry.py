@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from siamloc.errors import ConfigError, hint
@@ -30,6 +31,12 @@ class BranchSpec:
     widths: tuple[int, ...] = ()
     normalize: Normalization = "channels"
 
+
+PRETRAINED = Path(__file__).parent / "shipped" / "panoramas.safetensors"
+"""The weights that come with siamloc; the card beside them says what they are."""
+
+PRETRAINED_SIZE = (64, 256)
+"""Rows and columns of the panoramas that they are for."""
 
 BRANCHES: dict[str, BranchSpec] = {
     spec.name: spec

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, hint
 from siamloc.models.checkpoint_file import CONTENT_KEY, checked_content, network_state
 from siamloc.models.heads import GeneralizedMean
-from siamloc.models.registry import BRANCHES, branch_spec, whole_model
+from siamloc.models.registry import BRANCHES, PRETRAINED, branch_spec, whole_model
+from siamloc.models.weights_file import read_weights_file
 from siamloc.runs import Run
 
 # The published DenseNet files number the layers "norm.1", the class has called them "norm1" for years.
@@ -50,14 +51,17 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
 
     Args:
         branch: a name in `BRANCHES`.
-        weights: "imagenet", the name of a torchvision weight enum, a path, or a run; see `siamloc.models.build`.
+        weights: "imagenet", the name of a torchvision weight enum, "siamloc", a path, or a run; see
+            `siamloc.models.build`.
 
     Raises:
         ConfigError: an unknown name, a failed download, a file that cannot be read, or a run without a checkpoint.
-        FormatError: a checkpoint of another version.
+        FormatError: a checkpoint of another version, or a file of weights that was cut or altered.
     """
     if isinstance(weights, Run):
         return read_weights(weights.checkpoint())
+    if weights == "siamloc":
+        return replace(read_weights(PRETRAINED), origin="the weights that come with siamloc")
     path = Path(weights).expanduser()
     if path.is_dir() and not _NAMES.fullmatch(str(weights)):
         return read_weights(Run(path).checkpoint())
@@ -119,18 +123,16 @@ def read_weights(path: Path) -> Weights:
 
     Raises:
         ConfigError: the file is missing, is not whole, or holds anything but named tensors.
-        FormatError: a checkpoint of another version.
+        FormatError: a checkpoint or a file of weights of another version, or one that was cut or altered.
     """
     if not path.is_file():
         raise ConfigError(f"the weights file {path} does not exist")
+    if path.suffix == ".safetensors":
+        held, model = read_weights_file(path)
+        return Weights(held, str(path), model=model)
     try:
-        if path.suffix == ".safetensors":
-            from safetensors.torch import load_file
-
-            state: Any = load_file(path)
-        else:
-            state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # each layer below (zip, pickle, torch, safetensors) raises its own kinds
+        state: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # each layer below (zip, pickle, torch) raises its own kinds
         raise ConfigError(f"the weights file {path} is not a whole state dict ({type(error).__name__})") from error
     if isinstance(state, Mapping) and CONTENT_KEY in state:
         content = checked_content(state, path)

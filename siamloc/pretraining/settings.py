@@ -26,13 +26,13 @@ class ViewSettings(Settings):
 
     WHERE = "views"
 
-    batches: Count = 10
-    held: Count = 20
-    together: Count = 4
+    batches: Count = 15
+    held: Count = 24
+    together: Count = 2
     drives: Count = 2
     lights: Count = 4
     poses: Count = 80
-    spacing: Positive = 0.4
+    spacing: Positive = 0.3
     processes: Natural = 1
 
     def __post_init__(self) -> None:
@@ -49,11 +49,30 @@ _MODERN = RECIPES["modern"]
 RECIPE: Recipe = replace(
     _MODERN,
     model={**_MODERN.model, "canonical": True},
+    loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.4},
+    augmentation={
+        "name": "pretraining",
+        "rotate": 1.0,
+        "all_of": [
+            {"policy": "any_light"},
+            {
+                "one_of": [
+                    {"effect": "blur", "size": 3, "strength": [0.3, 1.0]},
+                    {"effect": "motion_blur", "length": [3, 11]},
+                    {"effect": "jpeg", "quality": [20, 70]},
+                ],
+                "probability": 0.3,
+            },
+            {"effect": "vignette", "probability": 0.1},
+            {"effect": "occlude", "share": [0.05, 0.2], "level": [0, 255], "probability": 0.1},
+        ],
+    },
     training={
         **_MODERN.training,
-        "epochs": 28,
-        "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 500},
+        "epochs": 11,
+        "pairs": {"radius": 0.5, "near": 0.5, "reach": 1.5, "epoch_batches": 500},
         "average": 0.995,
     },
 )
-"""The network of the recipe `modern` on panoramas in their canonical direction, trained longer."""
+"""The network of the recipe `modern` on panoramas in their canonical direction, trained longer, with images of a place
+that lie farther apart, and with what real cameras add to light."""

@@ -13,18 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from siamloc.data.frames import FrameTable
-from siamloc.data.panorama import PanoramaView
-from siamloc.simulate.camera import HEIGHT, develop, metered
+from siamloc.simulate.camera import develop, metered
 from siamloc.simulate.layout import Array, Building, seeded
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import room_at
 from siamloc.simulate.run import LIGHTINGS, Light, Run, draw_light
 from siamloc.simulate.scene import Scene, build_scene, relit
+from siamloc.simulate.view_cameras import ViewCamera, draw_camera
 
 #: Seeds of buildings to learn from begin here, so that none is one that a user or a test names.
 FIRST_SEED = 1 << 28
 _DRIVEN = 0.05  # metres between the poses that are chosen from
+_YAW = 0.07  # rad by which an ordinary camera misses its direction
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Views:
 
     Attributes:
         images: (N, 3, H, W) uint8, RGB.
+        wraps: whether they are panoramas, whose columns are a full turn.
         xy: metres (N, 2).
         heading: rad (N,).
         room: index of the room (N,).
@@ -41,6 +43,7 @@ class Views:
     """
 
     images: Array
+    wraps: bool
     xy: Array
     heading: Array
     room: Array
@@ -65,7 +68,8 @@ def draw_views(
 ) -> Views:
     """Draw a building, a camera and lights from a seed, and render pictures of a part of it.
 
-    The camera's height, its vertical field of view, its exposure and white balance are drawn, too.
+    The camera, its height, its exposure and white balance are drawn, too: most buildings are seen by an omnidirectional
+    camera, others by an ordinary one or through a fisheye lens, which keeps looking in one direction.
 
     Args:
         seed: any whole number, not negative; equal seeds give equal pictures.
@@ -83,9 +87,10 @@ def draw_views(
     """
     rng = seeded(seed, "views")
     building = load_building("random", FIRST_SEED + seed)
-    view, height = _draw_camera(rng, image_size)
+    camera, height = draw_camera(rng, image_size)
     start, first = float(rng.random()), int(rng.integers(1, 1000))
     found, places, headings, light, lightings = [], [], [], [], []
+    ahead = None
     for drive in range(drives):
         shining = _draw_lights(building, lights, rng)
         run = Run(str(rng.choice(LIGHTINGS)), first + drive, spacing=_DRIVEN)
@@ -97,7 +102,10 @@ def draw_views(
         chosen = track[begin : begin + poses]
         scenes = [scene, *(relit(scene, one) for one in shining[1:])]
         heights = height + rng.normal(0, 0.01, len(chosen))
-        images = look_around(scenes, np.column_stack([chosen[:, :2], heights, chosen[:, 2]]), view, rng)
+        if not camera.wraps:  # what an ordinary camera sees is the same place in one direction only
+            ahead = float(chosen[rng.integers(len(chosen)), 2]) if ahead is None else ahead
+            chosen[:, 2] = ahead + rng.normal(0, _YAW, len(chosen))
+        images = look_around(scenes, np.column_stack([chosen[:, :2], heights, chosen[:, 2]]), camera, rng)
         found.append(images.reshape(-1, *images.shape[2:]))
         places.append(np.repeat(chosen[:, :2], lights, axis=0))
         headings.append(np.repeat(chosen[:, 2], lights))
@@ -105,40 +113,40 @@ def draw_views(
         lightings += [one.lighting for one in shining]
     xy = np.concatenate(places)
     pictures = np.ascontiguousarray(np.concatenate(found).transpose(0, 3, 1, 2))
-    return Views(pictures, xy, np.concatenate(headings), room_at(building, xy), np.concatenate(light), tuple(lightings))
+    return Views(
+        pictures,
+        camera.wraps,
+        xy,
+        np.concatenate(headings),
+        room_at(building, xy),
+        np.concatenate(light),
+        tuple(lightings),
+    )
 
 
-def look_around(scenes: Sequence[Scene], poses: Array, view: PanoramaView, rng: np.random.Generator) -> Array:
-    """Render panoramas from poses under several lights.
+def look_around(scenes: Sequence[Scene], poses: Array, camera: ViewCamera, rng: np.random.Generator) -> Array:
+    """Render pictures from poses under several lights.
 
     Args:
         scenes: one scene, and others that `relit` made of it (L).
         poses: x, y, height in metres and heading in rad (P, 4).
-        view: size and elevations.
+        camera: what the pictures show.
         rng: draws where in their pixels the rays of a picture pass, exposure, white balance and noise.
 
     Returns:
         (P, L, rows, columns, 3) uint8, RGB.
     """
-    rows, columns = view.height, view.width
-    high, low = np.tan(np.radians([view.top, view.bottom]))
-    spread = (2 * np.pi / columns * np.cos(view.row_elevation())).astype(np.float32).repeat(columns)
+    rows, columns = camera.rows, camera.columns
     found = np.empty((len(poses), len(scenes), rows, columns, 3), dtype=np.uint8)
     balances: list[Array] = []
     strength, stops = rng.uniform(0.3, 1.0, len(scenes)), rng.normal(0.0, 0.3, len(scenes))
+    rim = rng.integers(0, 12, (rows, columns, 1), dtype=np.uint8)
     for row, (x, y, z, heading) in enumerate(poses):
         across, down = rng.uniform(-0.3, 0.3, 2)
-        azimuth = heading - (np.arange(columns) + across + 0.5 - columns / 2) * (2 * np.pi / columns)
-        slope = high + (np.arange(rows) + down + 0.5) / rows * (low - high)
-        flat = 1 / np.sqrt(1 + slope**2)
-        rays = np.empty((rows, columns, 3), dtype=np.float32)
-        rays[..., 0] = np.cos(azimuth) * flat[:, None]
-        rays[..., 1] = np.sin(azimuth) * flat[:, None]
-        rays[..., 2] = (slope * flat)[:, None]
-        directions: Array = rays.reshape(-1, 3)
+        directions = _turned(camera.directions(across, down), heading).reshape(-1, 3)
         eyes = np.empty_like(directions)
         eyes[:] = (x, y, z)
-        hits = scenes[0].hits(eyes, directions, spread, smooth=False)
+        hits = scenes[0].hits(eyes, directions, camera.spread, smooth=False)
         for number, scene in enumerate(scenes):
             light = np.minimum(scene.shine(hits)[0], 12.0)
             if row == 0:
@@ -146,17 +154,18 @@ def look_around(scenes: Sequence[Scene], poses: Array, view: PanoramaView, rng: 
                 balances.append((colour / max(float(colour.mean()), 1e-6)) ** (-0.7 * strength[number]))
             brightness = light[:: max(1, len(light) // 200)].mean(axis=1)
             gain = float(np.clip(metered(brightness, 12) * 2 ** (stops[number] + rng.normal(0, 0.15)), 0.02, 6.0))
-            found[row, number] = develop(light.reshape(rows, columns, 3), gain, balances[number], True, rng, 0.75)
+            picture = light.reshape(rows, columns, 3)
+            found[row, number] = develop(picture, gain, balances[number], camera.wraps, rng, 0.75)
+    if camera.shown is not None:
+        found[:, :, ~camera.shown] = rim[~camera.shown]
     return found
 
 
-def _draw_camera(rng: np.random.Generator, image_size: Sequence[int]) -> tuple[PanoramaView, float]:
-    """Draw the vertical field of view and the height: now and then those of the built-in camera."""
-    rows, columns = image_size
-    if rng.random() < 0.3:
-        return PanoramaView(rows, columns), HEIGHT
-    view = PanoramaView(rows, columns, float(rng.uniform(15, 45)), -float(rng.uniform(20, 50)))
-    return view, float(rng.uniform(0.35, 1.5))
+def _turned(directions: Array, heading: float) -> Array:
+    """Return directions in the robot's frame (..., 3) as directions in the building, float32."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+    return np.ascontiguousarray((directions @ turn).astype(np.float32))
 
 
 def _draw_lights(building: Building, count: int, rng: np.random.Generator) -> list[Light]:

@@ -6,7 +6,7 @@ import importlib
 
 import pytest
 
-PARTS = ("data", "evaluation", "maps", "models", "report", "runtime", "simulate", "training")
+PARTS = ("data", "evaluation", "maps", "models", "pretraining", "report", "runtime", "simulate", "training")
 PACKAGES = ["siamloc", *(f"siamloc.{part}" for part in PARTS)]
 
 

@@ -212,3 +212,20 @@ def test_what_cannot_be_drawn_is_refused():
     nowhere = FrameTable(path=["a", "b"], x=[0.0, np.nan], y=[0.0, np.nan])
     with pytest.raises(DataError, match="1 of 2 frames have no position, by which places are drawn"):
         PlaceSampler(nowhere)
+
+
+def test_images_of_a_place_come_from_different_positions_before_the_same_one_under_another_light():
+    x = np.repeat([0.0, 0.1, 0.2, 9.0], 4)
+    frames = FrameTable(
+        path=[f"{n}.png" for n in range(16)], x=x, y=np.zeros(16), lighting=["one", "two", "three", "four"] * 4
+    )
+    sampler = PlaceSampler(frames, PlaceSettings(places=2, images=4, radius=0.3), seed=3)
+    for number in range(30):
+        for rows in sampler.batch(0, number).reshape(2, 4):
+            positions = frames.x[rows].tolist()
+            if 9.0 in positions:  # one position alone: its four lights
+                assert set(positions) == {9.0}
+            else:  # three positions, then one of them again
+                assert len(set(positions[:3])) == 3
+                assert positions[3] in positions[:3]
+            assert len(set(rows.tolist())) == 4

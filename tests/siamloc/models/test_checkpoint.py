@@ -77,6 +77,7 @@ def test_what_was_trained_stands_in_plain_values(trained):
             "outputs": None,
             "circular": False,
             "normalize": "channels",
+            "canonical": False,
         },
         "loss": {"class": "ContrastiveLoss", "margin": 1.5},
         "optimizer": {**Optimizer().plain(), "momentum": 0.5},

@@ -1,0 +1,61 @@
+"""The network that comes with siamloc: trained on random buildings, it describes panoramas without any training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from siamloc.errors import ConfigError, FormatError
+from siamloc.models.checkpoint import load
+from siamloc.models.network import Network, build
+from siamloc.models.registry import PRETRAINED
+from siamloc.models.weights_file import write_weights
+
+
+def pretrained(*, circular: bool = True) -> Network:
+    """Make the network that comes with siamloc, in evaluation mode on the CPU; its card lies beside its weights.
+
+    Args:
+        circular: False for pictures whose columns are no full turn, such as those of an ordinary camera: the same
+            weights, without wrapping around and without headings.
+
+    Raises:
+        FormatError: the file of the weights is missing or altered.
+
+    Example:
+        >>> network = pretrained()
+        >>> network.image_size, network.outputs
+        ((64, 256), 256)
+    """
+    if not PRETRAINED.is_file():
+        raise FormatError(f"the weights that come with siamloc are missing at {PRETRAINED}: install siamloc again")
+    network = load(PRETRAINED)
+    assert isinstance(network, Network)
+    if not circular:
+        settings = {**network.settings, "circular": False, "canonical": False, "weights": None}
+        state, network = network.state_dict(), build(**settings)
+        network.load_state_dict(state)
+    network.settings["weights"] = "siamloc"
+    return network.eval()
+
+
+def save_weights(network: Network, path: str | Path) -> Path:
+    """Write the weights of a network into a file that `load` and `build(weights=...)` read, half as large as they are.
+
+    Args:
+        network: what `siamloc.models.build` made.
+        path: of the file, ending in .safetensors.
+
+    Returns:
+        The path.
+
+    Raises:
+        ConfigError: another ending, or a module of your own.
+        StorageError: the disk refuses.
+    """
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ConfigError(f"weights are written as safetensors: let the name {path.name} end in .safetensors")
+    if not isinstance(network, Network):
+        raise ConfigError(f"only a network of siamloc.models.build can be made again, not a {type(network).__name__}")
+    write_weights(path, network.state_dict(), {**network.settings, "weights": None})
+    return path

@@ -1,0 +1,134 @@
+"""Cameras of the pictures to learn from: where the ray of each pixel goes, for panoramas and for ordinary cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from siamloc.data.panorama import PanoramaView
+from siamloc.simulate.camera import HEIGHT
+from siamloc.simulate.layout import Array
+
+
+@dataclass(frozen=True)
+class ViewCamera:
+    """A camera.
+
+    Attributes:
+        rows: of its pictures.
+        columns: of its pictures.
+        directions: (fractions of a column, of a row) -> unit viewing directions (rows, columns, 3) in the robot's
+            frame, through points so far off the middles of the pixels.
+        spread: angle in rad that the columns of each pixel are apart (rows * columns,), float32.
+        wraps: whether the left rim continues at the right one.
+        shown: False for what the lens leaves dark (rows, columns); None if it leaves nothing.
+    """
+
+    rows: int
+    columns: int
+    directions: Callable[[float, float], Array]
+    spread: Array
+    wraps: bool
+    shown: Array | None = None
+
+
+def draw_camera(rng: np.random.Generator, image_size: Sequence[int]) -> tuple[ViewCamera, float]:
+    """Draw a camera and its height in metres: now and then those of the built-in one."""
+    rows, columns = image_size
+    kind = rng.random()
+    if kind < 0.25:
+        return panorama(PanoramaView(rows, columns)), HEIGHT
+    height = float(rng.uniform(0.35, 1.5))
+    if kind < 0.75:
+        view = PanoramaView(rows, columns, float(rng.uniform(15, 45)), -float(rng.uniform(20, 50)))
+        return panorama(view, float(np.exp(rng.normal(0, 0.2)))), height
+    aspect, pitch = float(rng.uniform(1.2, 1.8)), float(rng.uniform(-0.15, 0.1))
+    if kind < 0.87:
+        return photograph(image_size, float(np.radians(rng.uniform(55, 105))), aspect, pitch), height
+    radius, angle = float(rng.uniform(0.9, 1.5)), float(np.radians(rng.uniform(60, 95)))
+    return fisheye(image_size, radius, angle, aspect, pitch), height
+
+
+def panorama(view: PanoramaView, bend: float = 1.0) -> ViewCamera:
+    """Make the camera of panoramas.
+
+    Args:
+        view: what they show.
+        bend: 1 where rows are even in the tangent of the elevation; else the exponent of the share of the way from the
+            upper rim to the lower one, as mirrors of other shapes have it.
+    """
+    rows, columns = view.height, view.width
+    high, low = np.tan(np.radians([view.top, view.bottom]))
+
+    def directions(across: float, down: float) -> Array:
+        azimuth = -(np.arange(columns) + across + 0.5 - columns / 2) * (2 * np.pi / columns)
+        slope = high + ((np.arange(rows) + down + 0.5) / rows) ** bend * (low - high)
+        flat = 1 / np.sqrt(1 + slope**2)
+        found = np.empty((rows, columns, 3))
+        found[..., 0] = np.cos(azimuth) * flat[:, None]
+        found[..., 1] = np.sin(azimuth) * flat[:, None]
+        found[..., 2] = (slope * flat)[:, None]
+        return found
+
+    spread = 2 * np.pi / columns * np.linalg.norm(directions(0, 0)[:, 0, :2], axis=1)
+    return ViewCamera(rows, columns, directions, spread.astype(np.float32).repeat(columns), wraps=True)
+
+
+def photograph(image_size: Sequence[int], width: float, aspect: float, pitch: float = 0.0) -> ViewCamera:
+    """Make an ordinary camera, whose pictures are stretched to a size.
+
+    Args:
+        image_size: rows and columns.
+        width: horizontal angle of view in rad.
+        aspect: width of its pictures over their height before they are stretched.
+        pitch: rad by which it looks up.
+    """
+    rows, columns = image_size
+    half = float(np.tan(width / 2))
+
+    def directions(across: float, down: float) -> Array:
+        right, up = _grid(rows, columns, across, down)
+        found = np.stack([np.ones((rows, columns)), -right * half, up * (half / aspect)], axis=-1)
+        return _tilted(found / np.linalg.norm(found, axis=-1, keepdims=True), pitch)
+
+    spread = np.full(rows * columns, width / columns, dtype=np.float32)
+    return ViewCamera(rows, columns, directions, spread, wraps=False)
+
+
+def fisheye(image_size: Sequence[int], radius: float, angle: float, aspect: float, pitch: float = 0.0) -> ViewCamera:
+    """Make a camera with an equidistant fisheye lens, whose pictures are stretched to a size.
+
+    Args:
+        image_size: rows and columns.
+        radius: of the bright circle, in halves of the height of a picture.
+        angle: between the axis and what lies on that circle, in rad.
+        aspect: width of its pictures over their height before they are stretched.
+        pitch: rad by which it looks up.
+    """
+    rows, columns = image_size
+
+    def directions(across: float, down: float) -> Array:
+        right, up = _grid(rows, columns, across, down)
+        around = np.arctan2(up, -right * aspect)
+        aside = np.minimum(np.hypot(right * aspect, up) / radius * angle, np.pi - 0.1)
+        sine = np.sin(aside)
+        return _tilted(np.stack([np.cos(aside), sine * np.cos(around), sine * np.sin(around)], axis=-1), pitch)
+
+    right, up = _grid(rows, columns, 0, 0)
+    spread = np.full(rows * columns, 2 * aspect / columns * angle / radius, dtype=np.float32)
+    return ViewCamera(rows, columns, directions, spread, wraps=False, shown=np.hypot(right * aspect, up) <= radius)
+
+
+def _grid(rows: int, columns: int, across: float, down: float) -> tuple[Array, Array]:
+    """Return how far right and how far up the points of the pixels lie, from -1 to 1 (rows, columns)."""
+    right = (np.arange(columns) + across + 0.5) / columns * 2 - 1
+    up = 1 - (np.arange(rows) + down + 0.5) / rows * 2
+    return tuple(np.meshgrid(right, up))  # type: ignore[return-value]
+
+
+def _tilted(directions: Array, pitch: float) -> Array:
+    """Return directions (..., 3) of a camera that looks up."""
+    cosine, sine = np.cos(pitch), np.sin(pitch)
+    return directions @ np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
