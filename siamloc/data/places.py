@@ -230,14 +230,27 @@ class PlaceSampler:
         found = np.asarray(self._tree.query_ball_point(self._points[centre], self.settings.radius), dtype=np.int64)
         found = generator.permutation(found[found != centre])
         order = np.concatenate([[centre], found])
-        # Another picture from the same position, under other light, comes after those of all other positions.
         again = _turns(self._position[order])
         turn = _turns(self._kind[order] + again * len(self._kind))
         if self.settings.lightings is not None:  # first as many of each as are due, then what is left in turn
             due = _due(self._kind[order], self._weight[order], self.settings.images, generator.random())
             turn = np.where(turn < due, -1, turn)
+        elif again.any():  # pictures from one position under several lights: rather others, each under its own light
+            first = self._apart(order)
+            turn[first] = again[first] = -1
         chosen = order[np.lexsort((turn, again))][: self.settings.images]
         return np.resize(chosen, self.settings.images)
+
+    def _apart(self, order: NDArray[np.int64]) -> list[int]:
+        """Return which of some frames to take, in their order, so that all positions and all lightings differ."""
+        positions, kinds, found = set(), set(), []
+        pairs = zip(self._position[order].tolist(), self._kind[order].tolist(), strict=True)
+        for number, (position, kind) in enumerate(pairs):
+            if position not in positions and kind not in kinds:
+                positions.add(position)
+                kinds.add(kind)
+                found.append(number)
+        return found
 
 
 def places_of(frames: FrameTable, by: str = "position") -> tuple[NDArray[np.float64], NDArray[np.int64]]:

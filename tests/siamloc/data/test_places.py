@@ -228,4 +228,5 @@ def test_images_of_a_place_come_from_different_positions_before_the_same_one_und
             else:  # three positions, then one of them again
                 assert len(set(positions[:3])) == 3
                 assert positions[3] in positions[:3]
+                assert len(set(frames.lighting[rows[:3]].tolist())) == 3
             assert len(set(rows.tolist())) == 4

@@ -32,7 +32,7 @@ def drawn(seed: int, image_size, drives: int, lights: int, poses: int, spacing: 
     light = np.concatenate([np.tile(np.arange(lights) + drive * lights, poses) for drive in range(drives)])
     images = rng.integers(0, 256, (count, 3, *image_size), dtype=np.uint8)
     lighting = tuple(["cloudy", "night", "sunny"][number % 3] for number in range(drives * lights))
-    return Views(images, xy, np.zeros(count), (xy[:, 0] > 0.9).astype(int), light, lighting)
+    return Views(images, True, xy, np.zeros(count), (xy[:, 0] > 0.9).astype(int), light, lighting)
 
 
 @pytest.fixture

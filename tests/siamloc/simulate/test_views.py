@@ -12,6 +12,7 @@ from siamloc.simulate.camera import PanoramaCamera
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.run import LIGHTINGS, draw_light, draw_run
 from siamloc.simulate.scene import Scene, relit
+from siamloc.simulate.view_cameras import panorama
 from siamloc.simulate.views import draw_views, look_around
 
 
@@ -38,7 +39,7 @@ def test_light_that_is_switched_on_later_is_the_light_of_the_run(night: Scene, l
 def test_a_quick_picture_shows_what_a_plain_one_shows(night: Scene) -> None:
     view = PanoramaView(64, 256)
     pose = night.state.track.poses[40]
-    quick = look_around([night], [[*pose[:2], 0.95, pose[2]]], view, np.random.default_rng(0))[0, 0]
+    quick = look_around([night], [[*pose[:2], 0.95, pose[2]]], panorama(view), np.random.default_rng(0))[0, 0]
     plain = render(night, pose, PanoramaCamera(view))[0]
     assert quick.shape == plain.shape
     quick, plain = (cv2.blur(picture, (3, 3)) for picture in (quick, plain))  # one ray per pixel has rough edges
@@ -52,7 +53,7 @@ def test_rough_light_is_about_the_fine_one() -> None:
     pose = fine.state.track.poses[40]
     view = PanoramaView(32, 128)
     pictures = [
-        look_around([scene], [[*pose[:2], 0.95, pose[2]]], view, np.random.default_rng(0))[0, 0].astype(float)
+        look_around([scene], [[*pose[:2], 0.95, pose[2]]], panorama(view), np.random.default_rng(0))[0, 0].astype(float)
         for scene in (fine, rough)
     ]
     assert np.abs(pictures[0] - pictures[1]).mean() < 6, "grey levels"

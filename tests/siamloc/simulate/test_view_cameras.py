@@ -1,0 +1,84 @@
+"""Cameras of the pictures to learn from, against the formulas of their lenses, one pixel after the other."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from siamloc.data.panorama import PanoramaView
+from siamloc.simulate.view_cameras import draw_camera, fisheye, panorama, photograph
+
+SIZE = (6, 10)
+
+
+def angles(direction: np.ndarray) -> tuple[float, float]:
+    """Return azimuth (left is positive) and elevation."""
+    x, y, z = direction
+    return math.atan2(y, x), math.asin(z)
+
+
+def test_panoramas_look_where_panoramas_of_data_sets_do():
+    view = PanoramaView(8, 32, 25.0, -35.0)
+    np.testing.assert_allclose(panorama(view).directions(0, 0), view.directions(), atol=1e-12)
+
+
+def test_a_bent_mirror_keeps_the_upper_rim_and_moves_the_rows():
+    view = PanoramaView(4, 8, 40.0, -40.0)
+    high, low = math.tan(math.radians(40)), math.tan(math.radians(-40))
+    found = panorama(view, bend=2.0).directions(0, 0)
+    for row in range(4):
+        slope = high + ((row + 0.5) / 4) ** 2 * (low - high)
+        assert math.tan(angles(found[row, 3])[1]) == pytest.approx(slope)
+
+
+def test_an_ordinary_camera_keeps_straight_lines_and_its_angle_of_view():
+    width, aspect, pitch = math.radians(80), 1.5, 0.1
+    found = photograph(SIZE, width, aspect, pitch).directions(0.2, -0.1)
+    for row in range(SIZE[0]):
+        for column in range(SIZE[1]):
+            right = ((column + 0.7) / SIZE[1] * 2 - 1) * math.tan(width / 2)
+            up = (1 - (row + 0.4) / SIZE[0] * 2) * math.tan(width / 2) / aspect
+            # The axis of a camera that looks up by the pitch, and what is up for it.
+            axis, above = (math.cos(pitch), 0, math.sin(pitch)), (-math.sin(pitch), 0, math.cos(pitch))
+            ray = np.array(axis) + right * np.array((0, -1, 0)) + up * np.array(above)
+            np.testing.assert_allclose(found[row, column], ray / np.linalg.norm(ray), atol=1e-12)
+
+
+def test_a_fisheye_shows_equal_angles_as_equal_lengths_and_leaves_the_rest_dark():
+    radius, angle, aspect = 1.2, math.radians(80), 1.4
+    camera = fisheye(SIZE, radius, angle, aspect)
+    found = camera.directions(0, 0)
+    assert camera.shown is not None
+    for row in range(SIZE[0]):
+        for column in range(SIZE[1]):
+            right = ((column + 0.5) / SIZE[1] * 2 - 1) * aspect
+            up = 1 - (row + 0.5) / SIZE[0] * 2
+            off = math.hypot(right, up)
+            assert camera.shown[row, column] == (off <= radius)
+            assert math.acos(found[row, column, 0]) == pytest.approx(off / radius * angle)
+            # Right and left, above and below as in the picture.
+            assert np.sign(found[row, column, 1]) == -np.sign(right)
+            assert np.sign(found[row, column, 2]) == np.sign(up)
+
+
+@pytest.mark.parametrize("make", [panorama, photograph, fisheye])
+def test_directions_have_length_one_and_neighbours_lie_as_far_apart_as_said(make):
+    if make is panorama:
+        camera = panorama(PanoramaView(64, 256), bend=1.2)
+    else:
+        camera = make((64, 256), *((1.2, 1.4) if make is photograph else (1.1, 1.3, 1.4)))
+    found = camera.directions(0, 0)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1, atol=1e-12)
+    beside = np.arccos(np.clip((found[32, 127] * found[32, 128]).sum(), -1, 1))
+    # A perspective picture is wider apart in its middle than on average.
+    assert beside == pytest.approx(camera.spread.reshape(64, 256)[32, 127], rel=0.35 if make is photograph else 0.05)
+
+
+def test_cameras_of_all_kinds_are_drawn():
+    drawn = [draw_camera(np.random.default_rng(seed), (16, 64)) for seed in range(60)]
+    kinds = {(camera.wraps, camera.shown is None) for camera, _ in drawn}
+    assert kinds == {(True, True), (False, True), (False, False)}
+    assert 0.6 < np.mean([camera.wraps for camera, _ in drawn]) < 0.9
+    assert len({height for _, height in drawn}) > 30
