@@ -5,6 +5,7 @@ The roles are those of the protocol `freiburg_sim`: map and queries from differe
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,24 +62,27 @@ def by_lighting(absolute: dict[str, Any], measure: str = "error", figure: str = 
     return {name: absolute["lighting"][name][measure][figure] for name in LIGHTINGS}
 
 
-def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) -> dict[str, Any]:
+def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1), queries: int = 1) -> dict[str, Any]:
     """Describe map and queries once, and return mean error, excess, floor and 95 % error in m under each lighting.
 
     Args:
         building: the building, at the size that the descriptor takes.
         descriptor: a network, or what `siamloc.maps.build` takes otherwise.
         every: parts of the map: every k-th frame of its drive.
+        queries: every how many of the frames to be located.
 
     Returns:
         {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ...}, ...}, "1": ...}.
     """
-    known = siamloc.maps.build(descriptor, building.images, building.drives(MAP), progress=False)
-    queries = siamloc.maps.build(descriptor, building.images, building.drives(QUERIES), progress=False)
+    # Frames of the map that no part has need no description.
+    common = math.gcd(*every)
+    known = siamloc.maps.build(descriptor, building.images, building.drives(MAP, common), progress=False)
+    asked = siamloc.maps.build(descriptor, building.images, building.drives(QUERIES, queries), progress=False)
     found: dict[str, Any] = {}
     for step in every:
-        part = known.take(range(0, len(known), step))
-        nearest = siamloc.maps.match(part, queries.description, neighbours((1,), len(part)))
-        result = evaluate_absolute(part, None, queries.frames, ks=(1,), retrieval=nearest)
+        part = known.take(range(0, len(known), step // common))
+        nearest = siamloc.maps.match(part, asked.description, neighbours((1,), len(part)))
+        result = evaluate_absolute(part, None, asked.frames, ks=(1,), retrieval=nearest)
         found[str(step)] = {
             light: {
                 "mean": group["error"]["mean"],

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from siamloc.models.network_stages import stages
     from siamloc.models.origins import Origins
     from siamloc.models.places import PlaceModule
-    from siamloc.models.pretrained import pretrained, save_weights
+    from siamloc.models.pretrained_network import pretrained, save_weights
     from siamloc.models.siamese import SiameseModule
 
 __all__ = [
@@ -61,8 +61,8 @@ _HOMES = {
     "as_descriptor": "describing",
     "build": "network",
     "load": "checkpoint",
-    "pretrained": "pretrained",
-    "save_weights": "pretrained",
+    "pretrained": "pretrained_network",
+    "save_weights": "pretrained_network",
     "stages": "network_stages",
 }
 

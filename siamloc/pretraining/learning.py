@@ -15,7 +15,7 @@ from siamloc.errors import ConfigError
 from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
-from siamloc.models.pretrained import save_weights
+from siamloc.models.pretrained_network import save_weights
 from siamloc.pretraining.settings import RECIPE, ViewSettings
 from siamloc.pretraining.view_batches import ViewDataModule
 from siamloc.runs import Run

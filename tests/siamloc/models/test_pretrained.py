@@ -1,0 +1,180 @@
+"""Weights in a file: whole, cut, edited; and the network that comes with siamloc."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+import siamloc
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.models import as_descriptor, build, load, pretrained, save_weights
+from siamloc.models.network import Network
+from siamloc.models.registry import PRETRAINED, PRETRAINED_SIZE
+
+SIZE = (16, 64)
+
+
+def network(**changes) -> Network:
+    options = {"branch": "panoresnet", "head": "fourier", "image_size": SIZE, "circular": True, "canonical": True}
+    return build(**{**options, **changes}).eval()
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    return save_weights(network(seed=3), tmp_path / "weights.safetensors")
+
+
+def panoramas(count: int = 2, size=SIZE) -> np.ndarray:
+    return np.random.default_rng(1).integers(0, 256, (count, 3, *size), dtype=np.uint8)
+
+
+def test_a_saved_network_describes_as_before_up_to_half_precision(saved: Path):
+    again, before = load(saved), network(seed=3)
+    assert again.settings == before.settings
+    described, expected = (as_descriptor(one).describe(panoramas()).position for one in (again, before))
+    np.testing.assert_allclose(described, expected, atol=2e-3)  # descriptors of length 1, weights of 11 bits
+    for name, value in before.state_dict().items():
+        torch.testing.assert_close(again.state_dict()[name], value, rtol=2**-11, atol=1e-7)
+    assert saved.stat().st_size < 0.55 * sum(value.nbytes for value in before.state_dict().values())
+
+
+def test_equal_weights_give_equal_files(saved: Path, tmp_path: Path):
+    other = save_weights(network(seed=3), tmp_path / "other.safetensors")
+    assert other.read_bytes() == saved.read_bytes()
+    assert save_weights(network(seed=4), tmp_path / "four.safetensors").read_bytes() != saved.read_bytes()
+
+
+def test_a_network_can_start_from_a_file(saved: Path, capsys):
+    started = network(weights=saved, seed=9)
+    for name, value in load(saved).state_dict().items():
+        torch.testing.assert_close(started.state_dict()[name], value, rtol=0, atol=0)
+    wider = network(weights=saved, image_size=(32, 64), seed=9)
+    torch.testing.assert_close(wider.branch.state_dict(), load(saved).branch.state_dict())
+    assert "the branch alone starts from" in capsys.readouterr().err
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def edited(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[-100] ^= 1
+    path.write_bytes(bytes(raw))
+
+
+def metadata_of(path: Path) -> dict:
+    raw = path.read_bytes()
+    return json.loads(raw[8 : 8 + int.from_bytes(raw[:8], "little")])["__metadata__"]
+
+
+def another_head(path: Path) -> None:
+    about = json.loads(metadata_of(path)["siamloc"])
+    about["model"]["canonical"] = False
+    save_file(load_file(path), path, metadata={"siamloc": json.dumps(about)})
+
+
+def newer(path: Path) -> None:
+    about = {**json.loads(metadata_of(path)["siamloc"]), "version": 99}
+    save_file(load_file(path), path, metadata={"siamloc": json.dumps(about)})
+
+
+def no_record(path: Path) -> None:
+    save_file(load_file(path), path, metadata={"siamloc": "{}"})
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (cut, "is cut short or no safetensors file"),
+        (edited, "was altered since it was written"),
+        (another_head, "was altered since it was written"),
+        (no_record, "was altered since it was written"),
+        (newer, "has version 99, this siamloc reads up to 1: update siamloc"),
+    ],
+)
+@pytest.mark.parametrize("use", [load, lambda path: network(weights=path)])
+def test_a_file_that_is_not_as_it_was_written_is_refused_in_one_sentence(saved: Path, spoil, message: str, use):
+    spoil(saved)
+    with pytest.raises(FormatError, match=message) as caught:
+        use(saved)
+    assert "\n" not in str(caught.value)
+    assert str(saved) in str(caught.value)
+
+
+def test_what_cannot_be_saved_is_refused(tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"end in \.safetensors"):
+        save_weights(network(), tmp_path / "weights.pt")
+    with pytest.raises(ConfigError, match="not a Linear"):
+        save_weights(torch.nn.Linear(2, 2), tmp_path / "weights.safetensors")
+
+
+def test_tensors_without_a_record_are_no_network(tmp_path: Path):
+    path = tmp_path / "plain.safetensors"
+    save_file(network().state_dict(), path)
+    with pytest.raises(FormatError, match="does not say of which network it is"):
+        load(path)
+    assert network(weights=path, seed=2).settings["weights"] == str(path)
+
+
+shipped = pytest.mark.skipif(not PRETRAINED.is_file(), reason="no weights in this checkout")
+
+
+@shipped
+def test_the_card_has_the_hash_of_the_weights_and_they_are_small():
+    card = (PRETRAINED.parent / "README.md").read_text(encoding="utf-8")
+    assert hashlib.sha256(PRETRAINED.read_bytes()).hexdigest() in card
+    assert PRETRAINED.stat().st_size <= 8_000_000
+    for words in ("licence", "seed", "limits", "siamloc pretrain"):
+        assert re.search(words, card, re.IGNORECASE), words
+
+
+@shipped
+@pytest.mark.parametrize("circular", [True, False])
+def test_the_network_that_comes_along_is_ready(circular: bool):
+    ready = pretrained(circular=circular)
+    assert not ready.training
+    assert ready.image_size == PRETRAINED_SIZE
+    descriptor = as_descriptor(ready)
+    assert descriptor.tells_heading is circular
+    found = descriptor.describe(panoramas(2, PRETRAINED_SIZE)).position
+    assert found.shape == (2, 256)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
+    started = build(**{**ready.settings, "weights": "siamloc"})
+    for name, value in ready.state_dict().items():
+        torch.testing.assert_close(started.state_dict()[name], value, rtol=0, atol=0)
+
+
+@shipped
+def test_turning_by_any_whole_column_changes_nothing_and_gives_the_heading():
+    descriptor = as_descriptor(pretrained())
+    large = siamloc.simulate.panoramas(2)
+    images = np.stack([cv2.resize(one.transpose(1, 2, 0), (256, 64), interpolation=cv2.INTER_AREA) for one in large])
+    images = np.ascontiguousarray(images.transpose(0, 3, 1, 2))
+    known = descriptor.describe(images)
+    apart = np.linalg.norm(known.position[0] - known.position[1])
+    for columns in (1, 7, 16, 100, 255):
+        there = descriptor.describe(np.roll(images, columns, axis=3))
+        assert np.linalg.norm(there.position - known.position, axis=1).max() < 0.001 * apart
+        found = np.degrees(descriptor.localize(there, known).heading)
+        np.testing.assert_allclose((found - columns * 360 / 256 + 180) % 360 - 180, 0, atol=0.1)
+
+
+@shipped
+def test_panoramas_of_another_size_are_refused():
+    with pytest.raises(DataError, match=r"panoramas of shape \(B, 3, 64, 256\)"):
+        as_descriptor(pretrained()).describe(panoramas(1, (64, 128)))
+
+
+def test_a_missing_file_says_what_to_do(monkeypatch, tmp_path: Path):
+    monkeypatch.setattr("siamloc.models.pretrained_network.PRETRAINED", tmp_path / "none.safetensors")
+    with pytest.raises(FormatError, match="install siamloc again"):
+        pretrained()
