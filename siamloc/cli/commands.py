@@ -112,9 +112,10 @@ def map_frames(config: DictConfig) -> None:
     from siamloc import maps
 
     run, label = run_of(config), label_of(config.descriptor)
+    described, heading = descriptor_of(config, run), heading_of(config)  # before any image is decoded
     images, roles = open_roles(config, "map")
     made = {"role": plain(config.protocol.map)}
-    known = maps.build(descriptor_of(config, run), images, roles["map"], heading=heading_of(config), made=made)
+    known = maps.build(described, images, roles["map"], heading=heading, made=made)
     target = map_file(run, label)
     known.save(target)
     run.record_written([target])

@@ -66,14 +66,15 @@ COMMANDS = {
         run=FOLDER                        where the run is written
         protocol.train.sequences=[...]    what it learns from; names or patterns
         protocol.validation.sequences=[...]  what the best checkpoint is chosen on
-        experiment=modern|photographs|rooms
-                                          our recipes, for panoramas with positions, for pictures of an ordinary
-                                          camera, and for such pictures with room labels; keys still change them
+        experiment=modern|fine_tuning|photographs|rooms
+                                          our recipes, for panoramas with positions (from random weights, and in a
+                                          minute from those that come along), for pictures of an ordinary camera, and
+                                          for such pictures with room labels; keys still change them
         model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
                                           panoresnet
         model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, bands, fourier
         model.circular=true               the network wraps around the azimuth
-        model.branch.weights=imagenet     start from pretrained weights, or from the path of a state dict
+        model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file
         model.normalize=local             takes the light out of the picture first; or channels, image, local_brightness
         pairs=room|distance|in_batch      pairs with binary labels, or metric ones; or all pairs of a batch, which goes
                                           with loss=soft_contrastive|metric_calibrated|triplet|circle|multi_similarity
@@ -102,7 +103,7 @@ COMMANDS = {
         there. All follows from the seed. The weights are where `siamloc train` can start from.
 
         run=runs/pretrained         where the run is written
-        epochs=28                   of 500 batches each; a new building comes every views.batches=10
+        epochs=8                    of 500 batches each; a new building comes every views.batches=15
         views.processes=1           how many processes render alongside the training
         seed=0 resume=true
         trainer.devices=2 trainer.strategy=ddp   each process has buildings of its own
@@ -120,7 +121,8 @@ COMMANDS = {
         run=FOLDER                      the run; analytic descriptors need none
         protocol.map.sequences=[...]    the training sequences if not given
         protocol.map.every=5            or protocol.map.spacing=0.5
-        descriptor=hog|gist|wisurf|...  something else than the trained network
+        descriptor=pretrained           the network that comes with siamloc, without training; 64 x 256 pixels
+        descriptor=hog|gist|wisurf|...  or an analytic one
         heading=hog|fs|gist|radon_fourier
                                         what gives headings for a network that finds none itself (fourier with
                                         circular=true does); heading.step=4 halves its part of the map
@@ -144,7 +146,7 @@ COMMANDS = {
         task=localization|absolute|room_retrieval|hierarchical|mapping|robustness|buildings
         task.radii=[0.5,1.0]              recall: how near a map frame must be
         task.baselines=[hog,thumbnail,untrained]
-        descriptor=hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
+        descriptor=pretrained|hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
                                           measure something else than the trained network, without training
         task.filter=true                  beside each frame's own estimate, that of a robot followed on its way;
                                           task.filter_tune=true learns from protocol.validation
@@ -176,8 +178,9 @@ COMMANDS = {
         output with the network's. With a map that holds headings the robot knows its own, and after an
         evaluation with task.error_model=true its expected error and whether it is lost.
 
-        run=FOLDER      the run
-        bundle=FOLDER   where to; the run's own folder if not given
+        run=FOLDER              the run
+        bundle=FOLDER           where to; the run's own folder if not given
+        descriptor=pretrained   the network that comes with siamloc instead, with its map
         """,
         "siamloc export run=runs/vgg16",
         inherits=True,

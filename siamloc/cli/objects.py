@@ -242,14 +242,14 @@ def way_of(config: DictConfig) -> dict[str, Any]:
 
 def further_steps(run: Run, known: VisualMap | None, errors: ErrorModel | None, label: str) -> list[str]:
     """Return what the robot could get besides what was exported, and what to do next, in words."""
-    lines = []
+    lines, named = [], f"run={run.folder}" + ("" if label == "network" else f" descriptor={label}")
     if known is not None and known.heading is None:
         which = "" if known.descriptor.tells_heading else " heading=hog"
-        lines.append(f"for a heading as well: siamloc map run={run.folder}{which}, then export again")
+        lines.append(f"for a heading as well: siamloc map {named}{which}, then export again")
     if known is not None and errors is None:
         if (run.evaluation(label) / "error_model.json").is_file():
             lines.append("error_model.json left out, it was learned on another map")
-        lines.append(f"for expected errors: siamloc evaluate run={run.folder} task.error_model=true, then export again")
+        lines.append(f"for expected errors: siamloc evaluate {named} task.error_model=true, then export again")
     return [*lines, f"next: siamloc localize run={run.folder} images=[photo.jpeg]"]
 
 

@@ -97,7 +97,8 @@ def _nodes_of_recipes() -> dict[str, dict[str, Any]]:
         chosen = {**recipe.training, "loss": dict(recipe.loss or {})}
         for group in _BY_GROUP:
             nodes.setdefault(f"settings/recipe/{group}", {})[name] = chosen.pop(group)
-        model = {key: value for key, value in recipe.model.items() if key not in ("branch", "head")}
+        model = {key: value for key, value in recipe.model.items() if key not in ("branch", "head", "weights")}
+        model |= {"branch": {"weights": recipe.model["weights"]}} if "weights" in recipe.model else {}
         rest: dict[str, Any] = {"model": model, "trainer": dict(recipe.trainer)}
         size = {"image_size": list(recipe.image_size)}
         rest |= size if recipe is RECIPE else {"data": size}

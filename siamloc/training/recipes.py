@@ -108,20 +108,33 @@ _PHOTOGRAPHS = Recipe(
     trainer={"precision": "auto"},
 )
 
+_MODERN = Recipe(
+    image_size=(64, 256),
+    model={"branch": "panoresnet", "head": "fourier", "circular": True, "normalize": "local"},
+    loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.2},
+    augmentation={"name": "modern", "policy": "any_light", "rotate": 1.0},
+    training={
+        "epochs": 5,
+        "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 140},
+        "optimizer": {"name": "adamw", "learning_rate": 0.002, "weight_decay": 0.01, "schedule": "one_cycle"},
+        "clip": 1.0,
+        "average": 0.98,
+    },
+    trainer={"precision": "auto"},
+)
+
 RECIPES: dict[str, Recipe] = {
-    "modern": Recipe(
-        image_size=(64, 256),
-        model={"branch": "panoresnet", "head": "fourier", "circular": True, "normalize": "local"},
-        loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.2},
-        augmentation={"name": "modern", "policy": "any_light", "rotate": 1.0},
+    "modern": _MODERN,
+    "fine_tuning": replace(
+        _MODERN,
+        model={**_MODERN.model, "canonical": True, "weights": "siamloc"},
         training={
-            "epochs": 5,
-            "pairs": {"near": 0.5, "reach": 1.5, "epoch_batches": 140},
-            "optimizer": {"name": "adamw", "learning_rate": 0.002, "weight_decay": 0.01, "schedule": "one_cycle"},
-            "clip": 1.0,
-            "average": 0.98,
+            **_MODERN.training,
+            "epochs": 2,
+            "pairs": {**_MODERN.training["pairs"], "epoch_batches": 50},
+            "optimizer": {**_MODERN.training["optimizer"], "learning_rate": 0.0005},
+            "average": 0.95,
         },
-        trainer={"precision": "auto"},
     ),
     "photographs": _PHOTOGRAPHS,
     "rooms": replace(
@@ -140,6 +153,8 @@ RECIPES: dict[str, Recipe] = {
 
 `modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from
 random weights on batches of places, some five minutes on two processor cores.
+
+`fine_tuning`: the same from the weights that come with siamloc, in a minute.
 
 `photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
 nor rooms are needed for one drive, in which no place comes twice. The same network without the wrapping, half as long.
