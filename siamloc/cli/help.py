@@ -72,7 +72,8 @@ COMMANDS = {
                                           for such pictures with room labels; keys still change them
         model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
                                           panoresnet
-        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, bands, fourier
+        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, bands, fourier,
+                                          cells
         model.circular=true               the network wraps around the azimuth
         model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file
         model.normalize=local             takes the light out of the picture first; or channels, image, local_brightness

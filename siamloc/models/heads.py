@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 from siamloc.models.registry import head_widths
 
 _SMALLEST = 1e-6
+VALUES_OF_A_CELL = 32
 
 
 class Head(nn.Module):
@@ -178,6 +180,46 @@ class Fourier(UnitHead):
         return self.unit((squared + _SMALLEST).sqrt().flatten(1))
 
 
+class Cells(Head):
+    """What each part of the picture shows, as the branch has it: nothing in this head is trained.
+
+    From each channel its mean over the picture is taken away. The channels of each cell of the features are mixed into
+    32 sums with random signs, which nearly keeps how alike two pictures are [Achlioptas 2003] at a part of the size;
+    cells beside each other are averaged, so that a camera may point a little aside; and all is scaled to unit length.
+    For cameras that look ahead, where the magnitudes of `fourier` forget too much of what is seen where.
+
+    Args:
+        name: what the head is called.
+        shape: (C, h, w) of the features.
+    """
+
+    signs: Tensor
+
+    def __init__(self, name: str, shape: tuple[int, int, int]) -> None:
+        super().__init__(name)
+        channels, rows, columns = shape
+        self.outputs = VALUES_OF_A_CELL * rows * columns
+        self.register_buffer("signs", torch.empty(VALUES_OF_A_CELL, channels), persistent=False)
+
+    def reset(self) -> None:
+        """Fill in the signs, the same on every machine."""
+        with torch.no_grad():
+            self.signs.copy_(random_signs(*self.signs.shape))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return the descriptors of features (B, C, h, w)."""
+        around = features - features.mean(dim=(2, 3), keepdim=True)
+        mixed = (self.signs @ around.flatten(2)).unflatten(2, features.shape[2:])
+        return F.normalize(F.avg_pool2d(mixed, (1, 3), stride=1, padding=(0, 1)).flatten(1))
+
+
+def random_signs(rows: int, columns: int) -> Tensor:
+    """Return a matrix of random signs, -1 and 1, the same on every machine."""
+    # Raw bits, because their order is promised for all versions of NumPy: maps keep what they make.
+    bits = np.random.PCG64(0).random_raw(rows * columns) >> np.uint64(63)
+    return torch.from_numpy(bits.astype(np.float32) * 2 - 1).view(rows, columns)
+
+
 _KINDS: dict[str, type[Flat] | type[GeneralizedMean] | type[Fourier]] = {
     "flat": Flat,
     "gem": GeneralizedMean,
@@ -193,4 +235,6 @@ def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None
         ConfigError: an unknown name, or outputs for a head that has its own.
     """
     widths = head_widths(name, outputs)
+    if name == "cells":
+        return Cells(name, shape)
     return _KINDS[name](name, shape, widths[0]) if name in _KINDS else FullyConnected(name, shape, widths)

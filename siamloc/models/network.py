@@ -14,7 +14,7 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.models.canonical import Canonical
 from siamloc.models.circular import circular as around
-from siamloc.models.heads import Fourier, GeneralizedMean, Head, make_head
+from siamloc.models.heads import Cells, Fourier, GeneralizedMean, Head, make_head
 from siamloc.models.normalization import by_image, by_surroundings
 from siamloc.models.orientation import Orientation
 from siamloc.models.panoresnet import ResidualBlock, residual_features
@@ -364,7 +364,7 @@ def _canonical(head: Head, image_size: tuple[int, int], shape: tuple[int, int, i
 def _initialize(network: Network, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     network.branch.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
-    last = [module for module in network.modules() if isinstance(module, nn.Linear)][-1]
+    last = [None, *(module for module in network.modules() if isinstance(module, nn.Linear))][-1]
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
             module.reset_parameters()
@@ -375,7 +375,7 @@ def _initialize(network: Network, seed: int) -> None:
                     module.weight /= (2 * network.outputs) ** 0.5
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
-        elif isinstance(module, (Fourier, GeneralizedMean, Orientation, Canonical)):
+        elif isinstance(module, (Cells, Fourier, GeneralizedMean, Orientation, Canonical)):
             module.reset()
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from siamloc.models.canonical import shifts
+from siamloc.models.heads import random_signs
 
 VALUES = 64
 _SMALLEST = 1e-12
@@ -55,9 +55,7 @@ class Orientation(nn.Module):
         with torch.no_grad():
             if self.back is not None and canonical is not None:
                 self.back.copy_(shifts(columns, torch.arange(len(self.back)) * (columns / canonical)))
-            # Raw bits, because their order is promised for all versions of NumPy: maps keep what they make.
-            bits = np.random.PCG64(0).random_raw(self.signs.numel()) >> np.uint64(63)
-            self.signs.copy_(torch.from_numpy(bits.astype(np.float32) * 2 - 1).view(self.signs.shape))
+            self.signs.copy_(random_signs(*self.signs.shape))
 
     def forward(self, features: Tensor, turned: Tensor | None = None) -> Tensor:
         """Return the orientation parts (B, columns, 64) of features (B, C, h, w).

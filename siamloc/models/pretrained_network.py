@@ -16,7 +16,7 @@ def pretrained(*, circular: bool = True) -> Network:
 
     Args:
         circular: False for pictures whose columns are no full turn, such as those of an ordinary camera: the same
-            weights, without wrapping around and without headings.
+            branch, without wrapping around and without headings, and the head `cells`.
 
     Raises:
         FormatError: the file of the weights is missing or altered.
@@ -31,9 +31,10 @@ def pretrained(*, circular: bool = True) -> Network:
     network = load(PRETRAINED)
     assert isinstance(network, Network)
     if not circular:
-        settings = {**network.settings, "circular": False, "canonical": False, "weights": None}
-        state, network = network.state_dict(), build(**settings)
-        network.load_state_dict(state)
+        whole = network
+        changes = {"circular": False, "canonical": False, "head": "cells", "outputs": None, "weights": None}
+        network = build(**{**whole.settings, **changes})
+        network.branch.load_state_dict(whole.branch.state_dict())
     network.settings["weights"] = "siamloc"
     return network.eval()
 

@@ -61,9 +61,10 @@ HEADS: dict[str, tuple[int, ...]] = {
     "gem": (256,),
     "bands": (256,),
     "fourier": (256,),
+    "cells": (),
 }
 """Neurons of the fully connected layers: three in versions 1 to 4 of [T] table 5.2; one in the heads that give
-descriptors of unit length, whose number of outputs can be chosen."""
+descriptors of unit length, whose number of outputs can be chosen; none in `cells`, in which nothing is trained."""
 
 
 BelowOne = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
@@ -286,12 +287,14 @@ def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
         outputs: length of a descriptor, for heads of one layer; the head's own if None.
 
     Raises:
-        ConfigError: an unknown name, no positive number, or outputs for a head of the thesis.
+        ConfigError: an unknown name, no positive number, or outputs for a head that has its own.
     """
     if name not in HEADS:
         raise ConfigError(f"unknown head {name!r}: {hint(name, HEADS)}")
     if outputs is None:
         return HEADS[name]
+    if not HEADS[name]:
+        raise ConfigError(f"the head {name} gives as many numbers as the features have cells for: leave outputs out")
     if len(HEADS[name]) > 1:
         raise ConfigError(f"the head {name} gives {HEADS[name][-1]} numbers, as its name says: leave outputs out")
     if isinstance(outputs, bool) or not isinstance(outputs, int) or outputs < 1:

@@ -90,3 +90,31 @@ def test_outputs_belong_to_heads_that_let_them_be_chosen():
         build("simple1", "fc500_500_5", SIZE, outputs=7)
     with pytest.raises(ConfigError, match="outputs must be a whole number from 1, got 0"):
         build("simple1", "flat", SIZE, outputs=0)
+
+
+def test_cells_are_signed_sums_of_each_cell_averaged_with_those_beside_it():
+    head = build("simple1", "cells", SIZE).head
+    features = torch.rand(2, 16, 4, 16, generator=torch.Generator().manual_seed(2)).double()
+    signs = head.signs.numpy()
+    assert signs.shape == (32, 16)
+    assert set(signs.ravel().tolist()) == {-1.0, 1.0}
+    assert abs(signs.mean()) < 0.15
+    for one, found in zip(features.numpy(), head.double()(features), strict=True):
+        expected = np.zeros((32, 4, 16))
+        around = one - one.mean(axis=(1, 2), keepdims=True)
+        for row in range(4):
+            for column in range(16):
+                for beside in (column - 1, column, column + 1):
+                    if 0 <= beside < 16:
+                        expected[:, row, column] += signs @ around[:, row, beside] / 3
+        np.testing.assert_allclose(found.numpy(), expected.ravel() / np.linalg.norm(expected), atol=1e-12)
+
+
+def test_cells_train_the_branch_alone_and_have_their_own_size():
+    network = build("simple1", "cells", SIZE)
+    assert network.outputs == 32 * 4 * 16
+    assert not list(network.head.parameters())
+    (network(images())[0] @ network(images())[1]).backward()
+    assert all(parameter.grad is not None for parameter in network.parameters())
+    with pytest.raises(ConfigError, match="the head cells gives as many numbers"):
+        build("simple1", "cells", SIZE, outputs=9)
