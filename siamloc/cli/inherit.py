@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from siamloc.cli.schema import OF_TRAINING
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
-from siamloc.models.registry import Optimizer
+from siamloc.models.registry import Optimizer, whole_model
 from siamloc.runs import Run, newest_run
 
 # What a group of the command line chooses besides itself: files in `conf/data` and `conf/experiment` choose others.
@@ -86,7 +86,7 @@ def _kept(
     record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed: bool, replaces_map: bool
 ) -> dict[str, Any]:
     """Return what is stored, by section of the configuration."""
-    model, training = record.get("model", {}), record.get("training", {})
+    model, training = whole_model(record.get("model", {})), record.get("training", {})
     kept = _of_data(record.get("data") or (made or {}).get("data") or {})
     if "protocol" in record:
         kept["protocol"] = Protocol.of(record["protocol"]).plain()

@@ -202,6 +202,10 @@ def baselines_of(config: DictConfig, run: Run, main: str) -> dict[str, Descripto
         if name in ("network", "untrained") and not run.record.is_file():
             print(f"baseline {name} left out: {run.folder} holds no trained network")
             continue
+        size = _size_of(str(name), run)
+        if size is not None and size != list(config.data.image_size):
+            print(f"baseline {name} left out: it takes panoramas of {size[0]} x {size[1]}, others than {main}")
+            continue
         found[str(name)] = descriptor_of(config, run, options_of(str(name)))
     return found
 
@@ -243,7 +247,7 @@ def way_of(config: DictConfig) -> dict[str, Any]:
 def further_steps(run: Run, known: VisualMap | None, errors: ErrorModel | None, label: str) -> list[str]:
     """Return what the robot could get besides what was exported, and what to do next, in words."""
     lines, named = [], f"run={run.folder}" + ("" if label == "network" else f" descriptor={label}")
-    if known is not None and known.heading is None:
+    if known is not None and known.heading is None and known.made.get("data", {}).get("circular", True):
         which = "" if known.descriptor.tells_heading else " heading=hog"
         lines.append(f"for a heading as well: siamloc map {named}{which}, then export again")
     if known is not None and errors is None:
@@ -268,6 +272,14 @@ def _check_architecture(config: DictConfig, network: Any, run: Run, *, own: bool
                 f"the checkpoint of {run.folder} is of another architecture: its {key} is {found}, and the "
                 f"configuration says {wanted}: leave model/{key} out, or train another run"
             )
+
+
+def _size_of(name: str, run: Run) -> list[int] | None:
+    """Return which panoramas a named network takes; None for any."""
+    if name == "pretrained":
+        return list(PRETRAINED_SIZE)
+    size = run.settings["model"].get("image_size") if name in ("network", "untrained") else None
+    return None if size is None else list(size)
 
 
 def _check_size(config: DictConfig, size: Sequence[int] | None, network: str) -> None:

@@ -230,15 +230,17 @@ class PlaceSampler:
         found = np.asarray(self._tree.query_ball_point(self._points[centre], self.settings.radius), dtype=np.int64)
         found = generator.permutation(found[found != centre])
         order = np.concatenate([[centre], found])
-        again = _turns(self._position[order])
-        turn = _turns(self._kind[order] + again * len(self._kind))
+        turn = _turns(self._kind[order])
         if self.settings.lightings is not None:  # first as many of each as are due, then what is left in turn
             due = _due(self._kind[order], self._weight[order], self.settings.images, generator.random())
             turn = np.where(turn < due, -1, turn)
-        elif again.any():  # pictures from one position under several lights: rather others, each under its own light
+        elif (again := _turns(self._position[order])).any():  # pictures from one position under several lights
+            # First those that share neither position nor lighting, then other positions, then these ones again.
             first = self._apart(order)
-            turn[first] = again[first] = -1
-        chosen = order[np.lexsort((turn, again))][: self.settings.images]
+            again += np.isin(self._position[order], self._position[order][first])
+            again[first] = -1
+            turn = again * len(order) + _turns(self._kind[order] + again * len(self._kind))
+        chosen = order[np.argsort(turn, kind="stable")][: self.settings.images]
         return np.resize(chosen, self.settings.images)
 
     def _apart(self, order: NDArray[np.int64]) -> list[int]:

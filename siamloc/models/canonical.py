@@ -14,8 +14,8 @@ class Canonical(nn.Module):
     Features that are computed with strides along the azimuth move along when the robot turns by one of their columns;
     in between they change. The sum of all pixels in columns that lie such a stride apart is a signal with one period.
     Turning the robot turns it, too, so that its first harmonic says by how much to turn back. Which of the whole
-    columns comes nearest is decided in whole numbers: a panorama and its turned copies become the same one, bit by bit,
-    on every machine. The head `fourier` then forgets the turns by whole columns of the features.
+    columns comes nearest is decided in whole numbers, so that on every machine a panorama and its turned copies become
+    the same one, up to turns by whole columns of the features, which heads such as `fourier` forget.
 
     Args:
         period: columns of the panorama to one column of the features.
@@ -34,7 +34,7 @@ class Canonical(nn.Module):
     def __init__(self, period: int) -> None:
         super().__init__()
         self.period = period
-        self.register_buffer("waves", torch.empty(period, period, dtype=torch.float64), persistent=False)
+        self.register_buffer("waves", torch.empty(period, period, dtype=torch.int64), persistent=False)
 
     def reset(self) -> None:
         """Fill in one period of a cosine from each of its columns on, in whole numbers."""
@@ -50,7 +50,7 @@ class Canonical(nn.Module):
         """
         levels = (panorama * 255).round().double()  # sums of whole numbers are the same in any order
         signal = levels.sum(dim=(1, 2)).unflatten(1, (-1, self.period)).sum(dim=1)
-        turned = (signal @ self.waves).argmax(dim=1)
+        turned = (signal @ self.waves.double()).argmax(dim=1)  # kept as integers, which no .half() rounds
         columns = torch.arange(panorama.shape[3], device=panorama.device)
         seen = (columns + turned[:, None]) % panorama.shape[3]
         return panorama.gather(3, seen[:, None, None].expand_as(panorama)), turned

@@ -35,7 +35,7 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     """
     path = _checkpoint_of(run_or_checkpoint, "best" if which == "untrained" else which)
     if path.suffix == ".safetensors":
-        return _from_weights(path)
+        return _from_weights(path, which, network)
     content = read_checkpoint(path)
     about = content[CONTENT_KEY]
     if which == "untrained":
@@ -85,12 +85,17 @@ def _checkpoint_of(source: str | Path | Run, which: str) -> Path:
     return Run(path).checkpoint(which) if path.is_dir() else path
 
 
-def _from_weights(path: Path) -> nn.Module:
-    """Return the network in a file of weights."""
+def _from_weights(path: Path, which: str, network: nn.Module | None) -> nn.Module:
+    """Return the network in a file of weights, or the given one with these weights."""
+    if which == "untrained":
+        raise ConfigError(f"the weights file {path} holds trained weights alone: take a run for which='untrained'")
+    if not path.is_file():
+        raise FormatError(f"the weights file {path} does not exist")
     weights = read_weights(path)
-    if weights.model is None:
+    if network is None and weights.model is None:
         raise FormatError(f"the weights file {path} does not say of which network it is: build one with weights=FILE")
-    network = _made(path, dict(weights.model))
+    if network is None:
+        network = _made(path, dict(weights.model or {}))
     difference = mismatch(network, weights.state)
     if difference is not None:
         raise FormatError(f"the weights file {path} is of another network than it says: {difference}")

@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from siamloc.errors import ConfigError
 from siamloc.models.registry import head_widths
 
 _SMALLEST = 1e-6
@@ -232,9 +233,11 @@ def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None
     """Make a head by its name for features of a shape (C, h, w).
 
     Raises:
-        ConfigError: an unknown name, or outputs for a head that has its own.
+        ConfigError: an unknown name, outputs for a head that has its own, or features too small for it.
     """
     widths = head_widths(name, outputs)
     if name == "cells":
+        if shape[1] * shape[2] < 2:
+            raise ConfigError("the head cells needs features of several cells, and these have one: take larger images")
         return Cells(name, shape)
     return _KINDS[name](name, shape, widths[0]) if name in _KINDS else FullyConnected(name, shape, widths)

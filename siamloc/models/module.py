@@ -55,7 +55,7 @@ class NetworkModule(LightningModule):
         self.compiled: Callable[[Tensor], Tensor] | None = None  # the network, where its steps are compiled
         self._by_stage = self.optimizer.frozen_stages > 0 or self.optimizer.stage_decay < 1
         self._frozen: FrozenStages | None = None
-        if self._by_stage and self.optimizer.frozen_stages >= (count := len(weights_by_stage(network))):
+        if self._by_stage and self.optimizer.frozen_stages >= (count := sum(map(bool, weights_by_stage(network)))):
             raise ConfigError(
                 f"optimizer.frozen_stages={self.optimizer.frozen_stages} leaves nothing to train: the network has "
                 f"{count} stages, so freeze {count - 1} at most"

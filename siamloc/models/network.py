@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from os import PathLike, fspath
 from typing import Any, cast
 
@@ -147,7 +148,7 @@ class Network(nn.Module):
         self.grid = shape[1:]
         self.branch = Branch(branch, circular, normalize)
         self.head = make_head(head, shape, outputs)
-        self.canonical = _canonical(self.head, image_size, shape, circular) if canonical else None
+        self.canonical = _canonical(branch, self.head, image_size, circular) if canonical else None
         self.orientation: Orientation | None = None
         finer = finer_features(branch, image_size) if circular and isinstance(self.head, Fourier) else None
         if finer is not None and shape[2] > 1:
@@ -308,17 +309,21 @@ def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[i
         How many layers give the last such features, 0 for the image itself; and their channels, rows and columns.
         None where not even the image has so many columns.
     """
-    layers = list(_weightless(name, True))
+    found = [(3, *image_size), *_shapes(name, image_size)]
+    finer = [number for number, one in enumerate(found) if one[2] >= 2 * found[-1][2]]
+    return (finer[-1], found[finer[-1]]) if finer else None
+
+
+@lru_cache(maxsize=64)
+def _shapes(name: str, image_size: tuple[int, int]) -> list[tuple[int, int, int]]:
+    """Return channels, rows and columns after each layer of a branch that wraps around."""
+    found, features = [], torch.empty(1, 3, *image_size, device="meta")
     with torch.no_grad():
-        found = [torch.empty(1, 3, *image_size, device="meta")]
-        for layer in layers:
-            found.append(layer(found[-1]))
-    finer = [number for number, one in enumerate(found) if one.shape[3] >= 2 * found[-1].shape[3]]
-    if not finer:
-        return None
-    level = finer[-1]
-    channels, rows, columns = found[level].shape[1:]
-    return level, (channels, rows, columns)
+        for layer in _weightless(name, True):
+            features = layer(features)
+            channels, rows, columns = features.shape[1:]
+            found.append((channels, rows, columns))
+    return found
 
 
 @lru_cache(maxsize=64)
@@ -342,7 +347,7 @@ def checked_image_size(image_size: Sequence[int]) -> tuple[int, int]:
     return int(values[0]), int(values[1])
 
 
-def _canonical(head: Head, image_size: tuple[int, int], shape: tuple[int, int, int], circular: bool) -> Canonical:
+def _canonical(branch: str, head: Head, image_size: tuple[int, int], circular: bool) -> Canonical:
     """Return what turns panoramas first.
 
     Raises:
@@ -350,15 +355,18 @@ def _canonical(head: Head, image_size: tuple[int, int], shape: tuple[int, int, i
     """
     if not circular or not isinstance(head, (Fourier, GeneralizedMean)):
         raise ConfigError(
-            "canonical=True needs circular=True and a head that forgets how far the robot has turned, fourier, gem or "
-            f"bands: here circular={circular}, and the head is {head.name}"
+            "model.canonical=true (from Python canonical=True) needs model.circular=true and a head that forgets how "
+            f"far the robot has turned, fourier, gem or bands: here circular={circular}, and the head is {head.name}; "
+            "set model.canonical=false"
         )
-    if image_size[1] % shape[2]:
+    widths = [image_size[1], *(columns for _, _, columns in _shapes(branch, image_size))]
+    if any(wide % narrow for wide, narrow in pairwise(widths)):
         raise ConfigError(
-            f"canonical=True needs columns of features that are whole columns of the panorama: {image_size[1]} columns "
-            f"are not a multiple of {shape[2]}"
+            "model.canonical=true (from Python canonical=True) needs columns that all layers divide evenly, and the "
+            f"{image_size[1]} of the panorama become {', '.join(map(str, dict.fromkeys(widths[1:])))} in {branch}: "
+            "take a power of 2, or set model.canonical=false"
         )
-    return Canonical(image_size[1] // shape[2])
+    return Canonical(image_size[1] // widths[-1])
 
 
 def _initialize(network: Network, seed: int) -> None:

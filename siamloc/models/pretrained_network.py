@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from siamloc.errors import ConfigError, FormatError
+from siamloc.errors import ConfigError
 from siamloc.models.checkpoint import load
 from siamloc.models.network import Network, build
 from siamloc.models.registry import PRETRAINED
+from siamloc.models.weights import check_shipped
 from siamloc.models.weights_file import write_weights
 
 
@@ -26,8 +27,7 @@ def pretrained(*, circular: bool = True) -> Network:
         >>> network.image_size, network.outputs
         ((64, 256), 256)
     """
-    if not PRETRAINED.is_file():
-        raise FormatError(f"the weights that come with siamloc are missing at {PRETRAINED}: install siamloc again")
+    check_shipped()
     network = load(PRETRAINED)
     assert isinstance(network, Network)
     if not circular:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.models.checkpoint_file import CONTENT_KEY, checked_content, network_state
 from siamloc.models.heads import GeneralizedMean
 from siamloc.models.registry import BRANCHES, PRETRAINED, branch_spec, whole_model
@@ -61,6 +61,7 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
     if isinstance(weights, Run):
         return read_weights(weights.checkpoint())
     if weights == "siamloc":
+        check_shipped()
         return replace(read_weights(PRETRAINED), origin="the weights that come with siamloc")
     path = Path(weights).expanduser()
     if path.is_dir() and not _NAMES.fullmatch(str(weights)):
@@ -116,6 +117,12 @@ def fill(network: nn.Module, weights: Weights, what: str) -> None:
     if difference is not None:
         raise ConfigError(f"the weights of {weights.origin} are of another architecture than {what}: {difference}")
     target.load_state_dict(state)
+
+
+def check_shipped() -> None:
+    """Raise FormatError if the weights that come with siamloc are missing."""
+    if not PRETRAINED.is_file():
+        raise FormatError(f"the weights that come with siamloc are missing at {PRETRAINED}: install siamloc again")
 
 
 def read_weights(path: Path) -> Weights:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.pretraining.rendering import Renderer, Wanted
 from siamloc.pretraining.settings import ViewSettings
 from siamloc.progress import track
-from siamloc.simulate.views import Views
+from siamloc.simulate.views import Views, camera_of
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 from siamloc.training.place_batches import origins_of
 
@@ -153,7 +154,7 @@ class ViewBatches(Dataset[dict[str, Any]]):
 
 
 class ViewValidation(Dataset[dict[str, Any]]):
-    """Drives through buildings that nothing is learned from.
+    """Panoramas of drives through buildings that nothing is learned from.
 
     Each is mapped in its first drive under clouds, and asked for places in its second one under every lighting.
 
@@ -163,9 +164,9 @@ class ViewValidation(Dataset[dict[str, Any]]):
     """
 
     def __init__(self, renderer: Renderer, image_size: Sequence[int]) -> None:
-        wanted = [
-            (_SEEDS + number, tuple(image_size), 2, 3, _VALIDATION_POSES) for number in range(_VALIDATION_BUILDINGS)
-        ]
+        # Ordinary cameras are left out: nobody asks the head of panoramas for what they see.
+        seeds = (_SEEDS + number for number in count() if camera_of(_SEEDS + number, image_size).wraps)
+        wanted = [(seed, tuple(image_size), 2, 3, _VALIDATION_POSES) for seed in islice(seeds, _VALIDATION_BUILDINGS)]
         for one in wanted:
             renderer.begin(one)
         views = [renderer.views(one) for one in track(wanted, len(wanted), "rendering buildings to validate with")]

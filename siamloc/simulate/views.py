@@ -34,7 +34,6 @@ class Views:
 
     Attributes:
         images: (N, 3, H, W) uint8, RGB.
-        wraps: whether they are panoramas, whose columns are a full turn.
         xy: metres (N, 2).
         heading: rad (N,).
         room: index of the room (N,).
@@ -43,7 +42,6 @@ class Views:
     """
 
     images: Array
-    wraps: bool
     xy: Array
     heading: Array
     room: Array
@@ -115,13 +113,17 @@ def draw_views(
     pictures = np.ascontiguousarray(np.concatenate(found).transpose(0, 3, 1, 2))
     return Views(
         pictures,
-        camera.wraps,
         xy,
         np.concatenate(headings),
         room_at(building, xy),
         np.concatenate(light),
         tuple(lightings),
     )
+
+
+def camera_of(seed: int, image_size: Sequence[int]) -> ViewCamera:
+    """Return the camera that `draw_views` draws for a seed."""
+    return draw_camera(seeded(seed, "views"), image_size)[0]
 
 
 def look_around(scenes: Sequence[Scene], poses: Array, camera: ViewCamera, rng: np.random.Generator) -> Array:

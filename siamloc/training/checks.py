@@ -140,8 +140,9 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
     if getattr(network, "settings", {}).get("circular") and not circular:
         raise ConfigError(
             "the network wraps around the azimuth (model.circular=true, from Python build(circular=True)), and the "
-            "columns of these images do not (data.circular=false): set model.circular=false, take the recipe "
-            "photographs or rooms for pictures of an ordinary camera, or set data.circular=true for panoramas"
+            "columns of these images do not (data.circular=false): set model.circular=false (and model.canonical=false "
+            "where it is true), take the recipe photographs or rooms for pictures of an ordinary camera, or set "
+            "data.circular=true for panoramas"
         )
     try:
         descriptor = describe(network, image)

@@ -86,6 +86,7 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     before = {**before, "training": Training.of(before["training"]).plain(), "model": whole_model(before["model"])}
+    now = {**now, "model": whole_model(now["model"])}
     before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
     if before["loss"].get("name") in LOSS_SETTINGS:  # with what older records lack
         before["loss"] = {**defaults_of(LOSS_SETTINGS[before["loss"]["name"]]), **before["loss"]}

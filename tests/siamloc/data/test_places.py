@@ -230,3 +230,27 @@ def test_images_of_a_place_come_from_different_positions_before_the_same_one_und
                 assert positions[3] in positions[:3]
                 assert len(set(frames.lighting[rows[:3]].tolist())) == 3
             assert len(set(rows.tolist())) == 4
+
+
+def test_positions_that_are_left_come_before_those_that_are_taken():
+    # The position at 0.1 is seen under two lights; whichever is taken, the one at 0.2 must come before the other one.
+    frames = FrameTable(
+        path=list("abcd"),
+        x=[0.0, 0.1, 0.1, 0.2],
+        y=[0.0] * 4,
+        lighting=["one", "one", "two", "one"],
+        sequence=["s"] * 4,
+    )
+    sampler = PlaceSampler(frames, PlaceSettings(places=2, images=3, radius=0.3), seed=1)
+    for number in range(50):
+        for rows in sampler.batch(0, number).reshape(2, 3):
+            assert len(set(frames.x[rows].tolist())) == 3
+
+
+def test_weights_of_lightings_hold_where_frames_share_positions():
+    x = np.repeat([0.0, 0.05, 0.1, 0.15, 0.2, 0.25], 2)
+    frames = FrameTable(path=[str(n) for n in range(12)], x=x, y=np.zeros(12), lighting=["night", "sunny"] * 6)
+    settings = PlaceSettings(places=4, images=4, radius=0.3, lightings={"night": 3, "sunny": 1})
+    sampler = PlaceSampler(frames, settings, seed=1)
+    drawn = np.concatenate([frames.lighting[sampler.batch(0, number)] for number in range(20)])
+    assert (drawn == "night").mean() == pytest.approx(0.75, abs=0.02)

@@ -90,9 +90,10 @@ def test_shifts_are_those_of_the_harmonics(columns: int):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"circular": False}, "needs circular=True"),
+        ({"circular": False}, "needs model.circular=true"),
         ({"head": "flat"}, "the head is flat"),
-        ({"image_size": (32, 124)}, "124 columns are not a multiple of 8"),
+        ({"image_size": (32, 120)}, "the 120 of the panorama become .*15, 8 in panoresnet"),
+        ({"image_size": (32, 124)}, "take a power of 2"),
     ],
 )
 def test_refused_where_it_means_nothing(changes: dict, message: str):

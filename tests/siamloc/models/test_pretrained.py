@@ -175,6 +175,29 @@ def test_panoramas_of_another_size_are_refused():
 
 
 def test_a_missing_file_says_what_to_do(monkeypatch, tmp_path: Path):
-    monkeypatch.setattr("siamloc.models.pretrained_network.PRETRAINED", tmp_path / "none.safetensors")
+    monkeypatch.setattr("siamloc.models.weights.PRETRAINED", tmp_path / "none.safetensors")
     with pytest.raises(FormatError, match="install siamloc again"):
         pretrained()
+    with pytest.raises(FormatError, match="install siamloc again"):
+        network(weights="siamloc")
+
+
+def test_a_file_of_weights_fills_a_network_that_is_given_and_is_never_untrained(saved: Path, tmp_path: Path):
+    mine = network(seed=8)
+    assert load(saved, network=mine) is mine
+    torch.testing.assert_close(mine.state_dict(), load(saved).state_dict(), rtol=0, atol=0)
+    with pytest.raises(ConfigError, match="holds trained weights alone"):
+        load(saved, which="untrained")
+    with pytest.raises(FormatError, match="does not exist"):
+        load(tmp_path / "none.safetensors")
+
+
+@pytest.mark.parametrize("cast", [torch.nn.Module.float, torch.nn.Module.double])
+def test_a_network_of_another_precision_turns_as_before(cast):
+    images = torch.from_numpy(panoramas()).double() / 255
+    with torch.no_grad():
+        kept, turned = cast(network()), network().canonical(images)[1]
+        assert torch.equal(kept.canonical(images)[1], turned)
+        precision = next(kept.parameters()).dtype
+        there = kept(images.to(precision).roll(5, dims=3))
+        torch.testing.assert_close(kept(images.to(precision)), there, atol=1e-6, rtol=0)

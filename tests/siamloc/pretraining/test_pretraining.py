@@ -17,7 +17,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_batches
 from siamloc.pretraining.rendering import Renderer
 from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
-from siamloc.simulate.views import Views
+from siamloc.simulate.views import Views, camera_of
 
 SIZE = (16, 64)
 SETTINGS = ViewSettings(batches=2, held=3, together=2, drives=2, lights=3, poses=6, processes=0)
@@ -32,7 +32,7 @@ def drawn(seed: int, image_size, drives: int, lights: int, poses: int, spacing: 
     light = np.concatenate([np.tile(np.arange(lights) + drive * lights, poses) for drive in range(drives)])
     images = rng.integers(0, 256, (count, 3, *image_size), dtype=np.uint8)
     lighting = tuple(["cloudy", "night", "sunny"][number % 3] for number in range(drives * lights))
-    return Views(images, True, xy, np.zeros(count), (xy[:, 0] > 0.9).astype(int), light, lighting)
+    return Views(images, xy, np.zeros(count), (xy[:, 0] > 0.9).astype(int), light, lighting)
 
 
 @pytest.fixture
@@ -223,4 +223,17 @@ def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, mo
     words = ["epochs=1", "pairs.epoch_batches=2", "pairs.places=3", "pairs.images=2", "image_size=[16,64]"]
     views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0"]
     assert siamloc.cli.main(["pretrain", f"run={tmp_path / 'run'}", *words, *views, "trainer.precision=32-true"]) == 0
-    assert f"next: siamloc train model.branch.weights={tmp_path / 'run'}" in capsys.readouterr().out
+    run = tmp_path / "run"
+    assert f"next: siamloc train experiment=fine_tuning model.branch.weights={run}" in capsys.readouterr().out
+    kept, best = siamloc.models.load(run / "weights.safetensors"), siamloc.models.load(run)
+    for name, value in best.state_dict().items():
+        torch.testing.assert_close(kept.state_dict()[name], value, rtol=2**-11, atol=1e-7)
+
+
+def test_the_validation_is_of_panoramas(rendered, monkeypatch):
+    monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 3)
+    view_batches.ViewValidation(Renderer(0), SIZE)
+    assert len(rendered) == 3
+    assert all(camera_of(seed, SIZE).wraps for seed in rendered)
+    between = range(min(rendered), max(rendered))
+    assert not [seed for seed in between if seed not in rendered and camera_of(seed, SIZE).wraps]

@@ -12,8 +12,8 @@ from siamloc.simulate.camera import PanoramaCamera
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.run import LIGHTINGS, draw_light, draw_run
 from siamloc.simulate.scene import Scene, relit
-from siamloc.simulate.view_cameras import panorama
-from siamloc.simulate.views import draw_views, look_around
+from siamloc.simulate.view_cameras import fisheye, panorama
+from siamloc.simulate.views import camera_of, draw_views, look_around
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +84,23 @@ def test_views_follow_from_their_seed() -> None:
     assert apart.max() < 1.5
     other = draw_views(6, (16, 64), drives=1, lights=3, poses=4)
     assert not np.array_equal(other.images[:12], one.images[:12])
+
+
+def test_an_ordinary_camera_looks_in_one_direction_on_every_drive() -> None:
+    ahead = next(seed for seed in range(20) if not camera_of(seed, (16, 64)).wraps)
+    around = next(seed for seed in range(20) if camera_of(seed, (16, 64)).wraps)
+    spread = {}
+    for seed in (ahead, around):
+        headings = draw_views(seed, (16, 64), drives=2, lights=1, poses=40, spacing=0.5).heading
+        spread[seed] = abs(np.exp(1j * headings).mean())
+    assert spread[ahead] > 0.98, "all within a few degrees"
+    assert spread[around] < 0.9, "as the robot turns"
+
+
+def test_a_fisheye_lens_leaves_its_rim_dark(night: Scene) -> None:
+    camera = fisheye((32, 128), 0.9, 1.4, 1.5)
+    pose = night.state.track.poses[40]
+    picture = look_around([night], [[*pose[:2], 0.95, pose[2]]], camera, np.random.default_rng(0))[0, 0]
+    assert camera.shown is not None
+    assert picture[~camera.shown].max() < 12
+    assert picture[camera.shown].mean() > 20
