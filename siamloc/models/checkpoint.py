@@ -26,7 +26,8 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
         network: where the weights go, for a module of your own; networks of `build` are made again if None.
 
     Raises:
-        ConfigError: a folder without a checkpoint, another `which`, or a module of your own that is not given.
+        ConfigError: a folder without a checkpoint, another `which`, a module of your own that is not given, or a file
+            of weights that is cut short.
         FormatError: the file is missing, not whole, altered, not such a checkpoint, or of another architecture.
 
     Example:

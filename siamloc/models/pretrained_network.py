@@ -20,7 +20,8 @@ def pretrained(*, circular: bool = True) -> Network:
             branch, without wrapping around and without headings, and the head `cells`.
 
     Raises:
-        FormatError: the file of the weights is missing or altered.
+        ConfigError: the file of the weights is cut short.
+        FormatError: it is missing or altered.
 
     Example:
         >>> network = pretrained()

@@ -56,7 +56,7 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
 
     Raises:
         ConfigError: an unknown name, a failed download, a file that cannot be read, or a run without a checkpoint.
-        FormatError: a checkpoint of another version, or a file of weights that was cut or altered.
+        FormatError: a checkpoint of another version, or a file of weights that was altered.
     """
     if isinstance(weights, Run):
         return read_weights(weights.checkpoint())
@@ -130,7 +130,7 @@ def read_weights(path: Path) -> Weights:
 
     Raises:
         ConfigError: the file is missing, is not whole, or holds anything but named tensors.
-        FormatError: a checkpoint or a file of weights of another version, or one that was cut or altered.
+        FormatError: a checkpoint or a file of weights of another version, or a file of weights that was altered.
     """
     if not path.is_file():
         raise ConfigError(f"the weights file {path} does not exist")

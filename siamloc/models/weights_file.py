@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from siamloc.errors import FormatError
+from siamloc.errors import ConfigError, FormatError
 from siamloc.files import atomic_path
 
 VERSION = 1
@@ -59,7 +59,8 @@ def read_weights_file(path: Path) -> tuple[dict[str, Tensor], dict[str, Any] | N
     The second is None for files that siamloc did not write.
 
     Raises:
-        FormatError: a file that is cut short, or altered since siamloc wrote it, or of another version.
+        ConfigError: a file that is cut short, or none of this kind.
+        FormatError: a file that was altered since siamloc wrote it, or is of another version.
     """
     from safetensors import SafetensorError, safe_open
 
@@ -68,8 +69,9 @@ def read_weights_file(path: Path) -> tuple[dict[str, Tensor], dict[str, Any] | N
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no mapping)
             text = (file.metadata() or {}).get(_KEY)
     except (SafetensorError, OSError, ValueError) as error:
-        raise FormatError(
-            f"the weights file {path} is cut short or no safetensors file ({type(error).__name__}): get it again"
+        raise ConfigError(
+            f"the weights file {path} is not a whole state dict ({type(error).__name__}): it is cut short or no "
+            "safetensors file, get it again"
         ) from error
     if text is None:
         return state, None
