@@ -237,7 +237,9 @@ def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None
     """
     widths = head_widths(name, outputs)
     if name == "cells":
-        if shape[1] * shape[2] < 2:
-            raise ConfigError("the head cells needs features of several cells, and these have one: take larger images")
+        if shape[2] < 4:  # averaged with those beside it, what is left of fewer is next to nothing
+            raise ConfigError(
+                f"the head cells needs features of 4 columns, and these have {shape[2]}: take larger images"
+            )
         return Cells(name, shape)
     return _KINDS[name](name, shape, widths[0]) if name in _KINDS else FullyConnected(name, shape, widths)

@@ -81,7 +81,7 @@ def draw_views(
         SiamlocError: embreex is not installed.
 
     >>> draw_views(0, (16, 64), drives=1, lights=2, poses=3)
-    Views(6 pictures; rooms: 1; lights: sunny, cloudy)
+    Views(6 pictures; rooms: 1; lights: cloudy, night)
     """
     rng = seeded(seed, "views")
     building = load_building("random", FIRST_SEED + seed)

@@ -116,5 +116,7 @@ def test_cells_train_the_branch_alone_and_have_their_own_size():
     assert not list(network.head.parameters())
     (network(images())[0] @ network(images())[1]).backward()
     assert all(parameter.grad is not None for parameter in network.parameters())
+    with pytest.raises(ConfigError, match="needs features of 4 columns, and these have 2: take larger images"):
+        build("panoresnet", "cells", (32, 32))
     with pytest.raises(ConfigError, match="the head cells gives as many numbers"):
         build("simple1", "cells", SIZE, outputs=9)
