@@ -67,8 +67,8 @@ COMMANDS = {
         protocol.train.sequences=[...]    what it learns from; names or patterns
         protocol.validation.sequences=[...]  what the best checkpoint is chosen on
         experiment=modern|fine_tuning|photographs|rooms
-                                          our recipes, for panoramas with positions (from random weights, and in a
-                                          minute from those that come along), for pictures of an ordinary camera, and
+                                          our recipes, for panoramas with positions (from random weights, and
+                                          shorter from those that come along), for pictures of an ordinary camera, and
                                           for such pictures with room labels; keys still change them
         model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
                                           panoresnet

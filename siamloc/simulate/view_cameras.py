@@ -125,7 +125,8 @@ def _grid(rows: int, columns: int, across: float, down: float) -> tuple[Array, A
     """Return how far right and how far up the points of the pixels lie, from -1 to 1 (rows, columns)."""
     right = (np.arange(columns) + across + 0.5) / columns * 2 - 1
     up = 1 - (np.arange(rows) + down + 0.5) / rows * 2
-    return tuple(np.meshgrid(right, up))  # type: ignore[return-value]
+    across_all, up_all = np.meshgrid(right, up)
+    return across_all, up_all
 
 
 def _tilted(directions: Array, pitch: float) -> Array:
