@@ -104,7 +104,7 @@ COMMANDS = {
         there. All follows from the seed. The weights are where `siamloc train` can start from.
 
         run=runs/pretrained         where the run is written
-        epochs=8                    of 500 batches each; a new building comes every views.batches=15
+        epochs=12                   of 500 batches each; a new building comes every views.batches=15
         views.processes=1           how many processes render alongside the training
         seed=0 resume=true
         trainer.devices=2 trainer.strategy=ddp   each process has buildings of its own

@@ -69,7 +69,7 @@ RECIPE: Recipe = replace(
     },
     training={
         **_MODERN.training,
-        "epochs": 8,
+        "epochs": 12,
         "pairs": {"radius": 0.5, "near": 0.5, "reach": 1.5, "epoch_batches": 500},
         "average": 0.995,
     },
