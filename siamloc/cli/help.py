@@ -73,7 +73,7 @@ COMMANDS = {
         model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
                                           panoresnet
         model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, bands, fourier,
-                                          cells
+                                          magnitudes
         model.circular=true               the network wraps around the azimuth
         model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file
         model.normalize=local             takes the light out of the picture first; or channels, image, local_brightness
@@ -125,8 +125,8 @@ COMMANDS = {
         descriptor=pretrained           the network that comes with siamloc, without training; 64 x 256 pixels
         descriptor=hog|gist|wisurf|...  or an analytic one
         heading=hog|fs|gist|radon_fourier
-                                        what gives headings for a network that finds none itself (fourier with
-                                        circular=true does); heading.step=4 halves its part of the map
+                                        what gives headings for a network that finds none itself (fourier and
+                                        magnitudes with circular=true do); heading.step=4 halves its part of the map
         build=incremental|spectral|som|sample|rooms
                                         group the frames into nodes as well, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` shows them

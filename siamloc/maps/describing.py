@@ -35,7 +35,7 @@ def build(
         images: panoramas of the frames.
         frames: those of the map; the ones whose image cannot be read are left out.
         heading: what finds headings beside a network: an analytic descriptor, or its name. If None, a network with the
-            head `fourier` that wraps around finds them itself, others find none.
+            head `fourier` or `magnitudes` that wraps around finds them itself, others find none.
         device: where descriptors are computed, such as "cuda"; where they are if None.
         made: further plain values for the record (`VisualMap.made`).
         progress: whether to show how far the work is.

@@ -15,7 +15,7 @@ class Canonical(nn.Module):
     in between they change. The sum of all pixels in columns that lie such a stride apart is a signal with one period.
     Turning the robot turns it, too, so that its first harmonic says by how much to turn back. Which of the whole
     columns comes nearest is decided in whole numbers, so that on every machine a panorama and its turned copies become
-    the same one, up to turns by whole columns of the features, which heads such as `fourier` forget.
+    the same one, up to turns by whole columns of the features, which heads such as `magnitudes` forget.
 
     Args:
         period: columns of the panorama to one column of the features.

@@ -25,8 +25,9 @@ _ROUNDING = 1e-3
 class NetworkDescriptor(BetweenColumns):
     """Describe images with a network, in evaluation mode and full precision.
 
-    A network of `siamloc.models.build` with the head `fourier` and circular=True finds headings as well: its features
-    move along the azimuth as the robot turns, and are compared at all turns; see `siamloc.models.orientation`.
+    A network of `siamloc.models.build` with the head `fourier` or `magnitudes` and circular=True finds headings as
+    well: its features move along the azimuth as the robot turns, and are compared at all turns; see
+    `siamloc.models.orientation`.
 
     Attributes:
         module: the network, (B, 3, H, W) floating point in [0, 1] -> (B, D). Its weights are read at each call, and
@@ -44,7 +45,7 @@ class NetworkDescriptor(BetweenColumns):
 
     @property
     def tells_heading(self) -> bool:
-        """Whether the network finds headings: with the head `fourier` and circular=True."""
+        """Whether the network finds headings: with the head `fourier` or `magnitudes` and circular=True."""
         return orienting(self.module) is not None
 
     @property

@@ -13,7 +13,7 @@ from siamloc.errors import ConfigError
 from siamloc.models.registry import head_widths
 
 _SMALLEST = 1e-6
-VALUES_OF_A_CELL = 32
+POWER = 0.7  # of the magnitudes that nothing is trained on
 
 
 class Head(nn.Module):
@@ -140,6 +140,42 @@ class Bands(GeneralizedMean):
     _over = (3,)
 
 
+class Spectrum(nn.Module):
+    """The squared Fourier magnitudes of each row of each channel along the azimuth: (B, C, h, w) -> (B, C, h, F).
+
+    Turning a signal changes the phases of its Fourier series alone.
+
+    Args:
+        columns: w of the features.
+        lowest: frequency to begin with; F = w // 2 + 1 - lowest.
+    """
+
+    cosine: Tensor
+    sine: Tensor
+
+    def __init__(self, columns: int, lowest: int = 0) -> None:
+        super().__init__()
+        self.lowest = lowest
+        self.frequencies = columns // 2 + 1 - lowest
+        for part in ("cosine", "sine"):
+            self.register_buffer(part, torch.empty(columns, self.frequencies), persistent=False)
+
+    def reset(self) -> None:
+        """Fill in the Fourier basis, scaled so that the transform keeps the length of a signal."""
+        columns, _ = self.cosine.shape
+        frequency = torch.arange(self.lowest, self.lowest + self.frequencies, dtype=torch.float64)
+        angle = torch.arange(columns, dtype=torch.float64)[:, None] * frequency
+        angle = (angle % columns) * (2 * torch.pi / columns)
+        with torch.no_grad():
+            self.cosine.copy_(angle.cos() / columns**0.5)
+            self.sine.copy_(angle.sin() / columns**0.5)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return squared magnitudes."""
+        # As a product with the basis: w is small, and every device and runtime has it.
+        return (features @ self.cosine) ** 2 + (features @ self.sine) ** 2
+
+
 class Fourier(UnitHead):
     """The Fourier magnitudes of each row of each channel along the azimuth, then one layer, scaled to unit length.
 
@@ -155,63 +191,39 @@ class Fourier(UnitHead):
         outputs: length D of a descriptor.
     """
 
-    cosine: Tensor
-    sine: Tensor
-
     def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
         channels, rows, columns = shape
-        frequencies = columns // 2 + 1
-        super().__init__(name, channels * rows * frequencies, outputs)
-        for part in ("cosine", "sine"):
-            self.register_buffer(part, torch.empty(columns, frequencies), persistent=False)
-
-    def reset(self) -> None:
-        """Fill in the Fourier basis, scaled so that the transform keeps the length of a signal."""
-        columns, frequencies = self.cosine.shape
-        angle = torch.arange(columns, dtype=torch.float64)[:, None] * torch.arange(frequencies, dtype=torch.float64)
-        angle = (angle % columns) * (2 * torch.pi / columns)
-        with torch.no_grad():
-            self.cosine.copy_(angle.cos() / columns**0.5)
-            self.sine.copy_(angle.sin() / columns**0.5)
+        spectrum = Spectrum(columns)
+        super().__init__(name, channels * rows * spectrum.frequencies, outputs)
+        self.spectrum = spectrum
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
-        # As a product with the basis: w is small, and every device and runtime has it.
-        squared = (features @ self.cosine) ** 2 + (features @ self.sine) ** 2
-        return self.unit((squared + _SMALLEST).sqrt().flatten(1))
+        return self.unit((self.spectrum(features) + _SMALLEST).sqrt().flatten(1))
 
 
-class Cells(Head):
-    """What each part of the picture shows, as the branch has it: nothing in this head is trained.
+class Magnitudes(Head):
+    """What `fourier` has before its layer: magnitudes to the power POWER, scaled to unit length, nothing trained.
 
-    From each channel its mean over the picture is taken away. The channels of each cell of the features are mixed into
-    32 sums with random signs, which nearly keeps how alike two pictures are [Achlioptas 2003] at a part of the size;
-    cells beside each other are averaged, so that a camera may point a little aside; and all is scaled to unit length.
-    For cameras that look ahead, where the magnitudes of `fourier` forget too much of what is seen where.
+    A layer at the end fits the buildings that it was trained in; in another one, what comes before it tells places
+    apart better ([Chen 2020] leave theirs away as well). The mean over the azimuth is left out: it says what is seen
+    and not where, and it changes most with the light. Powers below 1 keep a few strong magnitudes from deciding alone
+    ([Perronnin 2010]).
 
     Args:
         name: what the head is called.
-        shape: (C, h, w) of the features.
+        shape: (C, h, w) of the features; D is C * h * (w // 2).
     """
-
-    signs: Tensor
 
     def __init__(self, name: str, shape: tuple[int, int, int]) -> None:
         super().__init__(name)
         channels, rows, columns = shape
-        self.outputs = VALUES_OF_A_CELL * rows * columns
-        self.register_buffer("signs", torch.empty(VALUES_OF_A_CELL, channels), persistent=False)
-
-    def reset(self) -> None:
-        """Fill in the signs, the same on every machine."""
-        with torch.no_grad():
-            self.signs.copy_(random_signs(*self.signs.shape))
+        self.spectrum = Spectrum(columns, lowest=1)
+        self.outputs = channels * rows * self.spectrum.frequencies
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
-        around = features - features.mean(dim=(2, 3), keepdim=True)
-        mixed = (self.signs @ around.flatten(2)).unflatten(2, features.shape[2:])
-        return F.normalize(F.avg_pool2d(mixed, (1, 3), stride=1, padding=(0, 1)).flatten(1))
+        return F.normalize(((self.spectrum(features) + _SMALLEST) ** (POWER / 2)).flatten(1))
 
 
 def random_signs(rows: int, columns: int) -> Tensor:
@@ -236,10 +248,8 @@ def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None
         ConfigError: an unknown name, outputs for a head that has its own, or features too small for it.
     """
     widths = head_widths(name, outputs)
-    if name == "cells":
-        if shape[2] < 4:  # averaged with those beside it, what is left of fewer is next to nothing
-            raise ConfigError(
-                f"the head cells needs features of 4 columns, and these have {shape[2]}: take larger images"
-            )
-        return Cells(name, shape)
+    if name == "magnitudes":
+        if shape[2] < 2:
+            raise ConfigError("the head magnitudes needs features of 2 columns, and these have 1: take larger images")
+        return Magnitudes(name, shape)
     return _KINDS[name](name, shape, widths[0]) if name in _KINDS else FullyConnected(name, shape, widths)

@@ -15,7 +15,7 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.models.canonical import Canonical
 from siamloc.models.circular import circular as around
-from siamloc.models.heads import Cells, Fourier, GeneralizedMean, Head, make_head
+from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, Spectrum, make_head
 from siamloc.models.normalization import by_image, by_surroundings
 from siamloc.models.orientation import Orientation
 from siamloc.models.panoresnet import ResidualBlock, residual_features
@@ -27,6 +27,7 @@ from siamloc.runs import Run
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 SIMPLE_GRID = (4, 16)
+_BY_FREQUENCY = (Fourier, Magnitudes)  # heads that forget how far the robot has turned, and leave it to `Orientation`
 RESIDUAL = 0.1  # share of the two convolutions in what a residual block gives at first
 
 
@@ -68,7 +69,7 @@ def build(
             "local_brightness": the same, but colours stay. What the branch is meant for if None.
         canonical: turn each panorama first, by fewer columns than one of the features has, so that turning the robot by
             any whole column of the panorama changes nothing; see `siamloc.models.canonical`. For circular=True and a
-            head that forgets the direction: "fourier", "gem" or "bands".
+            head that forgets the direction: "fourier", "magnitudes", "gem" or "bands".
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
@@ -127,7 +128,8 @@ class Network(nn.Module):
         head: the `Head`.
         image_size: (H, W) in pixels.
         grid: rows and columns of the features that the head sees.
-        orientation: what finds headings, where the branch wraps around and the head is `fourier`; else None.
+        orientation: what finds headings, where the branch wraps around and the head is `fourier` or `magnitudes`;
+            else None.
         settings: the arguments of `build` that made it, as plain values.
     """
 
@@ -150,7 +152,7 @@ class Network(nn.Module):
         self.head = make_head(head, shape, outputs)
         self.canonical = _canonical(branch, self.head, image_size, circular) if canonical else None
         self.orientation: Orientation | None = None
-        finer = finer_features(branch, image_size) if circular and isinstance(self.head, Fourier) else None
+        finer = finer_features(branch, image_size) if circular and isinstance(self.head, _BY_FREQUENCY) else None
         if finer is not None and shape[2] > 1:
             turned = image_size[1] if canonical else None
             self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]), turned)
@@ -204,7 +206,9 @@ class Network(nn.Module):
             DataError: as `forward`.
         """
         if self.orientation is None:
-            raise ConfigError("this network finds no headings: build one with the head 'fourier' and circular=True")
+            raise ConfigError(
+                "this network finds no headings: build one with the head 'fourier' or 'magnitudes' and circular=True"
+            )
         if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
             self._check(panorama)
         turned = None
@@ -353,11 +357,11 @@ def _canonical(branch: str, head: Head, image_size: tuple[int, int], circular: b
     Raises:
         ConfigError: a head for which that would mean nothing, or columns that cannot be told in whole ones.
     """
-    if not circular or not isinstance(head, (Fourier, GeneralizedMean)):
+    if not circular or not isinstance(head, (*_BY_FREQUENCY, GeneralizedMean)):
         raise ConfigError(
             "model.canonical=true (from Python canonical=True) needs model.circular=true and a head that forgets how "
-            f"far the robot has turned, fourier, gem or bands: here circular={circular}, and the head is {head.name}; "
-            "set model.canonical=false"
+            f"far the robot has turned, fourier, magnitudes, gem or bands: here circular={circular}, and the head is "
+            f"{head.name}; set model.canonical=false"
         )
     widths = [image_size[1], *(columns for _, _, columns in _shapes(branch, image_size))]
     if any(wide % narrow for wide, narrow in pairwise(widths)):
@@ -383,7 +387,7 @@ def _initialize(network: Network, seed: int) -> None:
                     module.weight /= (2 * network.outputs) ** 0.5
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
-        elif isinstance(module, (Cells, Fourier, GeneralizedMean, Orientation, Canonical)):
+        elif isinstance(module, (Spectrum, GeneralizedMean, Orientation, Canonical)):
             module.reset()
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")

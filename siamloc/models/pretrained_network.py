@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from siamloc.errors import ConfigError
 from siamloc.models.checkpoint import load
@@ -17,7 +18,7 @@ def pretrained(*, circular: bool = True) -> Network:
 
     Args:
         circular: False for pictures whose columns are no full turn, such as those of an ordinary camera: the same
-            branch, without wrapping around and without headings, and the head `cells`.
+            weights, without wrapping around and without headings.
 
     Raises:
         ConfigError: the file of the weights is cut short.
@@ -26,18 +27,27 @@ def pretrained(*, circular: bool = True) -> Network:
     Example:
         >>> network = pretrained()
         >>> network.image_size, network.outputs
-        ((64, 256), 256)
+        ((64, 256), 6144)
     """
     check_shipped()
     network = load(PRETRAINED)
     assert isinstance(network, Network)
     if not circular:
-        whole = network
-        changes = {"circular": False, "canonical": False, "head": "cells", "outputs": None, "weights": None}
-        network = build(**{**whole.settings, **changes})
-        network.branch.load_state_dict(whole.branch.state_dict())
+        network = _rebuilt(network, circular=False, canonical=False)
     network.settings["weights"] = "siamloc"
     return network.eval()
+
+
+def without_layer(network: Network) -> Network:
+    """Make the network that describes buildings that it was not trained in: `magnitudes` for the head `fourier`."""
+    return _rebuilt(network, head="magnitudes", outputs=None) if network.head.name == "fourier" else network
+
+
+def _rebuilt(network: Network, **changes: Any) -> Network:
+    """Make a network that differs in some arguments of `build`, with the same branch."""
+    found = build(**{**network.settings, "weights": None, **changes})
+    found.branch.load_state_dict(network.branch.state_dict())
+    return found
 
 
 def save_weights(network: Network, path: str | Path) -> Path:

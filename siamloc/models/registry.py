@@ -61,10 +61,10 @@ HEADS: dict[str, tuple[int, ...]] = {
     "gem": (256,),
     "bands": (256,),
     "fourier": (256,),
-    "cells": (),
+    "magnitudes": (),
 }
 """Neurons of the fully connected layers: three in versions 1 to 4 of [T] table 5.2; one in the heads that give
-descriptors of unit length, whose number of outputs can be chosen; none in `cells`, in which nothing is trained."""
+descriptors of unit length, whose number of outputs can be chosen; none in `magnitudes`, in which nothing is trained."""
 
 
 BelowOne = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
@@ -294,7 +294,7 @@ def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
     if outputs is None:
         return HEADS[name]
     if not HEADS[name]:
-        raise ConfigError(f"the head {name} gives as many numbers as the features have cells for: leave outputs out")
+        raise ConfigError(f"the head {name} has as many outputs as its features give it: leave outputs out")
     if len(HEADS[name]) > 1:
         raise ConfigError(f"the head {name} gives {HEADS[name][-1]} numbers, as its name says: leave outputs out")
     if isinstance(outputs, bool) or not isinstance(outputs, int) or outputs < 1:

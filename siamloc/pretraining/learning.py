@@ -15,7 +15,7 @@ from siamloc.errors import ConfigError
 from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
-from siamloc.models.pretrained_network import save_weights
+from siamloc.models.pretrained_network import save_weights, without_layer
 from siamloc.pretraining.settings import RECIPE, ViewSettings
 from siamloc.pretraining.view_batches import ViewDataModule
 from siamloc.runs import Run
@@ -59,8 +59,9 @@ def pretrain(
         changes: single fields of them, instead; `pairs` and `optimizer` are changed key by key.
 
     Returns:
-        The run; the network then holds the weights that `siamloc.models.load(run)` gives, the best by the validation,
-        and `run.weights` is a file of them for `siamloc.models.load` and `build(weights=...)`.
+        The run; the network then holds the weights that `siamloc.models.load(run)` gives, the best by the validation.
+        `run.weights` is a file of them for `siamloc.models.load` and `build(weights=...)`; of a network with the head
+        `fourier` it leaves out the layer, which fits the buildings learned from, so that the head is `magnitudes`.
 
     Raises:
         ConfigError: settings that have no meaning or contradict each other, a folder that holds a run or other files, a
@@ -111,7 +112,7 @@ def pretrain(
     what = f"random buildings, a new one every {views.batches} batches, {places.epoch_batches} batches per epoch"
     learn(module, data, run, used, settings, trainer, monitor=settings.monitor, what=what, resume=resume)
     if process_rank() == 0:
-        save_weights(network, run.weights)
+        save_weights(without_layer(network), run.weights)
         run.record_written([run.weights])
     return run
 

@@ -158,7 +158,7 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
     if unit and abs(length - 1) > _UNIT_ROUNDING:
         raise ConfigError(
             f"this loss needs descriptors of length 1, this network's have {length:.3g}: choose the "
-            "head flat, gem, bands or fourier, or end your own network with torch.nn.functional.normalize"
+            "head flat, gem, bands, fourier or magnitudes, or end your own network with torch.nn.functional.normalize"
         )
 
 

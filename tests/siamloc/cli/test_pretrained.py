@@ -32,7 +32,7 @@ def test_from_a_map_to_a_located_photograph(manifest, tmp_path, capsys):
     assert main(["map", *words(manifest, run)]) == 0
     file = run / "evaluation" / "pretrained" / "map.npz"
     known = VisualMap.load(file)
-    assert known.width == 256
+    assert known.width == 6144
     assert known.heading is not None
     assert known.heading.own
     assert main(["evaluate", *words(manifest, run, "task.baselines=[hog]", "task.plots=false")]) == 0
@@ -87,10 +87,11 @@ def test_the_size_is_that_of_the_weights_unless_it_is_said():
 
 
 def test_training_starts_from_it(capsys):
-    config = composed("train", ["experiment=modern", "data.manifest=x", "model.branch.weights=siamloc"])
     from siamloc.cli.objects import network_of
 
-    started = siamloc.models.build(**network_of(config), image_size=(64, 256))
-    for name, value in siamloc.models.pretrained().state_dict().items():
-        assert (started.state_dict()[name] == value).all()
-    assert "the whole network starts from the weights that come with siamloc" in capsys.readouterr().err
+    ready = siamloc.models.pretrained().state_dict()
+    for experiment, what in (("modern", "branch alone"), ("fine_tuning", "whole network")):
+        config = composed("train", [f"experiment={experiment}", "data.manifest=x", "model.branch.weights=siamloc"])
+        started = siamloc.models.build(**network_of(config), image_size=(64, 256)).state_dict()
+        assert all((started[name] == value).all() for name, value in ready.items())
+        assert f"the {what} starts from the weights that come with siamloc" in capsys.readouterr().err

@@ -92,31 +92,32 @@ def test_outputs_belong_to_heads_that_let_them_be_chosen():
         build("simple1", "flat", SIZE, outputs=0)
 
 
-def test_cells_are_signed_sums_of_each_cell_averaged_with_those_beside_it():
-    head = build("simple1", "cells", SIZE).head
+def test_magnitudes_are_those_of_a_fourier_series_without_the_mean_to_a_power_below_one():
+    head = build("simple1", "magnitudes", SIZE).head
     features = torch.rand(2, 16, 4, 16, generator=torch.Generator().manual_seed(2)).double()
-    signs = head.signs.numpy()
-    assert signs.shape == (32, 16)
-    assert set(signs.ravel().tolist()) == {-1.0, 1.0}
-    assert abs(signs.mean()) < 0.15
-    for one, found in zip(features.numpy(), head.double()(features), strict=True):
-        expected = np.zeros((32, 4, 16))
-        around = one - one.mean(axis=(1, 2), keepdims=True)
-        for row in range(4):
-            for column in range(16):
-                for beside in (column - 1, column, column + 1):
-                    if 0 <= beside < 16:
-                        expected[:, row, column] += signs @ around[:, row, beside] / 3
-        np.testing.assert_allclose(found.numpy(), expected.ravel() / np.linalg.norm(expected), atol=1e-12)
+    found = head.double()(features).numpy()
+    squared = np.abs(np.fft.rfft(features.numpy(), axis=3, norm="ortho"))[..., 1:].reshape(2, -1) ** 2
+    expected = (squared + 1e-6) ** 0.35  # never 0, where the power has no gradient
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(found, expected, atol=1e-6)  # the basis has single precision
 
 
-def test_cells_train_the_branch_alone_and_have_their_own_size():
-    network = build("simple1", "cells", SIZE)
-    assert network.outputs == 32 * 4 * 16
+def test_magnitudes_forget_the_direction_and_a_constant_but_not_the_order_of_rows():
+    head = build("simple1", "magnitudes", SIZE).head.double()
+    features = torch.rand(1, 16, 4, 16, generator=torch.Generator().manual_seed(3)).double()
+    known = head(features)
+    torch.testing.assert_close(head(features.roll(5, dims=3)), known)
+    torch.testing.assert_close(head(features + torch.rand(1, 16, 4, 1).double()), known)
+    assert float((head(features.flip(2)) - known).norm()) > 0.1
+
+
+def test_magnitudes_train_the_branch_alone_and_have_their_own_size():
+    network = build("simple1", "magnitudes", SIZE)
+    assert network.outputs == 16 * 4 * 8
     assert not list(network.head.parameters())
     (network(images())[0] @ network(images())[1]).backward()
     assert all(parameter.grad is not None for parameter in network.parameters())
-    with pytest.raises(ConfigError, match="needs features of 4 columns, and these have 2: take larger images"):
-        build("panoresnet", "cells", (32, 32))
-    with pytest.raises(ConfigError, match="the head cells gives as many numbers"):
-        build("simple1", "cells", SIZE, outputs=9)
+    with pytest.raises(ConfigError, match="needs features of 2 columns, and these have 1: take larger images"):
+        build("panoresnet", "magnitudes", (16, 16))
+    with pytest.raises(ConfigError, match="the head magnitudes has as many outputs as its features give it"):
+        build("simple1", "magnitudes", SIZE, outputs=9)

@@ -114,7 +114,7 @@ def test_other_networks_find_no_headings(head, circular):
     assert seen.orientation is None
     with pytest.raises(AnalyticError, match="has no orientation part"):
         descriptor.relative_heading(seen, seen)
-    with pytest.raises(ConfigError, match="finds no headings: build one with the head 'fourier' and circular=True"):
+    with pytest.raises(ConfigError, match="finds no headings: build one with the head 'fourier' or 'magnitudes' and"):
         made.with_orientation(torch.zeros(1, 3, *SIZE))
 
 
