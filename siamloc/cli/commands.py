@@ -104,7 +104,7 @@ def pretrain(config: DictConfig) -> None:
         settings=training_of(config),
     )
     if process_rank() == 0:
-        print(f"next: siamloc train experiment=fine_tuning model.branch.weights={run.folder}")
+        print(f"next: siamloc train experiment=fine_tuning model.branch.weights={run.weights}")
 
 
 def map_frames(config: DictConfig) -> None:

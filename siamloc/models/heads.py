@@ -7,13 +7,14 @@ from typing import ClassVar
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from siamloc.errors import ConfigError
 from siamloc.models.registry import head_widths
 
 _SMALLEST = 1e-6
-POWER = 0.7  # of the magnitudes that nothing is trained on
+_POWER = 0.7  # of its magnitudes; maps keep what it makes
 
 
 class Head(nn.Module):
@@ -141,39 +142,36 @@ class Bands(GeneralizedMean):
 
 
 class Spectrum(nn.Module):
-    """The squared Fourier magnitudes of each row of each channel along the azimuth: (B, C, h, w) -> (B, C, h, F).
+    """The squared Fourier magnitudes of each row of each channel along the azimuth.
 
     Turning a signal changes the phases of its Fourier series alone.
 
     Args:
         columns: w of the features.
-        lowest: frequency to begin with; F = w // 2 + 1 - lowest.
     """
 
     cosine: Tensor
     sine: Tensor
 
-    def __init__(self, columns: int, lowest: int = 0) -> None:
+    def __init__(self, columns: int) -> None:
         super().__init__()
-        self.lowest = lowest
-        self.frequencies = columns // 2 + 1 - lowest
+        self.frequencies = columns // 2 + 1
         for part in ("cosine", "sine"):
             self.register_buffer(part, torch.empty(columns, self.frequencies), persistent=False)
 
     def reset(self) -> None:
-        """Fill in the Fourier basis, scaled so that the transform keeps the length of a signal."""
-        columns, _ = self.cosine.shape
-        frequency = torch.arange(self.lowest, self.lowest + self.frequencies, dtype=torch.float64)
-        angle = torch.arange(columns, dtype=torch.float64)[:, None] * frequency
+        """Fill in the Fourier basis, scaled as that of the transform that keeps lengths."""
+        columns, frequencies = self.cosine.shape
+        angle = torch.arange(columns, dtype=torch.float64)[:, None] * torch.arange(frequencies, dtype=torch.float64)
         angle = (angle % columns) * (2 * torch.pi / columns)
         with torch.no_grad():
             self.cosine.copy_(angle.cos() / columns**0.5)
             self.sine.copy_(angle.sin() / columns**0.5)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return squared magnitudes."""
+        """Return (B, C, h, w // 2 + 1) of features (B, C, h, w); never 0, where roots have no slope."""
         # As a product with the basis: w is small, and every device and runtime has it.
-        return (features @ self.cosine) ** 2 + (features @ self.sine) ** 2
+        return (features @ self.cosine) ** 2 + (features @ self.sine) ** 2 + _SMALLEST
 
 
 class Fourier(UnitHead):
@@ -199,38 +197,69 @@ class Fourier(UnitHead):
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
-        return self.unit((self.spectrum(features) + _SMALLEST).sqrt().flatten(1))
+        return self.unit(self.spectrum(features).sqrt().flatten(1))
 
 
 class Magnitudes(Head):
-    """What `fourier` has before its layer: magnitudes to the power POWER, scaled to unit length, nothing trained.
+    """The Fourier magnitudes of each row of each channel along the azimuth, in sums with random signs, of unit length.
 
-    A layer at the end fits the buildings that it was trained in; in another one, what comes before it tells places
-    apart better ([Chen 2020] leave theirs away as well). The mean over the azimuth is left out: it says what is seen
-    and not where, and it changes most with the light. Powers below 1 keep a few strong magnitudes from deciding alone
-    ([Perronnin 2010]).
+    The head has no weights. A layer at the end, such as that of `fourier`, fits the buildings that it was trained in;
+    elsewhere what comes before it tells places apart better ([Chen 2020] drop theirs, too). The mean over the azimuth,
+    frequency 0, is left out: it changes most with the light. The others are taken to the power 0.7, so that a few
+    strong ones do not decide alone ([Perronnin 2010]). Each then goes into one of D sums, with a sign, which nearly
+    keeps how far apart two descriptors are, at a part of the size ([Charikar 2002]).
 
     Args:
         name: what the head is called.
-        shape: (C, h, w) of the features; D is C * h * (w // 2).
+        shape: (C, h, w) of the features, which have C * h * (w // 2) magnitudes.
+        outputs: length D of a descriptor, at most that many.
+
+    Raises:
+        ConfigError: features of one column, or more outputs than magnitudes.
     """
 
-    def __init__(self, name: str, shape: tuple[int, int, int]) -> None:
+    order: Tensor
+    signs: Tensor
+
+    def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
         super().__init__(name)
         channels, rows, columns = shape
-        self.spectrum = Spectrum(columns, lowest=1)
-        self.outputs = channels * rows * self.spectrum.frequencies
+        self.spectrum = Spectrum(columns)
+        count = channels * rows * (self.spectrum.frequencies - 1)
+        if columns < 2:
+            raise ConfigError(f"the head {name} needs features of 2 columns, and these have 1: take larger images")
+        if outputs > count:
+            raise ConfigError(
+                f"the head {name} has at most {count} outputs here, one for each magnitude, got {outputs}"
+            )
+        self.outputs = outputs
+        padded = -(-count // self.outputs) * self.outputs
+        self.spare = padded - count
+        self.register_buffer("order", torch.empty(padded, dtype=torch.int64), persistent=False)
+        self.register_buffer("signs", torch.empty(padded), persistent=False)
+
+    def reset(self) -> None:
+        """Fill in which magnitudes are added up, and their signs, the same on every machine."""
+        with torch.no_grad():
+            self.order.copy_(torch.from_numpy(_random_bits(len(self.order), seed=1).argsort()))
+            self.signs.copy_(random_signs(1, len(self.signs))[0])
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
-        return F.normalize(((self.spectrum(features) + _SMALLEST) ** (POWER / 2)).flatten(1))
+        values = self.spectrum(features)[..., 1:] ** (_POWER / 2)
+        shuffled = F.pad(values.flatten(1), (0, self.spare))[:, self.order] * self.signs
+        return F.normalize(shuffled.unflatten(1, (self.outputs, -1)).sum(dim=2))
 
 
 def random_signs(rows: int, columns: int) -> Tensor:
     """Return a matrix of random signs, -1 and 1, the same on every machine."""
-    # Raw bits, because their order is promised for all versions of NumPy: maps keep what they make.
-    bits = np.random.PCG64(0).random_raw(rows * columns) >> np.uint64(63)
+    bits = _random_bits(rows * columns) >> np.uint64(63)
     return torch.from_numpy(bits.astype(np.float32) * 2 - 1).view(rows, columns)
+
+
+def _random_bits(count: int, seed: int = 0) -> NDArray[np.uint64]:
+    # Raw bits, because their order is promised for all versions of NumPy: maps keep what they make.
+    return np.random.PCG64(seed).random_raw(count)
 
 
 _KINDS: dict[str, type[Flat] | type[GeneralizedMean] | type[Fourier]] = {
@@ -249,7 +278,6 @@ def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None
     """
     widths = head_widths(name, outputs)
     if name == "magnitudes":
-        if shape[2] < 2:
-            raise ConfigError("the head magnitudes needs features of 2 columns, and these have 1: take larger images")
-        return Magnitudes(name, shape)
+        usual = min(widths[0], shape[0] * shape[1] * max(1, shape[2] // 2))  # small images have fewer magnitudes
+        return Magnitudes(name, shape, usual if outputs is None else outputs)
     return _KINDS[name](name, shape, widths[0]) if name in _KINDS else FullyConnected(name, shape, widths)

@@ -61,7 +61,8 @@ def build(
             `siamloc.models.pretrained`; or a run, its folder or a checkpoint: of a run the best one is
             taken, all of it where head and image size agree, else the branch alone, as a printed note says.
         seed: of the random weights; any integer from 0 to 2**63 - 1.
-        outputs: length D of a descriptor, for the heads "flat", "gem", "bands" and "fourier"; 256 if None.
+        outputs: length D of a descriptor, for the heads "flat", "gem", "bands" and "fourier", 256 if None; and for
+            "magnitudes", 2048 if None, or fewer where small images have fewer.
         circular: let convolutions and pools wrap around the azimuth: for panoramas, whose columns are a full turn.
         normalize: "channels": subtract a mean and divide by a standard deviation for each channel, ImageNet's unless
             the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.
@@ -164,10 +165,11 @@ class Network(nn.Module):
 
     @property
     def stages(self) -> list[list[nn.Module]]:
-        """The parts from the image to the descriptor: the layers of the branch by resolution, then the head."""
+        """The parts with weights from the image on: the layers of the branch by resolution, then the head if it has any."""
         layers = iter(self.branch.features)
         counts = _layers_by_stage(self.branch.name, self.branch.circular)
-        return [*([next(layers) for _ in range(count)] for count in counts), [self.head]]
+        head: list[list[nn.Module]] = [[self.head]] if next(self.head.parameters(), None) is not None else []
+        return [*([next(layers) for _ in range(count)] for count in counts), *head]
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -387,7 +389,7 @@ def _initialize(network: Network, seed: int) -> None:
                     module.weight /= (2 * network.outputs) ** 0.5
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
-        elif isinstance(module, (Spectrum, GeneralizedMean, Orientation, Canonical)):
+        elif isinstance(module, (Magnitudes, Spectrum, GeneralizedMean, Orientation, Canonical)):
             module.reset()
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")

@@ -27,7 +27,7 @@ def pretrained(*, circular: bool = True) -> Network:
     Example:
         >>> network = pretrained()
         >>> network.image_size, network.outputs
-        ((64, 256), 6144)
+        ((64, 256), 2048)
     """
     check_shipped()
     network = load(PRETRAINED)
@@ -39,7 +39,13 @@ def pretrained(*, circular: bool = True) -> Network:
 
 
 def without_layer(network: Network) -> Network:
-    """Make the network that describes buildings that it was not trained in: `magnitudes` for the head `fourier`."""
+    """Replace the head `fourier` by `magnitudes`, which has no layer that fits the training buildings.
+
+    Other networks stay as they are.
+
+    Raises:
+        ConfigError: features of one column.
+    """
     return _rebuilt(network, head="magnitudes", outputs=None) if network.head.name == "fourier" else network
 
 

@@ -61,10 +61,11 @@ HEADS: dict[str, tuple[int, ...]] = {
     "gem": (256,),
     "bands": (256,),
     "fourier": (256,),
-    "magnitudes": (),
+    "magnitudes": (2048,),
 }
 """Neurons of the fully connected layers: three in versions 1 to 4 of [T] table 5.2; one in the heads that give
-descriptors of unit length, whose number of outputs can be chosen; none in `magnitudes`, in which nothing is trained."""
+descriptors of unit length, whose number of outputs can be chosen. `magnitudes` has no neurons, and so many
+outputs where its features give as many numbers."""
 
 
 BelowOne = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
@@ -86,7 +87,7 @@ class Optimizer(Settings):
         frozen_stages: how many stages of the network, from the image on, stay as they are, the statistics of their
             batch normalizations as well; `siamloc.models.stages` lists them.
         stage_decay: what the learning rate of a stage is multiplied with for that of the stage before it. The last
-            stage, the head, has the full one.
+            stage, the head where it has weights, has the full one.
     """
 
     WHERE = "optimizer"
@@ -293,8 +294,6 @@ def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
         raise ConfigError(f"unknown head {name!r}: {hint(name, HEADS)}")
     if outputs is None:
         return HEADS[name]
-    if not HEADS[name]:
-        raise ConfigError(f"the head {name} has as many outputs as its features give it: leave outputs out")
     if len(HEADS[name]) > 1:
         raise ConfigError(f"the head {name} gives {HEADS[name][-1]} numbers, as its name says: leave outputs out")
     if isinstance(outputs, bool) or not isinstance(outputs, int) or outputs < 1:

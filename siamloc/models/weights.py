@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.models.checkpoint_file import CONTENT_KEY, checked_content, network_state
-from siamloc.models.heads import GeneralizedMean
+from siamloc.models.heads import GeneralizedMean, Magnitudes
 from siamloc.models.registry import BRANCHES, PRETRAINED, branch_spec, whole_model
 from siamloc.models.weights_file import read_weights_file
 from siamloc.runs import Run
@@ -185,7 +185,7 @@ def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, A
     there = whole_model(model)
     keys = ("head", "outputs", "image_size", "circular", "normalize", "canonical")
     differing = [f"{key} is {there[key]} there and {here[key]} here" for key in keys if there[key] != here[key]]
-    sizes = () if isinstance(network.get_submodule("head"), GeneralizedMean) else ("image_size",)
+    sizes = () if isinstance(network.get_submodule("head"), (GeneralizedMean, Magnitudes)) else ("image_size",)
     target, state = network, weights.state
     if any(there[key] != here[key] for key in ("head", "outputs", *sizes)) or mismatch(network, state) is not None:
         target = network.get_submodule("branch")

@@ -61,7 +61,7 @@ def pretrain(
     Returns:
         The run; the network then holds the weights that `siamloc.models.load(run)` gives, the best by the validation.
         `run.weights` is a file of them for `siamloc.models.load` and `build(weights=...)`; of a network with the head
-        `fourier` it leaves out the layer, which fits the buildings learned from, so that the head is `magnitudes`.
+        `fourier` it drops the layer, which fits the training buildings only, and has the head `magnitudes`.
 
     Raises:
         ConfigError: settings that have no meaning or contradict each other, a folder that holds a run or other files, a
@@ -96,6 +96,7 @@ def pretrain(
     data = ViewDataModule(network.image_size, views, places, change, settings.seed)
     module = PlaceModule(network, loss, settings.optimizer, settings.recall_radius)
     noise = np.random.default_rng(0).integers(0, 256, (1, 3, *network.image_size), dtype=np.uint8)
+    without_layer(network)  # refused before the training, not after it
     check_network(network, noise, circular=True, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used: dict[str, Any] = {

@@ -154,7 +154,8 @@ RECIPES: dict[str, Recipe] = {
 `modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from
 random weights on batches of places, some five minutes on two processor cores.
 
-`fine_tuning`: the same from the weights that come with siamloc, with 100 batches instead of 700.
+`fine_tuning`: the same from the weights that come with siamloc, with 100 batches instead of 700, the head `magnitudes`
+and the canonical direction.
 
 `photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
 nor rooms are needed for one drive, in which no place comes twice. The same network without the wrapping, half as long.

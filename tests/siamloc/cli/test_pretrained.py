@@ -32,7 +32,7 @@ def test_from_a_map_to_a_located_photograph(manifest, tmp_path, capsys):
     assert main(["map", *words(manifest, run)]) == 0
     file = run / "evaluation" / "pretrained" / "map.npz"
     known = VisualMap.load(file)
-    assert known.width == 6144
+    assert known.width == 2048
     assert known.heading is not None
     assert known.heading.own
     assert main(["evaluate", *words(manifest, run, "task.baselines=[hog]", "task.plots=false")]) == 0

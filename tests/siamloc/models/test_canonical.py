@@ -48,7 +48,7 @@ def test_the_direction_is_that_of_the_crest_of_the_first_harmonic():
     assert np.abs(apart).max() <= 0.5 + 1e-4  # the nearest whole column, and rounding of the transform
 
 
-@pytest.mark.parametrize("head", ["fourier", "gem", "bands"])
+@pytest.mark.parametrize("head", ["fourier", "magnitudes", "gem", "bands"])
 @pytest.mark.parametrize("columns", [1, 7, 16, 45])
 def test_descriptors_stay_when_the_robot_turns(head: str, columns: int):
     images = panoramas()

@@ -40,7 +40,7 @@ def test_fourier_is_the_magnitude_of_the_transform_along_the_azimuth():
 
 
 @pytest.mark.parametrize("branch", BRANCHES)
-@pytest.mark.parametrize("head", ["gem", "bands", "fourier"])
+@pytest.mark.parametrize("head", ["gem", "bands", "fourier", "magnitudes"])
 def test_turning_the_robot_by_a_column_of_the_features_leaves_the_descriptor(branch, head):
     network = build(branch, head, SIZE, circular=True, seed=1).eval()
     panorama, other = images(1, seed=2), images(1, seed=5)
@@ -92,14 +92,37 @@ def test_outputs_belong_to_heads_that_let_them_be_chosen():
         build("simple1", "flat", SIZE, outputs=0)
 
 
+def magnitudes_of(features) -> np.ndarray:
+    squared = np.abs(np.fft.rfft(features.numpy(), axis=3, norm="ortho"))[..., 1:].reshape(len(features), -1) ** 2
+    values = (squared + 1e-6) ** 0.35  # never 0, where roots have no slope
+    return values / np.linalg.norm(values, axis=1, keepdims=True)
+
+
 def test_magnitudes_are_those_of_a_fourier_series_without_the_mean_to_a_power_below_one():
-    head = build("simple1", "magnitudes", SIZE).head
-    features = torch.rand(2, 16, 4, 16, generator=torch.Generator().manual_seed(2)).double()
-    found = head.double()(features).numpy()
-    squared = np.abs(np.fft.rfft(features.numpy(), axis=3, norm="ortho"))[..., 1:].reshape(2, -1) ** 2
-    expected = (squared + 1e-6) ** 0.35  # never 0, where the power has no gradient
-    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    np.testing.assert_allclose(found, expected, atol=1e-6)  # the basis has single precision
+    network = build("simple1", "magnitudes", SIZE)
+    assert network.outputs == 16 * 4 * 8
+    features = torch.rand(3, 16, 4, 16, generator=torch.Generator().manual_seed(2)).double()
+    found, expected = network.head.double()(features).numpy(), magnitudes_of(features)
+    # As many sums as magnitudes: each has a place and a sign of its own.
+    np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(expected), atol=1e-6)  # the basis has single precision
+    np.testing.assert_allclose(found @ found.T, expected @ expected.T, atol=1e-6)
+
+
+@pytest.mark.parametrize("outputs", [100, 256])  # 512 magnitudes: with an incomplete sum, and without
+def test_fewer_sums_keep_how_far_apart_descriptors_are(outputs):
+    head = build("simple1", "magnitudes", SIZE, outputs=outputs).head.double()
+    features = torch.rand(40, 16, 4, 16, generator=torch.Generator().manual_seed(2)).double()
+    found, expected = head(features).numpy(), magnitudes_of(features)
+    assert found.shape == (40, outputs)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1)
+    apart = [np.linalg.norm(one[:20] - one[20:], axis=1) ** 2 for one in (found, expected)]
+    # Of 20 squared distances each has a relative error of (2 / outputs) ** 0.5; the scale is common to all.
+    ratio = apart[0] / apart[1]
+    assert ratio.std() / ratio.mean() < 1.6 * (2 / outputs) ** 0.5
+    assert abs(ratio.mean() - 1) < 0.15
+    order, signs = head.order.numpy(), head.signs.numpy()
+    assert sorted(order.tolist()) == list(range(-(-512 // outputs) * outputs))
+    assert set(signs.tolist()) == {-1.0, 1.0}
 
 
 def test_magnitudes_forget_the_direction_and_a_constant_but_not_the_order_of_rows():
@@ -113,11 +136,21 @@ def test_magnitudes_forget_the_direction_and_a_constant_but_not_the_order_of_row
 
 def test_magnitudes_train_the_branch_alone_and_have_their_own_size():
     network = build("simple1", "magnitudes", SIZE)
-    assert network.outputs == 16 * 4 * 8
     assert not list(network.head.parameters())
+    assert len(network.stages) == 1
     (network(images())[0] @ network(images())[1]).backward()
     assert all(parameter.grad is not None for parameter in network.parameters())
+    assert build("panoresnet", "magnitudes", (64, 256)).outputs == 2048
     with pytest.raises(ConfigError, match="needs features of 2 columns, and these have 1: take larger images"):
         build("panoresnet", "magnitudes", (16, 16))
-    with pytest.raises(ConfigError, match="the head magnitudes has as many outputs as its features give it"):
-        build("simple1", "magnitudes", SIZE, outputs=9)
+    with pytest.raises(ConfigError, match="the head magnitudes has at most 512 outputs here, one for each magnitude"):
+        build("simple1", "magnitudes", SIZE, outputs=513)
+
+
+def test_pictures_of_nothing_have_a_finite_descriptor_and_slope():
+    network = build("simple1", "magnitudes", SIZE)
+    features = torch.zeros(1, 16, 4, 16, requires_grad=True)
+    found = network.head(features)
+    found[0, 0].backward()
+    assert torch.isfinite(found).all()
+    assert torch.isfinite(features.grad).all()

@@ -62,7 +62,7 @@ THESIS = {
 }
 
 
-def test_heads_are_those_of_the_thesis_and_three_of_unit_length():
+def test_heads_are_those_of_the_thesis_and_five_of_unit_length():
     assert {name: widths for name, widths in HEADS.items() if len(widths) == 3} == THESIS
     assert set(HEADS) - set(THESIS) == {"flat", "gem", "bands", "fourier", "magnitudes"}
 

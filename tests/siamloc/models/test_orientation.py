@@ -104,7 +104,8 @@ def test_the_turn_of_all_pairs_is_that_of_each_pair():
 
 
 @pytest.mark.parametrize(
-    ("head", "circular"), [("flat", True), ("gem", True), ("fc500_500_5", True), ("fourier", False)]
+    ("head", "circular"),
+    [("flat", True), ("gem", True), ("fc500_500_5", True), ("fourier", False), ("magnitudes", False)],
 )
 def test_other_networks_find_no_headings(head, circular):
     made = network(head=head, circular=circular)

@@ -17,6 +17,7 @@ import siamloc
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.models import as_descriptor, build, load, pretrained, save_weights
 from siamloc.models.network import Network
+from siamloc.models.pretrained_network import without_layer
 from siamloc.models.registry import PRETRAINED, PRETRAINED_SIZE
 
 SIZE = (16, 64)
@@ -59,6 +60,16 @@ def test_a_network_can_start_from_a_file(saved: Path, capsys):
     wider = network(weights=saved, image_size=(32, 64), seed=9)
     torch.testing.assert_close(wider.branch.state_dict(), load(saved).branch.state_dict())
     assert "the branch alone starts from" in capsys.readouterr().err
+
+
+def test_the_layer_that_fits_the_training_buildings_is_dropped_and_nothing_else():
+    trained = network(seed=3)
+    ready = without_layer(trained)
+    assert ready.settings == {**trained.settings, "head": "magnitudes", "outputs": ready.outputs}
+    for name, value in trained.branch.state_dict().items():
+        torch.testing.assert_close(ready.branch.state_dict()[name], value, rtol=0, atol=0)
+    other = network(head="gem")
+    assert without_layer(other) is other
 
 
 def cut(path: Path) -> None:
@@ -146,7 +157,7 @@ def test_the_network_that_comes_along_is_ready(circular: bool):
     descriptor = as_descriptor(ready)
     assert descriptor.tells_heading is circular
     found = descriptor.describe(panoramas(2, PRETRAINED_SIZE)).position
-    assert found.shape == (2, 192 * 4 * 8)
+    assert found.shape == (2, 2048)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
     started = build(**{**ready.settings, "weights": "siamloc"})
     for name, value in ready.state_dict().items():

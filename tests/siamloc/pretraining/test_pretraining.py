@@ -224,10 +224,14 @@ def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, mo
     views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0"]
     assert siamloc.cli.main(["pretrain", f"run={tmp_path / 'run'}", *words, *views, "trainer.precision=32-true"]) == 0
     run = tmp_path / "run"
-    assert f"next: siamloc train experiment=fine_tuning model.branch.weights={run}" in capsys.readouterr().out
+    assert (
+        f"next: siamloc train experiment=fine_tuning model.branch.weights={run / 'weights.safetensors'}"
+        in capsys.readouterr().out
+    )
     kept, best = siamloc.models.load(run / "weights.safetensors"), siamloc.models.load(run)
-    for name, value in best.state_dict().items():
-        torch.testing.assert_close(kept.state_dict()[name], value, rtol=2**-11, atol=1e-7)
+    assert (best.head.name, kept.head.name) == ("fourier", "magnitudes")
+    for name, value in kept.state_dict().items():
+        torch.testing.assert_close(value, best.state_dict()[name], rtol=2**-11, atol=1e-7)
 
 
 def test_the_validation_is_of_panoramas(rendered, monkeypatch):

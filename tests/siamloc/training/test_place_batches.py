@@ -410,7 +410,7 @@ def test_a_loss_that_does_not_go_with_the_batches_is_refused_before_anything_is_
         with pytest.raises(ConfigError, match="a loss of batches of places takes"):
             siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **settings)
     plain = build("simple1", "fc500_500_5", SIZE)
-    with pytest.raises(ConfigError, match=r"needs descriptors of length 1.*flat, gem, bands or fourier"):
+    with pytest.raises(ConfigError, match=r"needs descriptors of length 1.*flat, gem, bands, fourier or magnitudes"):
         siamloc.training.fit(plain, images, drives[0], run=tmp_path / "run", epochs=1, **SETTINGS)
     assert not (tmp_path / "run").exists()
 
