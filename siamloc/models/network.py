@@ -165,7 +165,7 @@ class Network(nn.Module):
 
     @property
     def stages(self) -> list[list[nn.Module]]:
-        """The parts with weights from the image on: the layers of the branch by resolution, then the head if it has any."""
+        """The parts with weights: the layers of the branch by resolution, then the head if it has any."""
         layers = iter(self.branch.features)
         counts = _layers_by_stage(self.branch.name, self.branch.circular)
         head: list[list[nn.Module]] = [[self.head]] if next(self.head.parameters(), None) is not None else []
