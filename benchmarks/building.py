@@ -62,14 +62,13 @@ def by_lighting(absolute: dict[str, Any], measure: str = "error", figure: str = 
     return {name: absolute["lighting"][name][measure][figure] for name in LIGHTINGS}
 
 
-def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1), queries: int = 1) -> dict[str, Any]:
+def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) -> dict[str, Any]:
     """Describe map and queries once, and return mean error, excess, floor and 95 % error in m under each lighting.
 
     Args:
         building: the building, at the size that the descriptor takes.
         descriptor: a network, or what `siamloc.maps.build` takes otherwise.
         every: parts of the map: every k-th frame of its drive.
-        queries: every how many of the frames to be located.
 
     Returns:
         {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ...}, ...}, "1": ...}.
@@ -77,7 +76,7 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1), 
     # Frames of the map that no part has need no description.
     common = math.gcd(*every)
     known = siamloc.maps.build(descriptor, building.images, building.drives(MAP, common), progress=False)
-    asked = siamloc.maps.build(descriptor, building.images, building.drives(QUERIES, queries), progress=False)
+    asked = siamloc.maps.build(descriptor, building.images, building.drives(QUERIES), progress=False)
     found: dict[str, Any] = {}
     for step in every:
         part = known.take(range(0, len(known), step // common))
