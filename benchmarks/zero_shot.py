@@ -96,7 +96,7 @@ def pooled(rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     if len(drawn) < 2:
         return rows
     mean: dict[str, Any] = {}
-    for name in drawn[0]:
+    for name in (name for name in drawn[0] if all(name in row for row in drawn)):
         mean[name] = {
             light: {
                 figure: statistics.mean(row[name][light][figure] for row in drawn)
