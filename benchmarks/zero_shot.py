@@ -15,6 +15,8 @@ by less than 1 % of the distance to the next place (in the first building).
        siamloc simulate camera=panorama building=random seed=$seed runs=[cloudy2,night2,sunny2] spacing=0.45 out=data
     done
     python -m benchmarks.zero_shot --data data/freiburg_like data/annex data/random_* --manifest corridor/manifest.csv
+
+With `--run runs/pretrained`, what `siamloc pretrain` made, there is a row with the layer that the weights leave out.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ from siamloc.files import read_json
 from siamloc.models import registry
 
 OURS = "pretrained"
+WITH_LAYER = "pretrained, with the layer that it was trained with"
 MOST_EXCESS, MOST_BYTES, MOST_MS, MOST_TURNED = 0.10, 8_000_000, 5.0, 0.01
 HOG_RECALL = 0.63
 _WARM_UP, _TIMED = 20, 200
@@ -49,12 +52,13 @@ def main() -> None:
     arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--data", type=Path, nargs="*", default=[], help="folders of rendered buildings")
     arguments.add_argument("--manifest", type=Path, help="of the corridor")
+    arguments.add_argument("--run", type=Path, help="of the pretraining: locate with the layer that was dropped, too")
     arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
     options = arguments.parse_args()
     report = Report("zero_shot", options.out)
     rows: dict[str, dict[str, Any]] = {}
     for folder in options.data:
-        rows[folder.name] = in_building(folder, options.analytic)
+        rows[folder.name] = in_building(folder, options.analytic, options.run)
         print(f"\n{table(folder.name, rows[folder.name])}", flush=True)
     figures: dict[str, Any] = {}
     if options.keep and report.path.is_file():
@@ -83,10 +87,12 @@ def main() -> None:
     report.write(figures)
 
 
-def in_building(folder: Path, analytic: list[str]) -> dict[str, Any]:
+def in_building(folder: Path, analytic: list[str], run: Path | None) -> dict[str, Any]:
     """Return figures of each descriptor in a building."""
     small, large = Building(folder, registry.PRETRAINED_SIZE), Building(folder)
     found = {OURS: located(small, OURS, (5,))["5"]}
+    if run is not None:
+        found[WITH_LAYER] = located(small, siamloc.models.load(run), (5,))["5"]
     return {**found, **{name: located(large, name, (5,))["5"] for name in analytic}}
 
 
@@ -128,7 +134,7 @@ def judge(report: Report, rows: dict[str, dict[str, Any]]) -> None:
     for building, row in rows.items():
         for light in LIGHTINGS:
             ours = row[OURS][light]
-            others = [found[light] for name, found in row.items() if name != OURS]
+            others = [found[light] for name, found in row.items() if name not in (OURS, WITH_LAYER)]
             for figure, text in (("mean", "mean"), ("p95", "95 % error")) if others else ():
                 best = min(found[figure] for found in others)
                 report.target(

@@ -131,8 +131,8 @@ RECIPES: dict[str, Recipe] = {
         training={
             **_MODERN.training,
             "epochs": 2,
-            "pairs": {**_MODERN.training["pairs"], "epoch_batches": 50},
-            "optimizer": {**_MODERN.training["optimizer"], "learning_rate": 0.0005},
+            "pairs": {**_MODERN.training["pairs"], "epoch_batches": 30},
+            "optimizer": {**_MODERN.training["optimizer"], "learning_rate": 0.0002},
             "average": 0.95,
         },
     ),
@@ -154,7 +154,7 @@ RECIPES: dict[str, Recipe] = {
 `modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from
 random weights on batches of places, some five minutes on two processor cores.
 
-`fine_tuning`: the same from the weights that come with siamloc, with 100 batches instead of 700, the head `magnitudes`
+`fine_tuning`: the same from the weights that come with siamloc, with 60 batches instead of 700, the head `magnitudes`
 and the canonical direction.
 
 `photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
