@@ -287,7 +287,10 @@ class IncrementalMapper:
             if len(part) != len(description):
                 raise AnalyticError(f"{len(description)} positions need as many orientation parts, got {len(part)}")
             if part.dtype.kind not in "fiub":
-                raise AnalyticError(f"the {name} part of a description must hold real numbers, got {part.dtype}")
+                raise AnalyticError(
+                    f"the {name} part of a description must hold real numbers, got {part.dtype}: describe by another "
+                    "descriptor, such as hog"
+                )
             # The fourth power of a larger value overflows.
             if not (np.abs(part, dtype=np.float64) <= LARGEST_VALUE).all():
                 raise AnalyticError(
