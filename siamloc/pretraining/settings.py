@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from siamloc.errors import ConfigError
 from siamloc.settings import Count, Natural, Positive, Settings
@@ -21,6 +22,8 @@ class ViewSettings(Settings):
         lights: of each drive.
         poses: of each drive, at most.
         spacing: metres between them.
+        cameras: that see the buildings: any, panoramas only, or the built_in one only.
+        exposure: drawn, or metered for the best exposure and white balance, without noise.
         processes: how many processes render; 0 renders in the training process.
     """
 
@@ -33,6 +36,8 @@ class ViewSettings(Settings):
     lights: Count = 4
     poses: Count = 80
     spacing: Positive = 0.3
+    cameras: Literal["any", "panoramas", "built_in"] = "any"
+    exposure: Literal["drawn", "metered"] = "drawn"
     processes: Natural = 1
 
     def __post_init__(self) -> None:

@@ -76,7 +76,10 @@ class BuildingStream:
     def _wanted(self, number: int) -> Wanted:
         settings = self._settings
         seed = building_seed(self._seed, number * self._world_size + self._rank)
-        return seed, self._size, settings.drives, settings.lights, settings.poses, settings.spacing
+        return (
+            *(seed, self._size, settings.drives, settings.lights, settings.poses, settings.spacing),
+            *(settings.cameras, settings.exposure),
+        )
 
 
 def frames_of(views: Views, name: str) -> FrameTable:

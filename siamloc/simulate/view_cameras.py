@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate.camera import HEIGHT
 from siamloc.simulate.layout import Array
+
+Cameras = Literal["any", "panoramas", "built_in"]
+"""Which cameras are drawn from: those of panoramas and ordinary ones, those of panoramas only, or the built-in one."""
+_SHARE = {"any": 1.0, "panoramas": 0.75, "built_in": 0.25}
 
 
 @dataclass(frozen=True)
@@ -34,10 +39,12 @@ class ViewCamera:
     shown: Array | None = None
 
 
-def draw_camera(rng: np.random.Generator, image_size: Sequence[int]) -> tuple[ViewCamera, float]:
+def draw_camera(
+    rng: np.random.Generator, image_size: Sequence[int], cameras: Cameras = "any"
+) -> tuple[ViewCamera, float]:
     """Draw a camera and its height in metres: now and then those of the built-in one."""
     rows, columns = image_size
-    kind = rng.random()
+    kind = rng.random() * _SHARE[cameras]
     if kind < 0.25:
         return panorama(PanoramaView(rows, columns)), HEIGHT
     height = float(rng.uniform(0.35, 1.5))

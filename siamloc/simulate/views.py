@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +21,10 @@ from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import room_at
 from siamloc.simulate.run import LIGHTINGS, Light, Run, draw_light
 from siamloc.simulate.scene import Scene, build_scene, relit
-from siamloc.simulate.view_cameras import ViewCamera, draw_camera
+from siamloc.simulate.view_cameras import Cameras, ViewCamera, draw_camera
+
+Exposures = Literal["drawn", "metered"]
+"""Whether cameras expose and balance their pictures this way and that, and are noisy, or as well as can be."""
 
 #: Seeds of buildings to learn from begin here, so that none is one that a user or a test names.
 FIRST_SEED = 1 << 28
@@ -63,6 +67,8 @@ def draw_views(
     lights: int = 4,
     poses: int = 60,
     spacing: float = 0.4,
+    cameras: Cameras = "any",
+    exposure: Exposures = "drawn",
 ) -> Views:
     """Draw a building, a camera and lights from a seed, and render pictures of a part of it.
 
@@ -76,6 +82,8 @@ def draw_views(
         lights: of each drive.
         poses: of each drive, at most.
         spacing: metres between them.
+        cameras: which ones are drawn from: "any", "panoramas", or the "built_in" one only.
+        exposure: "drawn", or "metered" for the best exposure and white balance, without noise.
 
     Raises:
         SiamlocError: embreex is not installed.
@@ -85,7 +93,7 @@ def draw_views(
     """
     rng = seeded(seed, "views")
     building = load_building("random", FIRST_SEED + seed)
-    camera, height = draw_camera(rng, image_size)
+    camera, height = draw_camera(rng, image_size, cameras)
     start, first = float(rng.random()), int(rng.integers(1, 1000))
     found, places, headings, light, lightings = [], [], [], [], []
     ahead = None
@@ -103,7 +111,7 @@ def draw_views(
         if not camera.wraps:  # what an ordinary camera sees is the same place in one direction only
             ahead = float(chosen[rng.integers(len(chosen)), 2]) if ahead is None else ahead
             chosen[:, 2] = ahead + rng.normal(0, _YAW, len(chosen))
-        images = look_around(scenes, np.column_stack([chosen[:, :2], heights, chosen[:, 2]]), camera, rng)
+        images = look_around(scenes, np.column_stack([chosen[:, :2], heights, chosen[:, 2]]), camera, rng, exposure)
         found.append(images.reshape(-1, *images.shape[2:]))
         places.append(np.repeat(chosen[:, :2], lights, axis=0))
         headings.append(np.repeat(chosen[:, 2], lights))
@@ -126,7 +134,13 @@ def camera_of(seed: int, image_size: Sequence[int]) -> ViewCamera:
     return draw_camera(seeded(seed, "views"), image_size)[0]
 
 
-def look_around(scenes: Sequence[Scene], poses: Array, camera: ViewCamera, rng: np.random.Generator) -> Array:
+def look_around(
+    scenes: Sequence[Scene],
+    poses: Array,
+    camera: ViewCamera,
+    rng: np.random.Generator,
+    exposure: Exposures = "drawn",
+) -> Array:
     """Render pictures from poses under several lights.
 
     Args:
@@ -134,6 +148,7 @@ def look_around(scenes: Sequence[Scene], poses: Array, camera: ViewCamera, rng: 
         poses: x, y, height in metres and heading in rad (P, 4).
         camera: what the pictures show.
         rng: draws where in their pixels the rays of a picture pass, exposure, white balance and noise.
+        exposure: as for `draw_views`.
 
     Returns:
         (P, L, rows, columns, 3) uint8, RGB.
@@ -142,6 +157,9 @@ def look_around(scenes: Sequence[Scene], poses: Array, camera: ViewCamera, rng: 
     found = np.empty((len(poses), len(scenes), rows, columns, 3), dtype=np.uint8)
     balances: list[Array] = []
     strength, stops = rng.uniform(0.3, 1.0, len(scenes)), rng.normal(0.0, 0.3, len(scenes))
+    quiet = 0.75
+    if exposure == "metered":  # what is drawn is left unused, so that all else stays the same
+        strength[:], stops[:], quiet = 1.0, 0.0, 0.0
     rim = rng.integers(0, 12, (rows, columns, 1), dtype=np.uint8)
     for row, (x, y, z, heading) in enumerate(poses):
         across, down = rng.uniform(-0.3, 0.3, 2)
@@ -155,9 +173,10 @@ def look_around(scenes: Sequence[Scene], poses: Array, camera: ViewCamera, rng: 
                 colour = np.minimum(light, 3.0).mean(axis=0)
                 balances.append((colour / max(float(colour.mean()), 1e-6)) ** (-0.7 * strength[number]))
             brightness = light[:: max(1, len(light) // 200)].mean(axis=1)
-            gain = float(np.clip(metered(brightness, 12) * 2 ** (stops[number] + rng.normal(0, 0.15)), 0.02, 6.0))
+            off = stops[number] + rng.normal(0, 0.15) * (exposure == "drawn")
+            gain = float(np.clip(metered(brightness, 12) * 2**off, 0.02, 6.0))
             picture = light.reshape(rows, columns, 3)
-            found[row, number] = develop(picture, gain, balances[number], camera.wraps, rng, 0.75)
+            found[row, number] = develop(picture, gain, balances[number], camera.wraps, rng, quiet)
     if camera.shown is not None:
         found[:, :, ~camera.shown] = rim[~camera.shown]
     return found

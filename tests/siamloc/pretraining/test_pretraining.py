@@ -17,14 +17,16 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_batches
 from siamloc.pretraining.rendering import Renderer
 from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
-from siamloc.simulate.views import Views, camera_of
+from siamloc.settings import fields_of
+from siamloc.simulate.view_cameras import Cameras
+from siamloc.simulate.views import Exposures, Views, camera_of
 
 SIZE = (16, 64)
 SETTINGS = ViewSettings(batches=2, held=3, together=2, drives=2, lights=3, poses=6, processes=0)
 PLACES = PlaceSettings(places=4, images=3, near=0.5, reach=1.5, epoch_batches=4)
 
 
-def drawn(seed: int, image_size, drives: int, lights: int, poses: int, spacing: float = 0.3) -> Views:
+def drawn(seed: int, image_size, drives: int, lights: int, poses: int, spacing: float = 0.3, *_) -> Views:
     """Stand in for rendering: noise that follows from the seed, along a line."""
     rng = np.random.default_rng(seed)
     count = drives * lights * poses
@@ -241,3 +243,8 @@ def test_the_validation_is_of_panoramas(rendered, monkeypatch):
     assert all(camera_of(seed, SIZE).wraps for seed in rendered)
     between = range(min(rendered), max(rendered))
     assert not [seed for seed in between if seed not in rendered and camera_of(seed, SIZE).wraps]
+
+
+def test_the_choices_are_those_of_rendering():
+    hints = fields_of(ViewSettings)
+    assert (hints["cameras"], hints["exposure"]) == (Cameras, Exposures)

@@ -8,11 +8,12 @@ import pytest
 
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate import Run, build_scene, load_building, render
-from siamloc.simulate.camera import PanoramaCamera
+from siamloc.simulate.camera import HEIGHT, PanoramaCamera
+from siamloc.simulate.layout import seeded
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.run import LIGHTINGS, draw_light, draw_run
 from siamloc.simulate.scene import Scene, relit
-from siamloc.simulate.view_cameras import fisheye, panorama
+from siamloc.simulate.view_cameras import draw_camera, fisheye, panorama
 from siamloc.simulate.views import camera_of, draw_views, look_around
 
 
@@ -95,6 +96,27 @@ def test_an_ordinary_camera_looks_in_one_direction_on_every_drive() -> None:
         spread[seed] = abs(np.exp(1j * headings).mean())
     assert spread[ahead] > 0.98, "all within a few degrees"
     assert spread[around] < 0.9, "as the robot turns"
+
+
+def test_cameras_are_drawn_from_those_asked_for() -> None:
+    seeds = range(40)
+    every = [draw_camera(seeded(seed, "views"), (16, 64))[0].wraps for seed in seeds]
+    assert not all(every)
+    assert all(draw_camera(seeded(seed, "views"), (16, 64), "panoramas")[0].wraps for seed in seeds)
+    heights = {draw_camera(seeded(seed, "views"), (16, 64), "built_in")[1] for seed in seeds}
+    assert heights == {HEIGHT}
+
+
+def test_a_metered_camera_takes_nearly_the_same_picture_again(night: Scene) -> None:
+    camera, pose = panorama(PanoramaView(32, 128)), night.state.track.poses[40]
+    change = {}
+    for exposure in ("drawn", "metered"):
+        one, other = (
+            look_around([night], [[*pose[:2], 0.95, pose[2]]], camera, np.random.default_rng(seed), exposure)
+            for seed in (0, 1)
+        )
+        change[exposure] = np.abs(one.astype(float) - other).mean()
+    assert change["metered"] < change["drawn"] / 2, "all that differs is where the rays pass in their pixels"
 
 
 def test_a_fisheye_lens_leaves_its_rim_dark(night: Scene) -> None:
