@@ -69,6 +69,12 @@ class Renderer:
         if pool is not None:
             # The executor itself would let each end its building; before Python 3.14 it has no public way to stop them.
             processes = list((getattr(pool, "_processes", None) or {}).values())
+            results = getattr(pool, "_result_queue", None)
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 process.terminate()
+            for process in processes:
+                process.join()
+            if results is not None:
+                # A building of which half was sent never ends; with no writer left, who reads it knows that.
+                results._writer.close()

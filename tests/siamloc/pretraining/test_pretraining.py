@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import struct
 import time
 
 import numpy as np
@@ -18,6 +20,7 @@ from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_
 from siamloc.pretraining.rendering import Renderer
 from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
 from siamloc.settings import fields_of
+from siamloc.simulate.processes import rendering_processes
 from siamloc.simulate.view_cameras import Cameras
 from siamloc.simulate.views import Exposures, Views, camera_of
 
@@ -208,6 +211,18 @@ def test_a_training_that_fails_leaves_no_process_behind(tmp_path):
         time.sleep(0.1)  # the thread of the executor collects them, alongside which `join` may return too early
     assert not {child.pid for child in multiprocessing.active_children()} - before
     assert not list((tmp_path / "a").rglob("*.ckpt"))
+
+
+def test_closing_while_a_building_is_half_sent_leaves_no_thread_waiting():
+    renderer = Renderer(1)
+    renderer._pool = pool = rendering_processes(1)
+    pool.submit(abs, 1).result()
+    reading = pool._executor_manager_thread
+    # The header of a message of 1,000 bytes and its first ones, as from a process that was ended in the middle.
+    os.write(pool._result_queue._writer.fileno(), struct.pack("!i", 1000) + b"half")
+    renderer.close()
+    reading.join(timeout=30)
+    assert not reading.is_alive(), "a script would wait for it at its end, for ever"
 
 
 def test_an_interrupted_command_goes_on_with_the_settings_of_its_run(rendered, tmp_path, monkeypatch):
