@@ -3,11 +3,13 @@
 Short pretrainings, equal but for one thing: the same buildings and batches in the same order. Each network is asked for
 places on real photographs of a corridor, which nothing was trained on: one drive is the map and the other one asks,
 then the other way round; and once more with what a camera can do to the queries. In a simulated building that it never
-saw, the map is every fifth frame of one drive, and the queries are drives under three lightings. Several seeds show the
-spread: a difference that is not larger says nothing.
+saw, the map is every fifth frame of one drive, and the queries are drives under three lightings. Several seeds of the
+recipe show the spread: a difference that is not larger says nothing.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.sim_to_real --manifest corridor/manifest.csv --data data/freiburg_like
+    python -m benchmarks.sim_to_real --manifest corridor/manifest.csv --data data/freiburg_like \
+        --ways "the recipe" --seeds 1 2 --keep
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import siamloc
 from benchmarks.building import LIGHTINGS, Building, located, mean_and_range
 from benchmarks.corridor import RADIUS, library
 from benchmarks.report import Report, hardware, parser
+from siamloc.files import read_json
 from siamloc.pretraining import RECIPE, pretrain
 
 DISTURBED = ("exposure", "white_balance", "blur", "motion_blur", "jpeg", "vignette", "occlude")
@@ -45,6 +48,7 @@ class Way:
     def augmentation(self) -> dict[str, Any]:
         """Return what happens to the pictures."""
         kept = [one for one in _EFFECTS if not self.without or f"'{self.without}'" not in repr(one)]
+        assert len(kept) < len(_EFFECTS) or not self.without, f"{self.without} is not in the recipe"
         return {**RECIPE.augmentation, "all_of": kept}
 
 
@@ -65,8 +69,8 @@ def main() -> None:
     arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--manifest", required=True, help="of the corridor")
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
-    arguments.add_argument("--seeds", type=int, default=1)
-    arguments.add_argument("--batches", type=int, default=600, help="of each training")
+    arguments.add_argument("--seeds", type=int, nargs="*", default=[0])
+    arguments.add_argument("--batches", type=int, default=500, help="of each training")
     arguments.add_argument("--ways", nargs="*", default=list(WAYS), choices=list(WAYS))
     options = arguments.parse_args()
     report = Report("sim_to_real", options.out)
@@ -74,7 +78,10 @@ def main() -> None:
     photographs = library(frames, RECIPE.image_size)
     building = Building(options.data, RECIPE.image_size)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in options.ways}
-    for seed in range(options.seeds):
+    if options.keep and report.path.is_file():  # with --keep the other seeds of a row stay as well
+        former = read_json(report.path)["rows"]
+        rows = {name: [row for row in former.get(name, []) if row["seed"] not in options.seeds] for name in rows}
+    for seed in options.seeds:
         for name in options.ways:
             begin = time.monotonic()
             with tempfile.TemporaryDirectory() as folder:

@@ -151,7 +151,8 @@ COMMANDS = {
                                           measure something else than the trained network, without training
         task.filter=true                  beside each frame's own estimate, that of a robot followed on its way;
                                           task.filter_tune=true learns from protocol.validation
-        task.interpolate=3                a pose between the three nearest map frames
+        task.refine=interpolate           a pose between the three nearest map frames (task.neighbours=3)
+        task.refine=relative              one by comparing with each of them, for a network with model.relative=true
         task.error_model=true             the expected error of each query, learned from protocol.validation, and
                                           whether it is lost, above task.lost_above=1.0
         heading=hog|fs|gist|radon_fourier

@@ -97,7 +97,8 @@ def _kept(
     if "branch" in model:
         head = {"name": model["head"], "outputs": model.get("outputs")}
         kept |= {"model.branch.name": model["branch"], "model.head": head}
-        kept |= {f"model.{key}": model[key] for key in ("circular", "normalize", "canonical") if key in model}
+        keys = ("circular", "normalize", "canonical", "relative")
+        kept |= {f"model.{key}": model[key] for key in keys if key in model}
     if resumed and training:
         kept |= {
             "model.branch.weights": model.get("weights"),

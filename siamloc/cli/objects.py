@@ -145,6 +145,7 @@ def network_of(config: DictConfig) -> dict[str, Any]:
         "circular": checked(model["circular"], bool, "model.circular"),
         "normalize": model["normalize"],
         "canonical": checked(model["canonical"], bool, "model.canonical"),
+        "relative": checked(model["relative"], bool, "model.relative"),
     }
 
 

@@ -65,6 +65,7 @@ def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
 def _localization(config: DictConfig, run: Run) -> tuple[str, Result]:
     settings = Localization.of(_own(config, Localization))
     learned = settings.error_model or settings.filter_tune
+    learned |= settings.refine == "relative" and _protocol(config).validation != Role()
     known, images, roles = _known(config, run, "query", *(["validation"] if learned else []))
     label = label_of(config.descriptor)
     result = evaluation.localization(

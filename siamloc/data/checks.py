@@ -69,6 +69,20 @@ def _spacing(frames: FrameTable) -> str:
 
 
 def _headings(frames: FrameTable) -> Iterator[str]:
+    """Look at headings: what is wrong with them, and what may be."""
+    theta = frames.theta[np.isfinite(frames.theta)]
+    beyond = np.abs(theta) > _TURN + 0.01
+    heading, travel = _moving(frames)
+    follows = len(heading) >= 10 and _agreement(heading - travel)[0] >= _FITS
+    if 0 < beyond.sum() <= len(theta) / 4 and not follows:
+        yield (
+            f"{beyond.sum()} of {len(theta)} headings lie beyond one turn, up to {np.abs(theta).max():.4g} rad: if "
+            "they are degrees, multiply them by pi / 180."
+        )
+    yield from wrong_headings(frames)
+
+
+def wrong_headings(frames: FrameTable) -> Iterator[str]:
     """Look at headings: their range, and how they follow the direction in which the robot moves."""
     theta = frames.theta[np.isfinite(frames.theta)]
     beyond = np.abs(theta) > _TURN + 0.01
@@ -82,11 +96,6 @@ def _headings(frames: FrameTable) -> Iterator[str]:
             f"{np.abs(theta).max():.4g}. Give radians (multiply by pi / 180)."
         )
         return
-    if beyond.any():
-        yield (
-            f"{beyond.sum()} of {len(theta)} headings lie beyond one turn, up to {np.abs(theta).max():.4g} rad: if "
-            "they are degrees, multiply them by pi / 180."
-        )
     if not enough or _agreement(heading - travel)[0] >= _FAILS:
         return
     if _agreement(np.radians(heading) - travel)[0] >= _FITS:

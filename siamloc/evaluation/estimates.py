@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import calibration
@@ -51,7 +52,10 @@ class Estimates(Settings):
         filter: follow the robot through each sequence; keeps the distances of all queries to all map frames.
         filter_settings: of that filter.
         filter_tune: choose both of them on the validation frames.
-        interpolate: a pose between that many of the nearest map frames.
+        refine: a pose finer than the map: "interpolate" takes one between the nearest map frames, "relative" compares
+            the query with each of them, by a network built with relative=True; "none" leaves it out. With validation
+            frames the ellipses of "relative" are learned from them.
+        neighbours: how many of the nearest map frames that looks at.
         error_model: expected error of each query, learned on the validation frames.
         lost_above: a larger expected error means lost, in the unit of the positions.
         place_radius: map frames farther apart are different places: for interpolation and the error model.
@@ -62,7 +66,8 @@ class Estimates(Settings):
     filter: bool = False
     filter_settings: FilterSettings = field(default_factory=FilterSettings)
     filter_tune: bool = False
-    interpolate: Count | None = None
+    refine: Literal["none", "interpolate", "relative"] = "none"
+    neighbours: Count = 3
     error_model: bool = False
     lost_above: Positive = 1.0
     place_radius: NotNegative = 1.0
@@ -101,23 +106,28 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
     has = frames.has_position
     if text := session.lacking(has, "validation frames have no position"):
         if not has.any():
-            raise DataError(f"{text}: the error model and the filter's settings are learned from known positions")
+            raise DataError(f"{text}: errors, ellipses and the filter's settings are learned from known positions")
         session.skipped["validation"] = text
-    k = min(MATCHES, len(known))
+    k = min(max(MATCHES, settings.neighbours), len(known))
     tuned = settings.filter and settings.filter_tune
-    search = Search(known, np.flatnonzero(has), k, with_distances=tuned)
+    compared = settings.neighbours if settings.refine == "relative" else 0
+    search = Search(known, np.flatnonzero(has), k, refined_by=compared, with_distances=tuned)
     session.run(known, frames, {"validation": search}, "the validation frames")
     return Validation(frames.take(has), search)
 
 
 def prepared(settings: Estimates, search: Search) -> Search:
     """Return a search for all that the further estimates need."""
-    interpolated = settings.interpolate or 0
-    wanted = max(search.k, interpolated, MATCHES if settings.error_model else 0)
+    refined = 0 if settings.refine == "none" else settings.neighbours
+    if settings.refine == "relative":
+        for finding in wrong_headings(search.known.frames):
+            raise DataError(f"task.refine=relative rests on the headings of the map: {finding}")
+    wanted = max(search.k, refined, MATCHES if settings.error_model else 0)
     return replace(
         search,
         k=most_neighbours(wanted, len(search.known), search.excluded),
-        headings_of=max(1, min(interpolated, len(search.known))),
+        headings_of=max(1, min(refined, len(search.known))) if settings.refine == "interpolate" else 1,
+        refined_by=refined if settings.refine == "relative" else 0,
         with_distances=settings.filter,
     )
 
@@ -138,13 +148,16 @@ def with_estimates(
         DataError: validation frames without positions, or too few.
     """
     known = search.known
-    learns = needs_validation(settings)
+    learns = needs_validation(settings) or (settings.refine == "relative" and session.validation is not None)
     validation = search_validation(session, session.validation, settings, known) if learns else None
     if settings.filter:
         columns, about = filtered(settings, search, queries, validation)
         result = _with_columns(result, "filtered", columns, {"filter": about})
-    if settings.interpolate:
-        k, radius = settings.interpolate, settings.place_radius
+    if settings.refine == "relative":
+        columns, about = refined(settings, search, queries, validation, session.skipped)
+        result = _with_columns(result, "refined", columns, {"refinement": about})
+    if settings.refine == "interpolate":
+        k, radius = settings.neighbours, settings.place_radius
         poses = interpolate_poses(search.retrieval, known.frames, k, radius, search.headings)
         columns = estimate_columns("interpolated", poses.xy, queries, poses.theta)
         columns["interpolated_used"] = poses.used
@@ -192,6 +205,35 @@ def filtered(
         "step": motion.step,
         "spacing": motion.spacing,
         "tuned": tuned,
+    }
+    return columns, about
+
+
+def refined(
+    settings: Estimates,
+    search: Search,
+    queries: FrameTable,
+    validation: Validation | None,
+    skipped: dict[str, str],
+) -> tuple[Columns, dict[str, Any]]:
+    """Return the columns of the poses by comparison, and what they were made with.
+
+    How wide their ellipses are is learned from validation frames, where there are enough; it is noted where not.
+    """
+    poses = search.refined
+    about: dict[str, Any] = {"neighbours": settings.neighbours}
+    if validation is not None:
+        try:
+            about["widened"] = validation.search.refined.widening(validation.frames.xy)
+            about["validation"] = len(validation.frames)
+            poses = poses.widened(about["widened"])
+        except DataError as error:
+            skipped["ellipses"] = str(error)
+    columns = {
+        **estimate_columns("refined", poses.xy, queries, poses.theta),
+        "refined_match": poses.frame,
+        "refined_agreement": poses.agreement,
+        "refined_inside": poses.inside(queries.xy),
     }
     return columns, about
 
@@ -253,6 +295,7 @@ def measures_of(
     Returns:
         What `siamloc.evaluation.absolute.measures_of` returns, with the recall of the estimate itself (k = 1) alone.
         The excess is that over the nearest map frame, and negative where an estimate between frames is nearer.
+        `inside` is the share of true positions inside the 90 % ellipse, where an estimate has one.
     """
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
@@ -265,6 +308,9 @@ def measures_of(
             "excess": summarize(error - floor),
             "recall": [dict(vars(recall_from_ranks(within[radius], floor, radius, 1))) for radius in radii],
         }
+        if f"{name}_inside" in columns:
+            inside = columns[f"{name}_inside"][rows]
+            found["inside"] = float(np.nanmean(inside)) if np.isfinite(inside).any() else float("nan")
         turned = columns[f"{name}_heading_error"][rows] if f"{name}_heading_error" in columns else np.empty(0)
         turned = turned[np.isfinite(turned)]
         return {**found, "heading_error": summarize(turned)} if len(turned) else found

@@ -73,7 +73,8 @@ class Localization(Estimates):
             raise ConfigError("task.names is empty: name absolute, room_retrieval or both")
         if "absolute" in self.names:
             check_recalls(self.radii, self.ks)
-        asked = [name for name in ("filter", "interpolate", "error_model") if getattr(self, name)]
+        asked = [name for name in ("filter", "error_model") if getattr(self, name)]
+        asked += ["refine"] if self.refine != "none" else []
         if asked and "absolute" not in self.names:
             raise ConfigError(
                 f"task.{asked[0]} goes with absolute localization, which {', '.join(self.names)} leaves out: "
@@ -111,7 +112,7 @@ def localization(
 
     Returns:
         Parts "absolute" and "room_retrieval", as far as the data have poses and rooms; "room_pairs" for
-        networks; "absolute_filtered", "absolute_interpolated" and "calibration" where asked for.
+        networks; "absolute_filtered", "absolute_interpolated", "absolute_refined" and "calibration" where asked for.
 
     Raises:
         ConfigError: settings that contradict each other, or queries that the protocol forbids.
@@ -141,7 +142,7 @@ def localization(
     result = _measured(session, settings, session.name, known)
     # Where no query can be scored there is nothing that a baseline could be compared with.
     for label, other in session.baselines.items() if result.parts else ():
-        alone = replace(settings, filter=False, filter_tune=False, interpolate=None, error_model=False)
+        alone = replace(settings, filter=False, filter_tune=False, refine="none", error_model=False)
         baseline = _measured(session, alone, label, session.map_by(other), main=False)
         if "absolute" in result.parts and "absolute" in baseline.parts:
             result = with_baseline(result, label, baseline)

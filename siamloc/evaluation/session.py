@@ -15,7 +15,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps import Retrieval, VisualMap, frame_distances, headings, match
+from siamloc.maps import RefinedPoses, Retrieval, VisualMap, frame_distances, headings, match, refine
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | str | Descriptor
 
@@ -29,6 +29,7 @@ class Search:
         rows: of the frames that have it (n,), in order.
         k: neighbours wanted.
         headings_of: by how many of the neighbours the heading is wanted.
+        refined_by: how many of the neighbours a query is compared with for a finer pose; 0 for none.
         with_distances: whether the distances to all map frames are kept, n x m float64; infinite where excluded.
         excluded: (n, m) map frames that a frame is not compared with; None if there are none.
     """
@@ -37,11 +38,13 @@ class Search:
     rows: NDArray[np.int64]
     k: int
     headings_of: int = 1
+    refined_by: int = 0
     with_distances: bool = False
     excluded: NDArray[np.bool_] | None = None
     _found: list[Retrieval] = field(default_factory=list)
     _turned: list[NDArray[np.float64]] = field(default_factory=list)
     _apart: list[NDArray[np.float64]] = field(default_factory=list)
+    _refined: list[RefinedPoses] = field(default_factory=list)
 
     def take_in(self, queries: Description) -> None:
         """Look for the next frames."""
@@ -50,6 +53,8 @@ class Search:
         found = match(self.known, queries, self.k, excluded=barred)
         self._found.append(found)
         self._turned.append(headings(self.known, queries, found, self.headings_of))
+        if self.refined_by:
+            self._refined.append(refine(self.known, queries, found, k=self.refined_by))
         if self.with_distances:
             apart = frame_distances(self.known, queries)
             self._apart.append(apart if barred is None else np.where(barred, np.inf, apart))
@@ -58,6 +63,11 @@ class Search:
     def retrieval(self) -> Retrieval:
         """The nearest map frames of all."""
         return Retrieval.concatenate(self._found)
+
+    @property
+    def refined(self) -> RefinedPoses:
+        """Poses finer than the map's."""
+        return RefinedPoses.concatenate(self._refined)
 
     @property
     def distances(self) -> NDArray[np.float64]:

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 Measures = Mapping[str, Any]
-FURTHER = {"filtered": "filter", "interpolated": "interpolation"}  # estimates of the same descriptor by another way
+FURTHER = {"filtered": "filter", "interpolated": "interpolation", "refined": "refinement"}
+"""Estimates of the same descriptor by another way."""
 
 
 def text_of(

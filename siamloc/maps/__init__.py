@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking
     from siamloc.maps.matching import frame_distances, headings, match
     from siamloc.maps.projector import write_projector
+    from siamloc.maps.refinement import RefinedPoses, refine
     from siamloc.maps.search import Retrieval, VectorIndex
     from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
     from siamloc.maps.visual_map import VisualMap
@@ -43,6 +44,8 @@ _HOMES = {
     "headings": "matching",
     "match": "matching",
     "write_projector": "projector",
+    "RefinedPoses": "refinement",
+    "refine": "refinement",
     "Retrieval": "search",
     "VectorIndex": "search",
     "MotionModel": "sequence_filter",
@@ -63,6 +66,7 @@ __all__ = [
     "HierarchicalSearch",
     "MotionModel",
     "NodeRanking",
+    "RefinedPoses",
     "Retrieval",
     "SequenceFilter",
     "VectorIndex",
@@ -74,6 +78,7 @@ __all__ = [
     "group",
     "headings",
     "match",
+    "refine",
     "temperature_of_map",
     "tune_filter",
     "write_projector",

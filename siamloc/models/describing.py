@@ -77,6 +77,41 @@ class NetworkDescriptor(BetweenColumns):
         position, orientation = _described(network, network.with_orientation, batch, chunk)
         return Description(position, orientation)
 
+    @property
+    def compares(self) -> bool:
+        """Whether the network tells where one image was taken relative to another: built with relative=True."""
+        network = orienting(self.module)
+        return network is not None and network.relative is not None
+
+    def compare(
+        self, queries: NDArray[np.float32], known: NDArray[np.float32], chunk: int = 8 * CHUNK
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Tell where images were taken relative to others, by the orientation parts of both.
+
+        Args:
+            queries: (n, K, F).
+            known: (n, K, F).
+            chunk: pairs in one pass.
+
+        Returns:
+            Pose (n, 3), information (n, 3, 3) and match (n,); see `siamloc.models.relative.Relative`.
+
+        Raises:
+            ConfigError: a network that does not compare.
+        """
+        network = orienting(self.module)
+        if network is None or network.relative is None:
+            raise ConfigError(
+                "this network does not tell where images were taken relative to others: train one with "
+                "model.relative=true (from Python relative=True)"
+            )
+        like = next(network.parameters())
+        pairs = zip(*(torch.tensor(one).split(chunk) for one in (queries, known)), strict=True)
+        with evaluating(network), torch.autocast(device_type=like.device.type, enabled=False):
+            parts = [network.relative(*(one.to(like) for one in pair)) for pair in pairs]
+        pose, information, match = (torch.cat(one).double().cpu().numpy() for one in zip(*parts, strict=True))
+        return pose, information, match
+
     def pairwise(
         self, queries: Description, references: Description, distance: str | None = None
     ) -> NDArray[np.float64]:

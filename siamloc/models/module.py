@@ -14,7 +14,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
 from siamloc.models.describing import as_float, identity_of, margin_of
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
-from siamloc.models.network_stages import FrozenStages, weights_by_stage
+from siamloc.models.network_stages import FrozenStages, comparing_weights, weights_by_stage
 from siamloc.models.registry import Optimizer
 
 ensure_torchvision()
@@ -139,8 +139,11 @@ class NetworkModule(LightningModule):
         of_network = set(self.network.parameters())
         *stages, head = weights_by_stage(self.network)
         stages.append([*head, *(weight for weight in self.parameters() if weight not in of_network)])
+        # A last stage that compares alone, and describes nothing, has the rate of the stage before it.
+        compares = {id(weight) for weight in comparing_weights(self.network)}
+        last = len(stages) - 1 - all(id(weight) in compares for weight in stages[-1])
         decay = self.optimizer.stage_decay
-        rates = [self.optimizer.learning_rate * decay**after for after in reversed(range(len(stages)))]
+        rates = [self.optimizer.learning_rate * decay ** max(last - stage, 0) for stage in range(len(stages))]
         groups = [{"params": weights, "lr": rate} for weights, rate in zip(stages, rates, strict=True)]
         return groups[self.optimizer.frozen_stages :]
 

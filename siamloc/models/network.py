@@ -17,9 +17,10 @@ from siamloc.models.canonical import Canonical
 from siamloc.models.circular import circular as around
 from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, Spectrum, make_head
 from siamloc.models.normalization import by_image, by_surroundings
-from siamloc.models.orientation import Orientation
+from siamloc.models.orientation import VALUES, Orientation
 from siamloc.models.panoresnet import ResidualBlock, residual_features
 from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
+from siamloc.models.relative import RelativePose
 from siamloc.models.weights import fill, find_weights
 from siamloc.models.weights_file import state_hash
 from siamloc.runs import Run
@@ -42,6 +43,7 @@ def build(
     circular: bool = False,
     normalize: Normalization | None = None,
     canonical: bool = False,
+    relative: bool = False,
 ) -> Network:
     """Make a network that describes panoramas: (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
 
@@ -71,6 +73,8 @@ def build(
         canonical: turn each panorama first, by fewer columns than one of the features has, so that turning the robot by
             any whole column of the panorama changes nothing; see `siamloc.models.canonical`. For circular=True and a
             head that forgets the direction: "fourier", "magnitudes", "gem" or "bands".
+        relative: learn to tell where an image was taken relative to another one, besides; see
+            `siamloc.models.relative`. For circular=True and the heads "fourier" and "magnitudes".
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
@@ -90,7 +94,7 @@ def build(
     if norm not in NORMALIZATIONS:
         raise ConfigError(f"unknown normalization {normalize!r}: {hint(str(normalize), NORMALIZATIONS)}")
     with torch.device("meta"):
-        network = Network(branch, head, size, outputs, circular, norm, canonical)
+        network = Network(branch, head, size, outputs, circular, norm, canonical, relative)
     network.to_empty(device="cpu")
     _initialize(network, seed)
     network.settings = {
@@ -103,6 +107,7 @@ def build(
         "circular": bool(circular),
         "normalize": norm,
         "canonical": bool(canonical),
+        "relative": bool(relative),
     }
     if weights is not None:
         found = find_weights(branch, weights)
@@ -123,6 +128,7 @@ class Network(nn.Module):
         circular: whether the branch wraps around the azimuth.
         normalize: a name in `NORMALIZATIONS`.
         canonical: whether panoramas are turned to a canonical direction first.
+        relative: whether it compares images.
 
     Attributes:
         branch: the `Branch`, which also normalizes.
@@ -131,6 +137,7 @@ class Network(nn.Module):
         grid: rows and columns of the features that the head sees.
         orientation: what finds headings, where the branch wraps around and the head is `fourier` or `magnitudes`;
             else None.
+        relative: the `RelativePose` that compares orientation parts; None for a network that does not.
         settings: the arguments of `build` that made it, as plain values.
     """
 
@@ -143,6 +150,7 @@ class Network(nn.Module):
         circular: bool = False,
         normalize: str = "channels",
         canonical: bool = False,
+        relative: bool = False,
     ) -> None:
         super().__init__()
         shape = feature_shape(branch, image_size, circular)
@@ -156,7 +164,13 @@ class Network(nn.Module):
         finer = finer_features(branch, image_size) if circular and isinstance(self.head, _BY_FREQUENCY) else None
         if finer is not None and shape[2] > 1:
             turned = image_size[1] if canonical else None
-            self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]), turned)
+            self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]), turned, relative)
+        if relative and self.orientation is None:
+            raise ConfigError(
+                "model.relative=true (from Python relative=True) needs model.circular=true, the head fourier or "
+                f"magnitudes, and features of two columns or more: here circular={circular}, and the head is {head}"
+            )
+        self.relative = RelativePose(2 * shape[2], VALUES) if relative else None
 
     @property
     def outputs(self) -> int:
@@ -168,7 +182,9 @@ class Network(nn.Module):
         """The parts with weights: the layers of the branch by resolution, then the head if it has any."""
         layers = iter(self.branch.features)
         counts = _layers_by_stage(self.branch.name, self.branch.circular)
-        head: list[list[nn.Module]] = [[self.head]] if next(self.head.parameters(), None) is not None else []
+        above: list[nn.Module] = [part for part in (self.head, self.orientation, self.relative) if part is not None]
+        last = [part for part in above if next(part.parameters(), None) is not None]
+        head = [last] if last else []
         return [*([next(layers) for _ in range(count)] for count in counts), *head]
 
     @property
@@ -186,6 +202,7 @@ class Network(nn.Module):
             **({"circular": True} if self.branch.circular else {}),
             **({"normalize": self.branch.normalize} if self.branch.normalize != "channels" else {}),
             **({"canonical": True} if self.canonical is not None else {}),
+            **({"relative": True} if self.relative is not None else {}),
         }
 
     def forward(self, panorama: Tensor) -> Tensor:
@@ -382,7 +399,7 @@ def _initialize(network: Network, seed: int) -> None:
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
             module.reset_parameters()
-        elif isinstance(module, (nn.Conv2d, nn.Linear)):
+        elif isinstance(module, (nn.Conv1d, nn.Conv2d, nn.Linear)):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
             if module is last:
                 with torch.no_grad():
@@ -393,6 +410,8 @@ def _initialize(network: Network, seed: int) -> None:
             module.reset()
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")
+    if network.relative is not None:
+        network.relative.reset()  # after its layers
     for module in network.modules():  # each block begins as little more than what its shortcut gives
         if isinstance(module, ResidualBlock):
             nn.init.constant_(module.second[1].weight, RESIDUAL)  # type: ignore[arg-type]

@@ -52,6 +52,13 @@ def weights_by_stage(network: nn.Module) -> list[list[nn.Parameter]]:
     return found
 
 
+def comparing_weights(network: nn.Module) -> list[nn.Parameter]:
+    """List the weights that learn displacements, see `siamloc.models.relative`; none for a network that does not."""
+    if not isinstance(getattr(network, "relative", None), nn.Module):
+        return []
+    return [weight for part in ("orientation", "relative") for weight in network.get_submodule(part).parameters()]
+
+
 class FrozenStages:
     """The first stages of a network, which get no gradient until they are thawed.
 

@@ -21,11 +21,15 @@ class Orientation(nn.Module):
     neighbouring columns are averaged, which fades out the high frequencies that coarse columns show wrongly, and all is
     scaled to a mean square of 1. Nothing in it is trained, and the signs are the same on every machine.
 
+    With `trained=True` the sums are learned together with `siamloc.models.relative`, which tells displacements by them,
+    and neighbouring columns are not averaged. The features themselves are not trained by it.
+
     Args:
         level: how many layers of the branch give the features.
         shape: (C, h, w) of the features.
         grid: rows and columns to which they are averaged where they have more.
         canonical: columns of the panorama, where it is turned to its canonical direction first, which is undone here.
+        trained: whether the sums are learned; they begin as those with random signs.
 
     Example:
         >>> from siamloc.models import build
@@ -35,17 +39,27 @@ class Orientation(nn.Module):
         (torch.Size([2, 256]), torch.Size([2, 32, 64]))
     """
 
-    signs: Tensor
+    signs: Tensor | nn.Parameter
     back: Tensor | None
 
     def __init__(
-        self, level: int, shape: tuple[int, int, int], grid: tuple[int, int], canonical: int | None = None
+        self,
+        level: int,
+        shape: tuple[int, int, int],
+        grid: tuple[int, int],
+        canonical: int | None = None,
+        trained: bool = False,
     ) -> None:
         super().__init__()
         self.level = level
+        self.trained = trained
         self.columns = grid[1], canonical
         self.grid = grid if shape[1:] != grid else None
-        self.register_buffer("signs", torch.empty(VALUES, shape[0] * grid[0]), persistent=False)
+        signs = torch.empty(VALUES, shape[0] * grid[0])
+        if trained:
+            self.signs = nn.Parameter(signs)
+        else:
+            self.register_buffer("signs", signs, persistent=False)
         back = None if canonical is None else torch.empty(2 * canonical // grid[1], grid[1], grid[1])
         self.register_buffer("back", back, persistent=False)
 
@@ -56,6 +70,8 @@ class Orientation(nn.Module):
             if self.back is not None and canonical is not None:
                 self.back.copy_(shifts(columns, torch.arange(len(self.back)) * (columns / canonical)))
             self.signs.copy_(random_signs(*self.signs.shape))
+            if self.trained:
+                self.signs /= self.signs.shape[1] ** 0.5
 
     def forward(self, features: Tensor, turned: Tensor | None = None) -> Tensor:
         """Return the orientation parts (B, columns, 64) of features (B, C, h, w).
@@ -66,10 +82,13 @@ class Orientation(nn.Module):
         """
         if self.grid is not None:
             features = F.adaptive_avg_pool2d(features, self.grid)
+        if self.trained:
+            features = features.detach()
         mixed = self.signs @ features.flatten(1, 2)
         if self.back is not None and turned is not None:
             mixed = mixed @ self.back[turned]
-        mixed = mixed + mixed.roll(1, dims=2)
+        if not self.trained:
+            mixed = mixed + mixed.roll(1, dims=2)
         mixed = mixed - mixed.mean(dim=2, keepdim=True)
         square = mixed.square().mean(dim=(1, 2), keepdim=True)
         return (mixed / (square + _SMALLEST).sqrt()).transpose(1, 2)

@@ -21,12 +21,14 @@ class Origins:
         building: (N,) whole numbers.
         room: (N,) whole numbers, those of two buildings different; negative where unknown.
         frame: (N,) whole numbers: a frame that is drawn twice has the same one.
+        theta: (N,) headings in rad, NaN where unknown; None where nobody asks for them.
     """
 
     xy: Tensor
     building: Tensor
     room: Tensor
     frame: Tensor
+    theta: Tensor | None = None
 
     def distances(self) -> Tensor:
         """Return the distances (N, N): infinite between buildings, NaN where a position is unknown."""

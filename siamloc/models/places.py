@@ -10,11 +10,13 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss
-from siamloc.models.describing import as_float
+from siamloc.models.describing import as_float, orienting
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
+from siamloc.models.network_stages import comparing_weights
 from siamloc.models.origins import Origins
 from siamloc.models.registry import Optimizer
+from siamloc.models.relative import RelativePose, relative_loss
 
 ensure_torchvision()
 
@@ -27,12 +29,14 @@ class PlaceModule(NetworkModule):
     """Train a network on all pairs of a batch.
 
     A batch is a dictionary with `images` (N, 3, H, W), uint8 or floating point in [0, 1], and what `Origins` holds:
-    `xy`, `building`, `room`, `frame`. A batch of the validation has `known` (N,) bool as well: True for frames of the
-    map, in which the others are looked for.
+    `xy`, `building`, `room`, `frame`. A network built with relative=True learns displacements besides, where the batch
+    has `theta` as well: from the same features, which that does not change. A batch of the validation has `known` (N,)
+    bool as well: True for frames of the map, in which the others are looked for.
 
     Logged at the end of an epoch: `train/loss` and `train/spread`, the mean distance of descriptors from their mean,
     near 0 where the network gives every image the same descriptor; with a loss that can tell, such as `TripletLoss`,
-    `train/active`, the share of triplets that cost anything, or of pairs with a gradient; of the validation
+    `train/active`, the share of triplets that cost anything, or of pairs with a gradient; where displacements are
+    learned `train/relative`, the mean error of those within reach; of the validation
     `val/error`, the mean distance from the map frame with the nearest descriptor, `val/median`, `val/recall`, the
     share that lies within a radius of it, and `val/room`, the share whose room it has.
 
@@ -59,11 +63,14 @@ class PlaceModule(NetworkModule):
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Compute the loss of a batch."""
         origins = _origins(batch)
-        descriptors = checked_descriptors(self.computed(as_float(batch["images"])), len(batch["images"]))
+        found, orientation = self._described(batch)
+        descriptors = checked_descriptors(found, len(batch["images"]))
+        mine = origins, descriptors.detach()
         if self._trainer is not None and self.trainer.world_size > 1:
             descriptors, origins = self._of_all(descriptors, origins)
         loss = checked_loss(self.loss(descriptors, origins), self.loss)
         seen = descriptors.detach()
+        total = loss
         apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)
         figures = {
             "loss": loss.detach(),
@@ -71,16 +78,51 @@ class PlaceModule(NetworkModule):
         }  # read at the end of the epoch: no step waits for them
         if hasattr(self.loss, "active"):
             figures["active"] = self.loss.active(seen, origins)
+        if orientation is not None:
+            assert self._comparing is not None
+            with torch.autocast(device_type=orientation.device.type, enabled=False):  # its sums need full precision
+                more, figures["relative"] = relative_loss(self._comparing, orientation.float(), *mine)
+            total = loss + more
         for name, figure in figures.items():  # read at the end of the epoch: no step waits for the device
             self._figures.setdefault(name, []).append(figure)
         self.log_step(loss)
-        return loss
+        return total
+
+    def configure_gradient_clipping(
+        self,
+        optimizer: torch.optim.Optimizer,
+        gradient_clip_val: float | None = None,
+        gradient_clip_algorithm: str | None = None,
+    ) -> None:
+        """Clip the gradients of what learns displacements apart from all others, which it then does not change."""
+        apart = comparing_weights(self.network)
+        if not apart or not gradient_clip_val or gradient_clip_algorithm not in (None, "norm"):
+            super().configure_gradient_clipping(optimizer, gradient_clip_val, gradient_clip_algorithm)
+            return
+        rest = [weight for weight in self.parameters() if not any(weight is one for one in apart)]
+        for weights in (apart, rest):
+            torch.nn.utils.clip_grad_norm_(weights, gradient_clip_val)
+
+    def _described(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor | None]:
+        """Return descriptors, and orientation parts where displacements are learned."""
+        images = as_float(batch["images"])
+        network = orienting(self.network)
+        if self._comparing is None or network is None:
+            return self.computed(images), None
+        if "theta" not in batch:
+            raise DataError("a network built with relative=True learns from headings: a batch needs theta as well")
+        return network.with_orientation(images)
+
+    @property
+    def _comparing(self) -> RelativePose | None:
+        network = orienting(self.network)
+        return None if network is None else network.relative
 
     def on_train_epoch_end(self) -> None:
         """Log the figures of the training epoch."""
         figures, self._figures = self.epoch_sums(), {}
         if figures:
-            self.log_epoch("train", {name: each.mean() for name, each in figures.items()})
+            self.log_epoch("train", {name: each.nanmean() for name, each in figures.items()})
 
     def epoch_sums(self) -> dict[str, Tensor]:
         """Return the figures of the steps."""
@@ -112,4 +154,4 @@ def _origins(batch: Mapping[str, Tensor]) -> Origins:
     missing = [key for key in _KEYS if key not in batch]
     if missing:
         raise DataError(f"a batch of places needs {', '.join(_KEYS)}; missing: {', '.join(missing)}")
-    return Origins(**{key: batch[key] for key in _KEYS[1:]})
+    return Origins(**{key: batch[key] for key in _KEYS[1:]}, theta=batch.get("theta"))

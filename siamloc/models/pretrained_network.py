@@ -33,7 +33,7 @@ def pretrained(*, circular: bool = True) -> Network:
     network = load(PRETRAINED)
     assert isinstance(network, Network)
     if not circular:
-        network = _rebuilt(network, circular=False, canonical=False)
+        network = _rebuilt(network, circular=False, canonical=False, relative=False)
     network.settings["weights"] = "siamloc"
     return network.eval()
 
@@ -50,9 +50,12 @@ def without_layer(network: Network) -> Network:
 
 
 def _rebuilt(network: Network, **changes: Any) -> Network:
-    """Make a network that differs in some arguments of `build`, with the same branch."""
+    """Make a network that differs in some arguments of `build`, with the same branch, and comparing as it does."""
     found = build(**{**network.settings, "weights": None, **changes})
     found.branch.load_state_dict(network.branch.state_dict())
+    if found.relative is not None and network.relative is not None:
+        for part in ("orientation", "relative"):
+            found.get_submodule(part).load_state_dict(network.get_submodule(part).state_dict())
     return found
 
 

@@ -276,6 +276,7 @@ def whole_model(model: Mapping[str, Any]) -> dict[str, Any]:
         "circular": False,
         "normalize": branch_spec(model["branch"]).normalize,
         "canonical": False,
+        "relative": False,
     }
     return {**usual, **model}
 

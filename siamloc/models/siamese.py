@@ -17,6 +17,7 @@ from siamloc.models.describing import as_float, margin_of
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
 from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
+from siamloc.models.network_stages import comparing_weights
 from siamloc.models.registry import Optimizer
 from siamloc.models.statistics import PairStatistics
 
@@ -53,7 +54,7 @@ class SiameseModule(NetworkModule):
         recall_radius: of `val/recall`, in the unit of the positions.
 
     Raises:
-        ConfigError: a network that is no module, or a loss that cannot be called.
+        ConfigError: a network that is no module or was built with relative=True, or a loss that cannot be called.
 
     Example:
         >>> import torch
@@ -72,6 +73,11 @@ class SiameseModule(NetworkModule):
         optimizer: Optimizer | None = None,
         recall_radius: float = RECALL_RADIUS,
     ) -> None:
+        if comparing_weights(network):
+            raise ConfigError(
+                "model.relative=true (from Python relative=True) is learned from batches of places, and these are "
+                "pairs: set it to false, or train on places as the recipe modern does"
+            )
         if loss is not None and not callable(loss):
             raise ConfigError(f"a loss is a function or a module (d0, d1, y) -> scalar, got {loss!r}")
         super().__init__(network, ContrastiveLoss() if loss is None else loss, optimizer, recall_radius)

@@ -92,7 +92,7 @@ def fill(network: nn.Module, weights: Weights, what: str) -> None:
     if weights.model is not None:
         _fill_as_trained(network, weights, weights.model, what)
         return
-    state = weights.state
+    state = _comparing_as_here(network, weights.state, keep=True)
     target: nn.Module = network
     if not any(key.startswith("branch.") for key in state):
         what = what.partition(" ")[0]
@@ -183,10 +183,11 @@ def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, A
             f"{model['branch']}"
         )
     there = whole_model(model)
-    keys = ("head", "outputs", "image_size", "circular", "normalize", "canonical")
+    keys = ("head", "outputs", "image_size", "circular", "normalize", "canonical", "relative")
     differing = [f"{key} is {there[key]} there and {here[key]} here" for key in keys if there[key] != here[key]]
     sizes = () if isinstance(network.get_submodule("head"), (GeneralizedMean, Magnitudes)) else ("image_size",)
-    target, state = network, weights.state
+    same = there["relative"] == here["relative"] and there["image_size"][1] == here["image_size"][1]
+    target, state = network, _comparing_as_here(network, weights.state, keep=same)
     if any(there[key] != here[key] for key in ("head", "outputs", *sizes)) or mismatch(network, state) is not None:
         target = network.get_submodule("branch")
         state = {name.removeprefix("branch."): value for name, value in state.items() if name.startswith("branch.")}
@@ -196,6 +197,18 @@ def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, A
     target.load_state_dict(state)
     taken = "the whole network" if target is network else "the branch alone"
     print("; ".join([f"note: {taken} starts from {weights.origin}", *differing]), file=sys.stderr)
+
+
+def _comparing_as_here(network: nn.Module, state: Mapping[str, Tensor], keep: bool) -> Mapping[str, Tensor]:
+    """Return a state whose weights that compare images are the network's own, unless they are there and are kept."""
+
+    def compares(name: str) -> bool:
+        return name.startswith(("orientation.", "relative."))
+
+    own = {name: value for name, value in network.state_dict().items() if compares(name)}
+    if keep and all(name in state for name in own):
+        return state
+    return {**{name: value for name, value in state.items() if not compares(name)}, **own}
 
 
 def _imagenet(branch: str, name: str) -> Weights:

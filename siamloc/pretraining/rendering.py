@@ -10,6 +10,7 @@ from siamloc.errors import DataError
 from siamloc.simulate.processes import rendering_processes
 from siamloc.simulate.views import Views, draw_views
 
+_PATIENCE = 10.0  # seconds for a process to end
 Wanted = tuple[Any, ...]
 """Arguments of `draw_views`."""
 
@@ -74,7 +75,8 @@ class Renderer:
             for process in processes:
                 process.terminate()
             for process in processes:
-                process.join()
+                process.join(_PATIENCE)
+                process.kill()
             if results is not None:
                 # A building of which half was sent never ends; with no writer left, who reads it knows that.
                 results._writer.close()

@@ -92,6 +92,7 @@ def frames_of(views: Views, name: str) -> FrameTable:
         room=np.array([f"room {room}" for room in views.room.tolist()]),
         lighting=np.array([f"light {light}" for light in views.light.tolist()]),
         building=np.full(count, name),
+        theta=np.where(views.wraps, views.heading, np.nan),  # of an ordinary camera columns are no full turn
     )
 
 

@@ -43,6 +43,7 @@ class Views:
         room: index of the room (N,).
         light: index of the light (N,); each drive has its own ones, and things moved between the drives.
         lighting: "cloudy", "night" or "sunny", for each light.
+        wraps: whether the pictures are panoramas, whose columns are a full turn.
     """
 
     images: Array
@@ -51,6 +52,7 @@ class Views:
     room: Array
     light: Array
     lighting: tuple[str, ...]
+    wraps: bool = True
 
     def __len__(self) -> int:
         return len(self.images)
@@ -126,6 +128,7 @@ def draw_views(
         room_at(building, xy),
         np.concatenate(light),
         tuple(lightings),
+        camera.wraps,
     )
 
 

@@ -72,6 +72,8 @@ class BatchAugmentation:
         count = len(item["frame"])
         mine = slice(rank * count, (rank + 1) * count)
         params = self.draw((*batch, _PLACES), count * world_size, image_shape, mine)
+        if "theta" in item and "heading" in params:
+            item["theta"] = item["theta"] + params["heading"].to(item["theta"].dtype)
         if self.where == "gpu":
             item["change"] = params
         else:

@@ -28,7 +28,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, WeightAveraging  # noqa: E402
 
 _SAID = (
-    *("train/loss", "train/accuracy", "train/active"),
+    *("train/loss", "train/accuracy", "train/active", "train/relative"),
     *("val/loss", "val/accuracy", "val/error", "val/recall", "val/room"),
 )
 _COLLAPSED = 0.01  # spread of descriptors of length 1, below which they tell nothing apart

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSettings
@@ -128,6 +129,30 @@ def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> No
         if lacking is None:
             return
     raise ConfigError(f"these batches teach the loss nothing, {_TRIED} of {_TRIED} drawn have no {lacking}")
+
+
+def check_headings(network: nn.Module, train: FrameTable, settings: Training) -> None:
+    """Make sure that a network which compares images can learn it from the frames.
+
+    Raises:
+        ConfigError: pairs, or places by their order, from which it is not learned.
+        DataError: headings that are missing, or that look like degrees.
+    """
+    if getattr(network, "relative", None) is None:
+        return
+    pairs = settings.pairs
+    if not isinstance(pairs, PlaceSettings) or pairs.by != "position":
+        raise ConfigError(
+            "model.relative=true (from Python relative=True) is learned from batches of places by their positions: "
+            "take the recipe modern or fine_tuning, or set model.relative to false"
+        )
+    if np.isfinite(train.theta).sum() < 2:
+        raise DataError(
+            "model.relative=true (from Python relative=True) is learned from headings, and the training frames have "
+            "none: give the column theta, in rad, or set model.relative to false"
+        )
+    for finding in wrong_headings(train):
+        raise DataError(f"model.relative=true (from Python relative=True) is learned from headings: {finding}")
 
 
 def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, *, unit: bool) -> None:

@@ -9,10 +9,11 @@ from contextlib import contextmanager
 from typing import Literal
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from siamloc.errors import ConfigError
 from siamloc.models.module import NetworkModule
+from siamloc.models.network_stages import comparing_weights
 
 BACKEND = "inductor"
 
@@ -20,17 +21,25 @@ BACKEND = "inductor"
 Wanted = Literal["auto"] | bool
 
 
-def compiles(wanted: Wanted, on_gpu: bool) -> Wanted:
+def compiles(wanted: Wanted, on_gpu: bool, network: nn.Module | None = None) -> Wanted:
     """Decide whether the network of a training is compiled: if it is wanted; with "auto" on a GPU alone.
 
+    A network that learns displacements is not.
+
     Raises:
-        ConfigError: it is wanted, and what torch compiles with is missing.
+        ConfigError: it is wanted, and what torch compiles with is missing, or the network learns displacements.
 
     Example:
         >>> compiles("auto", on_gpu=False)
         False
     """
     if wanted is False or (wanted == "auto" and not on_gpu):
+        return False
+    if network is not None and comparing_weights(network):
+        if wanted != "auto":
+            raise ConfigError(
+                "compile=true does not go with model.relative=true (relative=True): leave one of them out"
+            )
         return False
     missing = _missing(on_gpu)
     if missing is not None and wanted != "auto":

@@ -30,7 +30,15 @@ from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
 from siamloc.settings import checked, takes
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
-from siamloc.training.checks import check_batches, check_loss, check_network, check_rooms, monitored, usable
+from siamloc.training.checks import (
+    check_batches,
+    check_headings,
+    check_loss,
+    check_network,
+    check_rooms,
+    monitored,
+    usable,
+)
 from siamloc.training.compiled import compiled, compiles
 from siamloc.training.debug import Debug, debug_training
 from siamloc.training.pair_batches import PairDataModule
@@ -136,8 +144,9 @@ def fit(
     elif first:
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
+    check_headings(network, train, settings)
     change, augmented = augmentation_of(augmentation, images.circular, settings, trainer)
-    faster = compiles(settings.compile, on_gpu(trainer))
+    faster = compiles(settings.compile, on_gpu(trainer), network)
     if resume and settings.monitor == "auto" and same_kind_of_pairs(run, settings):
         settings = replace(settings, monitor=monitor_of(run))
     monitor = monitored(settings, train, validated)
@@ -209,7 +218,7 @@ def learn(
         note: says what the user should know, once everything is checked.
     """
     network, first = module.network, process_rank() == 0
-    faster = compiles(settings.compile, on_gpu(trainer))
+    faster = compiles(settings.compile, on_gpu(trainer), network)
     layout = fast_layout(network, used["trainer"]["precision"] == "auto")
     last = run.checkpoints / "last.ckpt"
     with quiet():

@@ -191,6 +191,7 @@ def origins_of(*tables: FrameTable, by: str = "position") -> dict[str, Tensor]:
         "building": torch.from_numpy(building),
         "room": torch.from_numpy(room),
         "frame": torch.arange(len(room)),
+        "theta": torch.from_numpy(frames.theta.astype(np.float32)),
     }
 
 

@@ -40,9 +40,9 @@ def pictures(
         name: of what was measured, in legends and titles.
 
     Returns:
-        Of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "calibration", "node_errors",
-        "confusion", "confusion_by_lighting", "pairs", "robustness", "nodes" and "decision" those that there are numbers
-        for, each with a function of no arguments that returns a matplotlib figure.
+        Of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "calibration",
+        "node_errors", "confusion", "confusion_by_lighting", "pairs", "robustness", "nodes" and "decision" those that
+        there are numbers for, each with a function of no arguments that returns a matplotlib figure.
 
     Raises:
         FormatError: of a compact map: measures or columns are missing, or the layer is damaged or another one.
@@ -121,7 +121,7 @@ def _of_localization(measures: Mapping[str, Any], tables: Mapping[str, Columns],
         "floor_plan": partial(floor_plan, queries, known, unit),
         "error_curve": partial(error_curve, {**queries, **others}, unit, name),
     }
-    for estimate in ("filtered", "interpolated"):
+    for estimate in ("filtered", "interpolated", "refined"):
         if f"absolute_{estimate}" in measures:
             made[f"{estimate}_curve"] = partial(estimate_curve, queries, estimate, unit)
     return made

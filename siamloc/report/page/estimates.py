@@ -10,7 +10,11 @@ from siamloc.report.page.gathered import Evaluation
 from siamloc.report.page.markup import NOTHING, Content, Markup, count, number, percent, plural, section, tag
 from siamloc.report.page.parts import Part
 
-_TITLES = {"filtered": "Sequence filter", "interpolated": "Interpolation between map frames"}
+_TITLES = {
+    "filtered": "Sequence filter",
+    "interpolated": "Interpolation between map frames",
+    "refined": "Compared with map frames",
+}
 
 
 def further_estimate(part: Part, name: str) -> Markup | None:
@@ -18,7 +22,7 @@ def further_estimate(part: Part, name: str) -> Markup | None:
 
     Args:
         part: of the page.
-        name: "filtered" or "interpolated".
+        name: "filtered", "interpolated" or "refined".
     """
     evaluation = part.evaluation
     found, absolute = evaluation.results["measures"].get(f"absolute_{name}"), evaluation.absolute
@@ -89,6 +93,14 @@ def _caption(evaluation: Evaluation, name: str) -> str:
         return (
             f"The position lies between the {of} that look most alike and belong to one place, weighted by how alike "
             "they look; it can be nearer than the nearest map frame, so that errors below the floor are possible."
+        )
+    if name == "refined":
+        settings = made.get("refinement") or {}
+        of = plural(settings["neighbours"], "map frame") if "neighbours" in settings else "map frames"
+        return (
+            f"The network compares the query with the {of} that look most alike, and says where it was taken relative "
+            "to each. The position is the one on which the surest answers agree; it can be nearer than the nearest map "
+            "frame, so that errors below the floor are usual."
         )
     text = (
         "The filter follows the robot through each sequence and weighs what it sees by where it can have driven; it "

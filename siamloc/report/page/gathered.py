@@ -16,7 +16,7 @@ from siamloc.results import Columns, read_results, read_rows, rows_by_label
 from siamloc.runs import Run
 
 ALL = "all"
-FURTHER = {"filtered": "filter", "interpolated": "interpolation"}
+FURTHER = {"filtered": "filter", "interpolated": "interpolation", "refined": "refinement"}
 _KINDS = ("localization", "hierarchical", "robustness", "mapping", "buildings")
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
 

@@ -165,7 +165,7 @@ def test_a_saved_map_is_used_and_one_of_another_descriptor_refused(manifest, tmp
 
 def test_estimates_beside_the_single_frame_one(manifest, tmp_path, capsys):
     evaluate(manifest, tmp_path / "plain", "hog", *ABSOLUTE)
-    options = ["task.filter=true", "task.interpolate=3", "task.error_model=true", "task.lost_above=0.5"]
+    options = ["task.filter=true", "task.refine=interpolate", "task.error_model=true", "task.lost_above=0.5"]
     evaluate(manifest, tmp_path / "more", "hog", *ABSOLUTE, *options)
     shown = capsys.readouterr().out
     assert "hog + filter" in shown
@@ -208,7 +208,7 @@ def test_a_tuned_filter_takes_its_settings_from_validation(manifest, tmp_path):
 
 
 def test_an_aligned_descriptor_has_the_same_estimates(manifest, tmp_path):
-    options = ["task.filter=true", "task.interpolate=2", "task.error_model=true"]
+    options = ["task.filter=true", "task.refine=interpolate", "task.neighbours=2", "task.error_model=true"]
     evaluate(manifest, tmp_path, "briefgist", "descriptor.rows=8", *ABSOLUTE, *options)
     measures = read_results(tmp_path / "evaluation/briefgist")["measures"]
     assert {"absolute", "absolute_filtered", "absolute_interpolated", "calibration"} == set(measures)
@@ -273,7 +273,7 @@ def test_rooms_that_the_map_lacks_are_named(manifest, tmp_path, capsys):
         ([*ABSOLUTE, "task.error_model=true", "protocol.validation.sequences=[first]"], "validate on another sequence"),
         ([*ABSOLUTE, "task.error_model=true", "protocol.validation.every=12"], "at least 10 validation queries, got 3"),
         ([*ABSOLUTE, "task.filter=true", "task.filter_settings.kidnapping=1"], "must be a number between 0 and 1"),
-        ([*ABSOLUTE, "task.interpolate=0"], "task.interpolate must be a whole number from 1, or null"),
+        ([*ABSOLUTE, "task.neighbours=0"], "task.neighbours must be a whole number from 1"),
     ],
 )  # fmt: skip
 def test_mistakes_are_one_line(manifest, tmp_path, given, says, capsys):

@@ -130,7 +130,7 @@ def test_a_map_without_positions_names_the_room(trained, flat, tmp_path, capsys)
 
 def test_the_map_hands_its_headings_on_and_they_can_be_left_out(finished, tmp_path):
     run = Path(shutil.copytree(finished, tmp_path / "run"))
-    siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]", "task.interpolate=3")
+    siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]", "task.refine=interpolate")
     told = json.loads((run / "evaluation/network/results.json").read_text())["measures"]
     assert "heading_error" in told["absolute"]["overall"]
     assert "heading_error" in told["absolute_interpolated"]["overall"]

@@ -115,9 +115,9 @@ TASKS = {
         disturbed,
     ),
     "filter": (
-        ["task=absolute", "task.baselines=[]", "task.filter=true", "task.filter_tune=true", "task.interpolate=3"],
+        ["task=absolute", "task.baselines=[]", "task.filter=true", "task.filter_tune=true", "task.refine=interpolate"],
         "hog",
-        lambda *world: learned(*world, filter=True, filter_tune=True, interpolate=3),
+        lambda *world: learned(*world, filter=True, filter_tune=True, refine="interpolate"),
     ),
     "error model": (
         ["task=absolute", "task.baselines=[]", "task.error_model=true", "task.lost_above=0.7"],

@@ -38,7 +38,7 @@ def page_of(run):
     ("given", "name"),
     [
         ([], "hog"),
-        (["task.filter=true", "task.interpolate=3", "task.error_model=true", "task.baselines=[]"], "hog"),
+        (["task.filter=true", "task.refine=interpolate", "task.error_model=true", "task.baselines=[]"], "hog"),
         (["task=hierarchical", "build=rooms"], "hierarchical-hog-rooms"),
     ],
     ids=["with a baseline", "with further estimates", "hierarchical"],
@@ -99,7 +99,7 @@ def pairs_of_lines(*tables):
     ("given", "sentence"),
     [
         (["task=hierarchical", "build=rooms", "task.filter=true"], "unknown configuration key 'task.filter'"),
-        (["task=robustness", "task.interpolate=3"], "unknown configuration key 'task.interpolate'"),
+        (["task=robustness", "task.refine=interpolate"], "unknown configuration key 'task.refine'"),
         (["task=room_retrieval", "task.error_model=true"], "which room_retrieval leaves out: use task=absolute"),
         (["task=absolute", "task.filter_tune=true"], "set task.filter=true"),
     ],

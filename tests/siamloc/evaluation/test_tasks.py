@@ -15,6 +15,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import Result
 from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.files import plain
+from siamloc.models import build
 from tests.siamloc.evaluation.world import Reads, drive, library
 
 
@@ -97,7 +98,7 @@ def test_rooms_need_no_positions(world):
 def test_filter_interpolation_and_expected_errors(world):
     images, _, tuesday, sunday, known = world
     result = evaluation.localization(
-        known, images, tuesday, validation=sunday, filter=True, filter_tune=True, interpolate=3, error_model=True
+        known, images, tuesday, validation=sunday, filter=True, filter_tune=True, refine="interpolate", error_model=True
     )
     assert {"absolute_filtered", "absolute_interpolated", "calibration"} <= set(result.parts)
     assert {"filtered_error", "interpolated_error", "error_m", "lost"} <= set(result.columns)
@@ -108,6 +109,24 @@ def test_filter_interpolation_and_expected_errors(world):
     own = maps.build(Reads(), images, sunday, progress=False)
     with pytest.raises(ConfigError, match="'sunday' is in the map and in the validation"):
         evaluation.localization(own, images, tuesday, validation=sunday, error_model=True)
+
+
+def test_poses_by_comparison_with_map_frames(world):
+    images, monday, tuesday, sunday, reads = world
+    network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
+    known = maps.build(network, images, monday, progress=False)
+    result = evaluation.localization(known, images, tuesday, validation=sunday, refine="relative", neighbours=2)
+    overall = result.parts["absolute_refined"]["overall"]
+    assert overall["error"]["mean"] == pytest.approx(result.columns["refined_error"].mean())
+    assert 0 <= overall["inside"] <= 1
+    assert set(result.about["estimates"]["refinement"]) == {"neighbours", "widened", "validation"}
+    described = known.descriptor.describe(images.batch(images.rows(tuesday)))
+    poses = maps.refine(known, described, maps.match(known, described, 2), k=2)
+    moved = np.hypot(*(poses.xy - tuesday.xy).T)
+    np.testing.assert_allclose(result.columns["refined_error"], moved, rtol=1e-3, atol=1e-3)
+    assert "refinement" in result.table()
+    with pytest.raises(ConfigError, match=r"reads does not tell .*task\.refine=interpolate"):
+        evaluation.localization(reads, images, tuesday, refine="relative")
 
 
 def test_hierarchical_search_of_all_nodes_is_the_search_of_the_map(world):
@@ -220,7 +239,7 @@ def test_frames_left_out_stay_left_out_under_disturbances_and_are_refused_where_
         ({"baselines": "hogg"}, "unknown baseline 'hogg'.*hog"),
         ({"ks": (0,)}, "task.ks must be a list, each item a whole number from 1"),
         ({"filter_tune": True}, "task.filter_tune=true chooses the settings of the sequence filter"),
-        ({"names": ("room_retrieval",), "interpolate": 3}, "task.interpolate goes with absolute localization"),
+        ({"names": ("room_retrieval",), "refine": "interpolate"}, "task.refine goes with absolute localization"),
         ({"protocol": "honest"}, "protocol.kind must be cross_run or same_run, got 'honest'"),
         ({"baselines": ["hogg"]}, "hogg.*hog"),
     ],
@@ -236,7 +255,9 @@ def test_no_estimate_compares_a_query_with_frames_that_are_left_out(world):
     images, monday, _, _, known = world
     protocol = Protocol(apart_seconds=3.0)
     excluded, rows = protocol.excluded(monday, monday), np.arange(len(monday))
-    result = evaluation.localization(known, images, monday, protocol=protocol, filter=True, interpolate=2)
+    result = evaluation.localization(
+        known, images, monday, protocol=protocol, filter=True, refine="interpolate", neighbours=2
+    )
     assert not excluded[rows, result.columns["filtered_match"]].any()
     assert (result.columns["filtered_error"] >= result.columns["floor"] - 1e-9).all()
     blind = monday.with_columns(x=np.where(rows < 5, np.nan, monday.x))

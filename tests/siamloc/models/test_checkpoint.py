@@ -78,6 +78,7 @@ def test_what_was_trained_stands_in_plain_values(trained):
             "circular": False,
             "normalize": "channels",
             "canonical": False,
+            "relative": False,
         },
         "loss": {"class": "ContrastiveLoss", "margin": 1.5},
         "optimizer": {**Optimizer().plain(), "momentum": 0.5},

@@ -1,0 +1,214 @@
+"""Poses finer than the map: where a query was taken relative to the map frames that it resembles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analytic import Description
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps.search import Retrieval
+from siamloc.maps.visual_map import VisualMap
+
+_FREEDOM = 4.0  # of the t-distribution that the information is of
+_STRAY = 0.15  # density of answers that are wrong, per square unit of the positions
+_ROUNDS = 10
+_AT_ONCE = 256  # queries
+
+
+Compares = Callable[
+    [NDArray[np.float32], NDArray[np.float32]], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+]
+"""What compares orientation parts of queries (n, K, F) with those of as many map frames (n, K, F): returns pose (n, 3),
+displacement ahead and to the left of the map frame's robot and how far the query's robot has turned left, in rad;
+information (n, 3, 3), the inverse of the scale matrix of a t-distribution with 4 degrees of freedom; and match (n,),
+the logarithm of the odds that both were taken near each other."""
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedPoses:
+    """Poses of n queries.
+
+    Attributes:
+        xy: (n, 2), in the unit of the positions; the map frame's own where nothing could be compared.
+        theta: (n,) rad in (-pi, pi]; NaN where nothing could be compared.
+        information: (n, 2, 2) of x and y, inverse of the scale matrix of a t-distribution with 4 degrees of freedom;
+            zeros where nothing could be compared. Answers about one query err alike: see `widening`.
+        agreement: (n,) share of the answers that agree on the pose, from 0 to 1.
+        frame: (n,) the map frame whose answer counts most.
+    """
+
+    xy: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    information: NDArray[np.float64]
+    agreement: NDArray[np.float64]
+    frame: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def squared(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return the squared distances (n,) of true positions (n, 2) by the information; NaN where there is none."""
+        apart = np.asarray(xy, dtype=np.float64) - self.xy
+        told = self.information.any(axis=(1, 2))
+        return np.where(told, np.einsum("ni,nij,nj->n", apart, self.information, apart), np.nan)
+
+    def inside(self, xy: ArrayLike, share: float = 0.9) -> NDArray[np.float64]:
+        """Return which true positions (n, 2) lie inside the ellipse that should hold a share of them: 1, 0 or NaN."""
+        squared = self.squared(xy)
+        return np.where(np.isnan(squared), np.nan, squared <= _limit(share))
+
+    def widening(self, xy: ArrayLike, share: float = 0.9) -> float:
+        """Learn from true positions (n, 2), of a drive used for nothing else, how much wider the ellipses have to be.
+
+        Returns:
+            The factor of squared distances for `widened`, with which that share of the positions lies inside.
+
+        Raises:
+            DataError: fewer than 10 positions.
+        """
+        squared = self.squared(xy)
+        squared = squared[np.isfinite(squared)]
+        if len(squared) < 10:
+            raise DataError(f"the ellipses are learned from 10 refined validation frames or more, got {len(squared)}")
+        return float(np.quantile(squared, share) / _limit(share))
+
+    def widened(self, factor: float) -> RefinedPoses:
+        """Return the poses with ellipses that are larger by a factor of squared distances."""
+        return replace(self, information=self.information / factor)
+
+    @staticmethod
+    def concatenate(parts: list[RefinedPoses]) -> RefinedPoses:
+        """Return the poses of parts, one after the other."""
+        names = ("xy", "theta", "information", "agreement", "frame")
+        return RefinedPoses(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
+
+
+def refine(
+    known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None, k: int = 3
+) -> RefinedPoses:
+    """Estimate poses by comparing each query with the k map frames that it resembles most.
+
+    Each of them says where the query was taken, how sure that is, and whether it was taken nearby at all. An answer is
+    right with the probability of a match, and then follows its t-distribution, or it is a stray one, which may lie
+    anywhere. The pose is the most likely one: answers that agree make it finer, and one that does not is left out.
+
+    Args:
+        known: m frames with positions, headings and orientation parts.
+        queries: n descriptions with orientation parts, by `known.describer`.
+        found: their nearest map frames.
+        compares: the `compare` of the map's descriptor if None.
+        k: how many map frames are compared, at least 1.
+
+    Raises:
+        ConfigError: k below 1, or a map whose descriptor does not compare.
+        DataError: a map without headings, or without orientation parts.
+    """
+    if int(k) != k or k < 1:
+        raise ConfigError(f"a whole number of map frames from 1 must be compared, got {k}")
+    compares = _of_map(known) if compares is None else compares
+    parts = queries.orientation
+    if parts is None or (known.heading is None and known.orientation is None):
+        raise DataError("the map or the queries have no orientation parts to compare: map by a network that makes them")
+    if not (np.isfinite(known.frames.theta) & known.frames.has_position).any():
+        raise DataError("no map frame has a heading: refining needs the column theta, in rad")
+    rows = found.indices[:, : min(k, found.indices.shape[1])]
+    starts = range(0, len(rows), _AT_ONCE)
+    return RefinedPoses.concatenate(
+        [_refined(known, parts[at : at + _AT_ONCE], rows[at : at + _AT_ONCE], compares) for at in starts]
+    )
+
+
+def _refined(known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int64], compares: Compares) -> RefinedPoses:
+    """Return the poses of queries with these parts (n, K, F) by map frames (n, k)."""
+    n, count = rows.shape
+    held = known.turning(rows.ravel()).orientation
+    assert held is not None
+    pose, information, match = compares(np.repeat(_scaled(parts), count, axis=0), _scaled(held))
+    theta, xy = known.frames.theta[rows], known.frames.xy[rows]
+    usable = np.asarray(np.isfinite(theta) & np.isfinite(xy).all(axis=2))
+    theta, xy = np.where(usable, theta, 0.0), np.where(usable[..., None], xy, 0.0)
+    pose, information = pose.reshape(n, count, 3), information.reshape(n, count, 3, 3)
+    axes = _turns(theta)
+    spread = np.linalg.inv(information)
+    about = np.linalg.inv(axes @ spread[..., :2, :2] @ axes.swapaxes(-1, -2))
+    odds = np.where(usable, match.reshape(n, count), -np.inf)
+    probability = 1 / (1 + np.exp(-odds))
+    at = xy + (axes @ pose[..., :2, None])[..., 0]
+    most_likely, weight, share = _most_likely(at, about, probability)
+    turned = theta + pose[..., 2]
+    weight_of_turn = weight / spread[..., 2, 2]
+    heading = np.arctan2((weight_of_turn * np.sin(turned)).sum(axis=1), (weight_of_turn * np.cos(turned)).sum(axis=1))
+    nothing = np.logical_not(usable.any(axis=1))
+    return RefinedPoses(
+        np.where(nothing[:, None], known.frames.xy[rows[:, 0]], most_likely),
+        np.where(nothing, np.nan, heading),
+        (weight[..., None, None] * about).sum(axis=1),
+        share.mean(axis=1),
+        rows[np.arange(n), share.argmax(axis=1)],
+    )
+
+
+def _most_likely(
+    at: NDArray[np.float64], about: NDArray[np.float64], probability: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the points (n, 2) that are most likely by k answers (n, k, 2), the weights and shares (n, k) of those.
+
+    From each answer on, by reweighting: each round is the mean of the answers, weighted by their information and by how
+    likely each is, at the point of the round before, to be no stray one. The best of the points found is taken.
+    """
+    height = probability * np.sqrt(np.linalg.det(about)) / (2 * np.pi)
+    xy = at  # (n, k, 2): where the search from each answer has come to
+    for _ in range(_ROUNDS):
+        _, weight, _ = _weighed(xy, at, about, height)
+        total = np.einsum("nsk,nkij->nsij", weight, about) + 1e-9 * np.eye(2)
+        moments = np.einsum("nsk,nkij,nskj->nsi", weight, about, at[:, None] - xy[:, :, None])
+        xy = xy + np.linalg.solve(total, moments[..., None])[..., 0]
+    likely, weight, share = _weighed(xy, at, about, height)
+    best = np.arange(len(at)), likely.argmax(axis=1)
+    return xy[best], weight[best], share[best]
+
+
+def _weighed(
+    xy: NDArray[np.float64], at: NDArray[np.float64], about: NDArray[np.float64], height: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return how likely points (n, s, 2) are (n, s), and the weights and shares (n, s, k) of the answers there."""
+    apart = xy[:, :, None] - at[:, None]
+    squared = np.einsum("nski,nkij,nskj->nsk", apart, about, apart)
+    density = height[:, None] * (1 + squared / _FREEDOM) ** (-(_FREEDOM + 2) / 2)
+    share = density / (density + _STRAY)
+    return np.log(density + _STRAY).sum(axis=2), share * (_FREEDOM + 2) / (_FREEDOM + squared), share
+
+
+def _limit(share: float) -> float:
+    """Return the squared distance within which that share of a t-distribution in the plane lies."""
+    return _FREEDOM * float((1 - share) ** (-2 / _FREEDOM) - 1)
+
+
+def _of_map(known: VisualMap) -> Compares:
+    if getattr(known.descriptor, "compares", False) and (known.heading is None or not known.heading.own):
+        raise ConfigError(
+            "the map does not hold what its network compares by: make it again without heading= of another descriptor"
+        )
+    if not getattr(known.descriptor, "compares", False):
+        raise ConfigError(
+            f"{known.descriptor.name} does not tell where images were taken relative to others: train a network with "
+            "model.relative=true (from Python build(..., relative=True)) and map by it, or use task.refine=interpolate"
+        )
+    compares: Compares = known.descriptor.compare  # type: ignore[attr-defined]
+    return compares
+
+
+def _turns(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrices (..., 2, 2) that turn a robot's axes into those of the building."""
+    cosine, sine = np.cos(theta), np.sin(theta)
+    return np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
+
+
+def _scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return orientation parts with a mean square of 1 each: maps keep them up to a scale."""
+    size = np.sqrt(np.mean(np.square(parts, dtype=np.float64), axis=(1, 2), keepdims=True))
+    return (parts / np.maximum(size, 1e-12)).astype(np.float32)

@@ -1,0 +1,240 @@
+"""Where a robot stands relative to a map frame: its displacement and turn, by the orientation parts of both."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from siamloc.models.origins import Origins
+
+REACH = 5.0
+"""How far two images may be apart, in the unit of the positions, to be compared."""
+FREEDOM = 4.0
+"""Degrees of freedom of the errors' t-distribution."""
+_GROUPS, _SHIFTS, _WIDTH = 8, 5, 128
+_TURN = 10.0  # turns count in tenths of a radian, of the size of displacements
+_PRIOR = 0.5  # information of each coordinate before any column is looked at: a deviation of 1.4 m
+_GAIN = 10.0
+_RANKS = (0, 4, 10)  # of an image's nearest ones in a batch, those that it is compared with
+
+
+class Relative(NamedTuple):
+    """What is said of pairs of images.
+
+    Attributes:
+        pose: (B, 3) displacement ahead and to the left of the map frame's robot, in the unit of the positions, and how
+            far the query's robot has turned left, in rad in [-pi, pi].
+        information: (B, 3, 3) inverse of the scale matrix of a t-distribution with 4 degrees of freedom; a turn counts
+            in rad.
+        match: (B,) logarithm of the odds that the images were taken within `REACH` of each other.
+    """
+
+    pose: Tensor
+    information: Tensor
+    match: Tensor
+
+
+class RelativePose(nn.Module):
+    """Compare the orientation parts of a query and a map frame.
+
+    The query's columns are first turned to where they fit the map frame's best, by whole columns. Then each column of
+    the map frame is compared with its surroundings in the query: a robot that stands elsewhere sees things shifted, by
+    an angle that says how far it has moved across the line of sight. From that, each column votes for a displacement
+    along and across its own line of sight and for the rest of the turn, with an information matrix. The votes are
+    turned into the map frame's axes and added up as independent measurements are. So a panorama that is turned turns
+    the answer, whatever was learned.
+
+    Args:
+        columns: K of the orientation parts.
+        values: F of the orientation parts.
+
+    Example:
+        >>> from siamloc.models import build
+        >>> network = build("panoresnet", "magnitudes", (64, 256), circular=True, relative=True).eval()
+        >>> _, seen = network.with_orientation(torch.rand(2, 3, 64, 256))
+        >>> found = network.relative(seen, seen.roll(8, dims=1))
+        >>> found.pose.shape, found.information.shape, found.match.shape
+        (torch.Size([2, 3]), torch.Size([2, 3, 3]), torch.Size([2]))
+    """
+
+    places: Tensor
+    axes: Tensor
+
+    def __init__(self, columns: int, values: int) -> None:
+        super().__init__()
+        self.columns = columns
+        self.shifts = min(_SHIFTS, (columns - 1) // 2)
+        inputs = 2 * values + _GROUPS * (2 * self.shifts + 1)
+        self.first = nn.Conv1d(inputs, _WIDTH, 3)
+        self.more = nn.ModuleList(nn.Conv1d(_WIDTH, _WIDTH, 3) for _ in range(3))
+        self.votes = nn.Conv1d(_WIDTH, 9, 1)
+        self.match = nn.Conv1d(_WIDTH, 1, 1)
+        self.register_buffer("places", torch.empty(columns, columns, dtype=torch.int64), persistent=False)
+        self.register_buffer("axes", torch.empty(columns, 3, 3), persistent=False)
+
+    def reset(self) -> None:
+        """Fill in what follows from the number of columns, and let all votes begin small."""
+        column = torch.arange(self.columns)
+        azimuth = -(column + 0.5 - self.columns / 2).double() * (2 * math.pi / self.columns)
+        with torch.no_grad():
+            self.places.copy_((column - column[:, None]) % self.columns)
+            self.axes.zero_()
+            self.axes[:, 0, 0] = self.axes[:, 1, 1] = azimuth.cos().float()
+            self.axes[:, 1, 0] = azimuth.sin().float()
+            self.axes[:, 0, 1] = -azimuth.sin().float()
+            self.axes[:, 2, 2] = 1.0
+            for layer in (self.votes, self.match):
+                layer.weight *= 0.1
+
+    def forward(self, query: Tensor, known: Tensor, steps: Tensor | None = None) -> Relative:
+        """Compare queries with map frames.
+
+        Args:
+            query: orientation parts (B, K, F).
+            known: of as many map frames (B, K, F).
+            steps: by how many columns each query is turned first (B,); found by correlation if None.
+        """
+        if steps is None:
+            steps = self.steps(query, known)
+        seen = _turned(query, steps).transpose(1, 2)
+        votes, match = self._votes(seen, known.transpose(1, 2))
+        vector = (self.axes @ votes[:, :3].permute(0, 2, 1)[..., None])[..., 0].sum(dim=1)
+        factors = self.axes @ _lower(votes[:, 3:].transpose(1, 2))
+        information = (factors @ factors.mT).sum(dim=1) + self.axes.new_tensor(_PRIOR / _GAIN) * _identity(self.axes)
+        pose = (_inverse(information) @ vector[..., None])[..., 0]
+        turn = pose[:, 2] / _TURN - steps * (2 * math.pi / self.columns)
+        turn = turn - 2 * math.pi * (turn / (2 * math.pi)).round()
+        units = self.axes.new_tensor([1.0, 1.0, _TURN])
+        return Relative(
+            torch.cat([pose[:, :2], turn[:, None]], dim=1),
+            information * (units[:, None] * units * _GAIN),
+            match,
+        )
+
+    def steps(self, query: Tensor, known: Tensor) -> Tensor:
+        """Return by how many columns to turn queries (B,) to where their correlation with map frames is largest."""
+        products = known @ query.mT  # (B, K, K): column j of the map frame, column i of the query
+        shifted = products.gather(2, self.places.mT.expand(products.shape[0], -1, -1))  # i = j - step
+        return shifted.sum(dim=1).argmax(dim=1)
+
+    def _votes(self, seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the votes (B, 9, K) and the odds (B,) for (B, F, K)."""
+        around = _wrapped(seen, self.shifts)
+        compared = [
+            (known * around[:, :, shift : shift + self.columns]).unflatten(1, (_GROUPS, -1)).mean(dim=2)
+            for shift in range(2 * self.shifts + 1)
+        ]
+        found = F.relu(self.first(_wrapped(torch.cat([*compared, known, seen], dim=1), 1)))
+        for layer in self.more:
+            found = found + F.relu(layer(_wrapped(found, 1)))
+        return self.votes(found), self.match(found).mean(dim=(1, 2))
+
+
+def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
+    """Choose pairs of a batch to learn from: the query's row and the map frame's row of each.
+
+    Each image is compared with some of its nearest ones, near and farther, and with the one of those out of reach that
+    looks most like it.
+
+    Args:
+        origins: of the images (N); those without a heading are left out.
+        descriptors: (N, D).
+    """
+    assert origins.theta is not None
+    apart = origins.distances()
+    usable = torch.isfinite(origins.theta) & torch.isfinite(origins.xy).all(dim=1)
+    itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
+    barred = itself | ~usable[:, None] | ~usable
+    order = apart.masked_fill(barred, math.inf).argsort(dim=1)
+    likeness, alike = torch.where(barred | (apart <= REACH), -math.inf, descriptors @ descriptors.mT).max(dim=1)
+    rank = order.new_tensor([one for one in _RANKS if one < len(apart)])
+    known = torch.cat([order[:, rank], alike[:, None]], dim=1)
+    query = torch.arange(len(apart), device=apart.device)[:, None].expand_as(known)
+    kept = ~barred[query, known]
+    kept[:, -1] &= likeness > -math.inf
+    return query[kept], known[kept]
+
+
+def relative_loss(
+    relative: RelativePose, orientation: Tensor, origins: Origins, descriptors: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the loss of what is said of pairs of a batch, and the mean error of the displacements within reach.
+
+    The loss is the negative logarithm of the likelihood: of a t-distribution for the pose, for which a few large errors
+    do not decide alone, and of whether the images were taken within reach of each other. The error is NaN where no two
+    images were.
+
+    Args:
+        relative: compares.
+        orientation: parts of the images (N, K, F).
+        origins: of the images (N), with their headings.
+        descriptors: (N, D), to find those that look alike.
+    """
+    assert origins.theta is not None
+    query, known = compared(origins, descriptors)
+    theta = origins.theta
+    apart = origins.xy[query] - origins.xy[known]
+    near = torch.linalg.vector_norm(apart, dim=1) <= REACH
+    near &= origins.building[query] == origins.building[known]
+    cosine, sine = theta[known].cos(), theta[known].sin()
+    ahead = cosine * apart[:, 0] + sine * apart[:, 1]
+    left = cosine * apart[:, 1] - sine * apart[:, 0]
+    turn = theta[query] - theta[known]
+    with torch.no_grad():  # where the correlation of near images errs by far, the right turn is shown
+        column = 2 * math.pi / relative.columns
+        steps = relative.steps(orientation[query], orientation[known])
+        off = _wrap(turn + steps * column) / column
+        right = (-turn / column).round().long() % relative.columns
+        steps = torch.where(near & (off.abs() > 2), right, steps)
+    found = relative(orientation[query], orientation[known], steps)
+    error = torch.stack([ahead, left, turn], dim=1) - found.pose
+    error = torch.cat([error[:, :2], _wrap(error[:, 2:])], dim=1)
+    squared = (error[:, None] @ found.information @ error[..., None])[:, 0, 0]
+    pose = 0.5 * (FREEDOM + 3) * torch.log1p(squared / FREEDOM) - 0.5 * torch.logdet(found.information)
+    count = near.sum()
+    match = F.binary_cross_entropy_with_logits(found.match, near.to(found.match.dtype), reduction="sum")
+    off_by = torch.linalg.vector_norm(error[:, :2].detach(), dim=1)
+    return (pose * near).sum() / count.clamp(min=1) + match / max(len(query), 1), (off_by * near).sum() / count
+
+
+def _wrap(angle: Tensor) -> Tensor:
+    """Return angles in [-pi, pi]."""
+    return angle - 2 * math.pi * (angle / (2 * math.pi)).round()
+
+
+def _wrapped(values: Tensor, columns: int) -> Tensor:
+    """Return values (..., K) with some columns of the other end at each end."""
+    return torch.cat([values[..., -columns:], values, values[..., :columns]], dim=-1)
+
+
+def _turned(values: Tensor, steps: Tensor) -> Tensor:
+    """Return values (B, K, F) turned by whole columns (B,): column j holds what was column j - step."""
+    column = torch.arange(values.shape[1], device=values.device)
+    source = (column - steps[:, None]) % values.shape[1]
+    return values.gather(1, source[..., None].expand_as(values))
+
+
+def _lower(values: Tensor) -> Tensor:
+    """Return lower triangular matrices (..., 3, 3) of six numbers each."""
+    a, b, c, d, e, f = values.unbind(dim=-1)
+    zero = torch.zeros_like(a)
+    return torch.stack([a, zero, zero, b, c, zero, d, e, f], dim=-1).unflatten(-1, (3, 3))
+
+
+def _identity(like: Tensor) -> Tensor:
+    return torch.eye(3, dtype=like.dtype, device=like.device)
+
+
+def _inverse(matrix: Tensor) -> Tensor:
+    """Return the inverses of symmetric matrices (B, 3, 3), by their cofactors: every runtime has what that takes."""
+    a, b, c = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 0, 2]
+    d, e, f = matrix[:, 1, 1], matrix[:, 1, 2], matrix[:, 2, 2]
+    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+    fourth, fifth, sixth = a * f - c * c, b * c - a * e, a * d - b * b
+    determinant = a * first + b * second + c * third
+    rows = [first, second, third, second, fourth, fifth, third, fifth, sixth]
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3)) / determinant[:, None, None]

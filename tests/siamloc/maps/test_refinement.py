@@ -1,0 +1,152 @@
+"""Poses finer than the map: answers that agree are joined, stray ones left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analytic import Description, Thumbnail
+from siamloc.data import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import HeadingPart, RefinedPoses, Retrieval, VisualMap, refine
+
+THETA = np.array([0.3, -2.0, 3.0, 1.0])
+XY = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [8.0, 8.0]])
+TRUE, HEADING = np.array([0.4, 0.3]), 2.5
+
+
+def map_of(theta: np.ndarray = THETA) -> VisualMap:
+    frames = FrameTable(path=[f"{n}.png" for n in range(4)], x=XY[:, 0], y=XY[:, 1], theta=theta)
+    # The parts say which frame they are of, so that what compares them knows the right answer.
+    parts = np.ones((4, 8, 2), dtype=np.float16)
+    parts[:, 0, 0] = 2 + np.arange(4)
+    return VisualMap(np.eye(4), frames, heading=HeadingPart({"name": "network"}, parts))
+
+
+def number(parts: np.ndarray) -> np.ndarray:
+    return np.rint(parts[:, 0, 0] / parts[:, 1, 0]).astype(int) - 2
+
+
+def exact(queries: np.ndarray, known: np.ndarray):
+    rows = number(known)
+    apart = TRUE - XY[rows]
+    cosine, sine = np.cos(THETA[rows]), np.sin(THETA[rows])
+    pose = np.stack(
+        [cosine * apart[:, 0] + sine * apart[:, 1], cosine * apart[:, 1] - sine * apart[:, 0], HEADING - THETA[rows]], 1
+    )
+    return pose, np.tile(np.diag([100.0, 400.0, 1e4]), (len(rows), 1, 1)), np.full(len(rows), 3.0)
+
+
+class Compares(Thumbnail):
+    """A descriptor that compares, exactly."""
+
+    compares = True
+
+    def compare(self, queries: np.ndarray, known: np.ndarray):
+        return exact(queries, known)
+
+
+def asked(count: int = 1) -> Description:
+    return Description(np.zeros((count, 4)), np.ones((count, 8, 2), dtype=np.float32))
+
+
+def found(*rows: int) -> Retrieval:
+    return Retrieval(np.array([rows]), np.arange(len(rows), dtype=float)[None])
+
+
+@pytest.mark.parametrize("rows", [(0,), (2, 1), (0, 1, 2)])
+def test_right_answers_give_the_pose(rows):
+    poses = refine(map_of(), asked(), found(*rows), exact, k=3)
+    np.testing.assert_allclose(poses.xy[0], TRUE, atol=1e-9)
+    np.testing.assert_allclose(poses.theta, [HEADING], atol=1e-9)
+    assert len(poses) == 1
+    assert poses.agreement[0] > 0.9
+    if rows == (0,):  # information along the map frame's axes, turned into the building's
+        cosine, sine = np.cos(THETA[0]), np.sin(THETA[0])
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        information = turn.T @ poses.information[0] @ turn
+        np.testing.assert_allclose(information / information[0, 0], np.diag([1.0, 4.0]), atol=1e-9)
+    alone = refine(map_of(), asked(), found(rows[0]), exact, k=3)
+    assert np.linalg.det(poses.information[0]) >= np.linalg.det(alone.information[0]) * (len(rows) ** 2 - 1e-6)
+
+
+@pytest.mark.parametrize("rows", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])
+@pytest.mark.parametrize("sure", [0.5, 1.0, 1.2, 3.0])
+def test_a_stray_answer_is_left_out_however_sure_it_is(rows, sure):
+    def one_astray(queries, known):
+        pose, information, match = exact(queries, known)
+        astray = number(known) == 1
+        pose[astray] += [3.0, -2.0, 1.0]
+        information[astray] *= sure
+        return pose, information, match
+
+    poses = refine(map_of(), asked(), found(*rows), one_astray, k=3)
+    np.testing.assert_allclose(poses.xy[0], TRUE, atol=0.01)
+    np.testing.assert_allclose(poses.theta, [HEADING], atol=0.01)
+    assert poses.frame[0] != 1
+    assert 0.6 < poses.agreement[0] < 0.7, "two of three"
+
+
+def test_an_answer_that_is_no_match_does_not_count():
+    def no_match(queries, known):
+        pose, information, match = exact(queries, known)
+        astray = number(known) == 1
+        pose[astray] += [3.0, -2.0, 1.0]
+        information[astray] *= 100
+        return pose, information, np.where(astray, -12.0, match)
+
+    poses = refine(map_of(), asked(), found(1, 0), no_match, k=2)
+    np.testing.assert_allclose(poses.xy[0], TRUE, atol=0.01)
+    assert poses.frame.tolist() == [0]
+
+
+def test_frames_without_a_heading_say_nothing():
+    theta = THETA.copy()
+    theta[0] = np.nan
+    poses = refine(map_of(theta), asked(), found(0, 1), exact, k=2)
+    np.testing.assert_allclose(poses.xy[0], TRUE, atol=1e-9)
+    assert poses.frame.tolist() == [1]
+    bare = map_of()
+    frames = bare.frames.with_columns(x=np.where(np.arange(4) == 0, np.nan, XY[:, 0]))
+    unplaced = VisualMap(np.eye(4), frames, heading=bare.heading)
+    np.testing.assert_allclose(refine(unplaced, asked(), found(0, 1), exact, k=2).xy[0], TRUE, atol=1e-9)
+    alone = refine(map_of(theta), asked(), found(0), exact, k=1)
+    np.testing.assert_array_equal(alone.xy[0], XY[0])
+    assert np.isnan(alone.theta).all()
+    assert not alone.information.any()
+    assert np.isnan(alone.inside(TRUE[None])).all()
+
+
+def test_ellipses_hold_the_share_that_they_should():
+    rng = np.random.default_rng(0)
+    count, scale = 20_000, np.array([[0.5, 0.2], [0.2, 0.3]])
+    errors = rng.multivariate_normal(np.zeros(2), scale, count) / np.sqrt(rng.chisquare(4, count) / 4)[:, None]
+    information = np.tile(np.linalg.inv(scale), (count, 1, 1))
+    zeros = np.zeros(count)
+    poses = RefinedPoses(np.zeros((count, 2)), zeros, information, zeros, zeros.astype(np.int64))
+    for share in (0.5, 0.9, 0.99):
+        assert poses.inside(errors, share).mean() == pytest.approx(share, abs=0.01)
+    assert poses.widening(errors) == pytest.approx(1, abs=0.05)
+    half = poses.widened(poses.widening(2 * errors))
+    assert half.inside(2 * errors).mean() == pytest.approx(0.9, abs=1e-3)
+    with pytest.raises(DataError, match="10 refined validation frames or more, got 5"):
+        refine(map_of(), asked(5), Retrieval(np.zeros((5, 1), int), np.zeros((5, 1))), exact).widening(np.zeros((5, 2)))
+
+
+def test_what_cannot_be_refined_is_refused():
+    known = map_of()
+    with pytest.raises(DataError, match="no map frame has a heading"):
+        refine(map_of(np.full(4, np.nan)), asked(), found(0), exact)
+    with pytest.raises(DataError, match="no orientation parts"):
+        refine(known, Description(np.zeros((1, 4))), found(0), exact)
+    with pytest.raises(ConfigError, match="whole number of map frames from 1"):
+        refine(known, asked(), found(0), exact, k=0)
+    thumbnails = VisualMap(np.eye(4), known.frames, {"name": "hog"}, heading=known.heading)
+    able = Compares()
+    elsewhere = HeadingPart({"name": "hog"}, known.heading.values)
+    with pytest.raises(ConfigError, match="does not hold what its network compares by"):
+        refine(VisualMap(np.eye(4), known.frames, heading=elsewhere, describes=able), asked(), found(0))
+    own = VisualMap(np.eye(4), known.frames, heading=known.heading, describes=able)
+    np.testing.assert_allclose(refine(own, asked(), found(0)).xy[0], TRUE, atol=1e-9)
+    with pytest.raises(ConfigError, match=r"hog does not tell .*model\.relative=true"):
+        refine(thumbnails, asked(), found(0))

@@ -1,0 +1,272 @@
+"""Where an image was taken relative to another: turns turn the answer, the features stay as they are, and it learns."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import siamloc
+from siamloc.errors import ConfigError, DataError
+from siamloc.models import build
+from siamloc.models.network import Network
+from siamloc.models.origins import Origins
+from siamloc.models.places import PlaceModule
+from siamloc.models.pretrained_network import without_layer
+from siamloc.models.registry import Optimizer
+from siamloc.models.relative import REACH, RelativePose, _inverse, compared, relative_loss
+from siamloc.training.compiled import compiles
+
+SIZE, COLUMNS, VALUES = (32, 128), 16, 64
+COLUMN = 2 * math.pi / COLUMNS
+
+
+@pytest.fixture(scope="module")
+def network() -> Network:
+    found = build("panoresnet", "magnitudes", SIZE, circular=True, relative=True).eval()
+    assert found.relative is not None
+    with torch.no_grad():  # votes large enough to see how they turn
+        found.relative.votes.weight[:3] *= 300
+    return found
+
+
+def parts(count: int, seed: int = 0) -> Tensor:
+    return torch.randn(count, COLUMNS, VALUES, generator=torch.Generator().manual_seed(seed))
+
+
+def test_turning_both_turns_the_displacement_and_not_the_turn(network):
+    query, known = parts(5), parts(5, 1)
+    before = network.relative(query, known)
+    for columns in (1, 5):
+        after = network.relative(query.roll(columns, dims=1), known.roll(columns, dims=1))
+        # What moves to columns on the right is seen by a robot that has turned left.
+        angle = -columns * COLUMN
+        turn = torch.tensor(
+            [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1.0]]
+        )
+        torch.testing.assert_close(after.pose, before.pose @ turn.T, rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(after.information, turn @ before.information @ turn.T, rtol=1e-4, atol=1e-3)
+        torch.testing.assert_close(after.match, before.match, rtol=1e-4, atol=1e-5)
+    assert before.pose[:, :2].norm(dim=1).min() > 0.01, "there is something to turn"
+
+
+def test_turning_the_query_adds_to_the_turn_alone(network):
+    known = parts(4)
+    query = known + 0.2 * parts(4, 1)
+    before = network.relative(query, known)
+    after = network.relative(query.roll(3, dims=1), known)
+    torch.testing.assert_close(after.pose[:, :2], before.pose[:, :2], rtol=1e-4, atol=1e-5)
+    turned = torch.remainder(after.pose[:, 2] - before.pose[:, 2] - 3 * COLUMN + math.pi, 2 * math.pi) - math.pi
+    torch.testing.assert_close(turned, torch.zeros(4), rtol=0, atol=1e-4)
+    torch.testing.assert_close(network.relative.steps(query.roll(3, dims=1), known), torch.full((4,), COLUMNS - 3))
+
+
+def test_the_inverse_is_the_inverse():
+    factor = torch.randn(20, 3, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    matrix = factor @ factor.mT + 0.1 * torch.eye(3, dtype=torch.float64)
+    torch.testing.assert_close(_inverse(matrix), torch.linalg.inv(matrix))
+
+
+def origins(count: int, seed: int = 0) -> Origins:
+    rng = torch.Generator().manual_seed(seed)
+    return Origins(
+        xy=10 * torch.rand(count, 2, generator=rng),
+        building=torch.zeros(count, dtype=torch.int64),
+        room=torch.zeros(count, dtype=torch.int64),
+        frame=torch.arange(count),
+        theta=2 * math.pi * torch.rand(count, generator=rng),
+    )
+
+
+def test_images_are_compared_with_near_ones_and_with_one_that_only_looks_alike():
+    where = origins(30)
+    assert where.theta is not None
+    where.theta[3] = math.nan
+    query, known = compared(where, torch.randn(30, 8, generator=torch.Generator().manual_seed(0)))
+    assert (query != known).all()
+    assert 3 not in query.tolist() + known.tolist()
+    apart = (where.xy[query] - where.xy[known]).norm(dim=1)
+    far = apart > REACH
+    assert far.any()
+    assert (~far).sum() >= 2 * 29
+    nearest = where.distances().masked_fill(torch.eye(30, dtype=torch.bool), math.inf)
+    nearest[3], nearest[:, 3] = math.inf, math.inf
+    for row in (0, 7, 29):
+        assert int(nearest[row].argmin()) in known[query == row].tolist()
+
+
+def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int) -> Tensor:
+    """Return what 16 directions show of a textured wall at 3 m: (N, 16, 64)."""
+    rng = torch.Generator().manual_seed(seed)
+    waves = torch.randint(1, 6, (VALUES,), generator=rng)
+    phase = 2 * math.pi * torch.rand(VALUES, generator=rng)
+    azimuth = -(torch.arange(COLUMNS) + 0.5 - COLUMNS / 2) * COLUMN
+    ahead = theta[:, None] + azimuth
+    ray = torch.stack([ahead.cos(), ahead.sin()], dim=-1)
+    along = (ray * where[:, None]).sum(dim=-1)
+    reach = -along + (along**2 - (where**2).sum(dim=-1)[:, None] + 9).sqrt()
+    hit = where[:, None] + reach[..., None] * ray
+    angle = torch.atan2(hit[..., 1], hit[..., 0])
+    return 1.4 * (angle[..., None] * waves + phase).cos()
+
+
+def test_displacements_and_turns_are_learned():
+    rng = torch.Generator().manual_seed(0)
+    torch.manual_seed(0)
+    relative = RelativePose(COLUMNS, VALUES)
+    relative.reset()
+    optimizer = torch.optim.AdamW(relative.parameters(), lr=0.002)
+    errors = []
+    for step in range(120):
+        where = origins(24, step)
+        where.xy[:] = 3 * (torch.rand(24, 2, generator=rng) - 0.5)
+        assert where.theta is not None
+        shown = seen_in_a_round_room(where.xy, where.theta, seed=0)
+        loss, error = relative_loss(relative, shown, where, torch.randn(24, 8, generator=rng))
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        errors.append(float(error))
+    assert sum(errors[:5]) / 5 > 0.5, "images are far apart"
+    assert sum(errors[-10:]) / 10 < 0.25
+    where = origins(2)
+    where.xy[:] = torch.tensor([[0.0, 0.0], [0.5, 0.2]])
+    assert where.theta is not None
+    shown = seen_in_a_round_room(where.xy, where.theta, seed=0)
+    pose = relative(shown[1:], shown[:1]).pose[0].detach()
+    off = torch.remainder(pose[2] - (where.theta[1] - where.theta[0]) + math.pi, 2 * math.pi) - math.pi
+    assert abs(math.degrees(float(off))) < 8
+    turn = float(where.theta[0])
+    ahead = 0.5 * math.cos(turn) + 0.2 * math.sin(turn)
+    left = 0.2 * math.cos(turn) - 0.5 * math.sin(turn)
+    torch.testing.assert_close(pose[:2], torch.tensor([ahead, left]), rtol=0, atol=0.3)
+
+
+def test_the_features_learn_what_they_learn_without_it():
+    rng = torch.Generator().manual_seed(0)
+    where = origins(8)
+    batch = {"images": torch.rand(8, 3, *SIZE, generator=rng), "theta": where.theta}
+    batch |= {name: getattr(where, name) for name in ("xy", "building", "room", "frame")}
+    weights = []
+    for relative in (False, True):
+        network = build("panoresnet", "fourier", SIZE, circular=True, relative=relative)
+        module = PlaceModule(network, optimizer=Optimizer(learning_rate=0.1))
+        optimizer = module.configure_optimizers()
+        for _ in range(2):
+            optimizer.zero_grad()
+            module.training_step(batch, 0).backward()
+            if relative:
+                module.configure_gradient_clipping(optimizer, 0.01)
+            else:
+                torch.nn.utils.clip_grad_norm_(module.parameters(), 0.01)
+            optimizer.step()
+        weights.append({name: value for name, value in network.state_dict().items() if name.startswith(("br", "head"))})
+        before = build("panoresnet", "fourier", SIZE, circular=True, relative=relative)
+        if network.relative is not None and before.relative is not None:
+            assert not torch.equal(network.relative.first.weight, before.relative.first.weight)
+            assert network.orientation is not None
+            assert before.orientation is not None
+            assert not torch.equal(network.orientation.signs, before.orientation.signs), "its sums are learned, too"
+    for name, value in weights[0].items():
+        torch.testing.assert_close(weights[1][name], value, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "options", [{"circular": False}, {"head": "gem"}, {"branch": "simple1", "image_size": (4, 16), "head": "flat"}]
+)
+def test_networks_without_orientation_parts_are_refused(options):
+    wanted = {"branch": "panoresnet", "head": "magnitudes", "image_size": SIZE, "circular": True, **options}
+    with pytest.raises(ConfigError, match=r"model\.relative=true .* needs model\.circular=true"):
+        build(**wanted, relative=True)
+
+
+def test_headings_are_needed_and_in_rad(tmp_path):
+    images = siamloc.data.example()
+    network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
+    frames = images.frames
+    way = {"pairs": {"places": 4, "images": 2, "epoch_batches": 2}, "epochs": 1, "run": tmp_path / "run"}
+    blind = frames.with_columns(theta=np.full(len(frames), np.nan))
+    with pytest.raises(DataError, match="learned from headings, and the training frames have none"):
+        siamloc.training.fit(network, images, blind, **way)
+    degrees = frames.with_columns(theta=np.linspace(0, 350, len(frames)))
+    with pytest.raises(DataError, match="learned from headings: theta looks like degrees"):
+        siamloc.training.fit(network, images, degrees, **way)
+    with pytest.raises(ConfigError, match="learned from batches of places by their positions"):
+        siamloc.training.fit(network, images, frames, run=tmp_path / "run", epochs=1)
+    run = siamloc.training.fit(network, images, frames, **way)
+    assert np.isfinite(run.curves()["train/relative"]).all()
+    again = siamloc.models.load(run)
+    assert again.relative is not None
+    torch.testing.assert_close(again.relative.first.weight, network.relative.first.weight)
+
+
+def test_a_batch_without_a_usable_pair_costs_nothing_that_is_not_finite(network):
+    for known in (0, 1):
+        where = origins(6)
+        assert where.theta is not None
+        where.theta[known:] = math.nan
+        loss, error = relative_loss(network.relative, parts(6), where, torch.randn(6, 8))
+        assert torch.isfinite(loss)
+        assert torch.isnan(error)
+
+
+def test_it_is_exported_for_any_number_of_pairs(network):
+    number = torch.export.Dim("number", min=1, max=64)
+    shapes = ({0: number}, {0: number}, None)
+    program = torch.export.export(network.relative, (parts(3), parts(3, 1), None), dynamic_shapes=shapes).module()
+    for count in (1, 5):
+        expected = network.relative(parts(count), parts(count, 1))
+        for found, one in zip(program(parts(count), parts(count, 1), None), expected, strict=True):
+            torch.testing.assert_close(found, one)
+
+
+def test_a_network_that_compares_goes_to_the_robot(network, tmp_path):
+    path = tmp_path / "network.onnx"
+    siamloc.runtime.export_onnx(network, path, SIZE)
+    assert siamloc.runtime.parity(network, path)["orientation"]["max_relative_difference"] < 1e-4
+
+
+def test_weights_that_compare_travel_where_they_fit(network, tmp_path, capsys):
+    path = siamloc.models.save_weights(network, tmp_path / "whole.safetensors")
+    again = siamloc.models.load(path)
+    torch.testing.assert_close(again.relative.first.weight, network.relative.first.weight, rtol=1e-2, atol=1e-3)
+    like = {"branch": "panoresnet", "head": "magnitudes", "circular": True}
+    without = build(**like, image_size=SIZE, weights=str(path))
+    assert without.relative is None
+    assert "the whole network" in capsys.readouterr().err
+    wider = build(**like, image_size=(32, 256), weights=str(path), relative=True, seed=3)
+    fresh = build(**like, image_size=(32, 256), relative=True, seed=3)
+    torch.testing.assert_close(wider.relative.first.weight, fresh.relative.first.weight)  # of other columns
+    bare = siamloc.models.save_weights(without, tmp_path / "bare.safetensors")
+    begun = build(**like, image_size=SIZE, weights=str(bare), relative=True)
+    for name, value in without.branch.state_dict().items():
+        torch.testing.assert_close(begun.branch.state_dict()[name], value, rtol=1e-2, atol=1e-3)
+    fourier = build("panoresnet", "fourier", SIZE, circular=True, relative=True, seed=5)
+    kept = without_layer(fourier)
+    assert kept.head.name == "magnitudes"
+    torch.testing.assert_close(kept.relative.first.weight, fourier.relative.first.weight)
+    torch.testing.assert_close(kept.orientation.signs, fourier.orientation.signs)
+
+
+def test_what_does_not_go_with_it_is_refused(network):
+    with pytest.raises(ConfigError, match="learned from batches of places, and these are pairs"):
+        siamloc.models.SiameseModule(network)
+    with pytest.raises(ConfigError, match=r"compile=true does not go with model\.relative=true"):
+        compiles(True, False, network)
+    batch = {"images": torch.rand(4, 3, *SIZE)}
+    where = origins(4)
+    batch |= {name: getattr(where, name) for name in ("xy", "building", "room", "frame")}
+    with pytest.raises(DataError, match="a batch needs theta as well"):
+        PlaceModule(network).training_step(batch, 0)
+
+
+def test_branches_learn_at_the_rates_that_they_have_without_it():
+    rates = []
+    for relative in (False, True):
+        network = build("panoresnet", "magnitudes", SIZE, circular=True, relative=relative)
+        module = PlaceModule(network, optimizer=Optimizer(learning_rate=0.1, stage_decay=0.5))
+        rates.append([group["lr"] for group in module.configure_optimizers().param_groups])
+    assert rates[1] == [*rates[0], 0.1]
