@@ -157,6 +157,7 @@ def export(config: DictConfig) -> None:
     from siamloc import runtime
     from siamloc.maps import VisualMap
     from siamloc.maps.error_model import saved_errors
+    from siamloc.maps.refinement import saved_refinement
 
     label = label_of(config.descriptor)
     if not by_network(config) and label != "pretrained":
@@ -167,13 +168,14 @@ def export(config: DictConfig) -> None:
     network, path = descriptor_of(config, run), map_file(run, label)
     known = VisualMap.load(path, network) if path.is_file() else None
     errors = saved_errors(run.evaluation(label) / "error_model.json", known)
+    refinement = saved_refinement(run.evaluation(label) / "refinement.json", known)
     images = {} if known is not None else {"preprocessing": preprocessing_of(config)}
     folder = Path(config.bundle) if config.bundle is not None else run.bundle
-    bundle = runtime.export(network, known, folder, errors=errors, **images)
+    bundle = runtime.export(network, known, folder, errors=errors, refinement=refinement, **images)
     if folder == run.bundle:
         run.record_written(files_in(folder))
     print(bundle.summary())
-    for line in further_steps(run, known, errors, label):
+    for line in further_steps(run, known, errors, refinement, label):
         print(line)
 
 

@@ -17,7 +17,7 @@ from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps import ErrorModel, VisualMap
+from siamloc.maps import ErrorModel, Refinement, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run
 from siamloc.settings import checked, fields_of
@@ -245,7 +245,9 @@ def way_of(config: DictConfig) -> dict[str, Any]:
     return {"way": options.pop("name"), "seed": config.seed, **options}
 
 
-def further_steps(run: Run, known: VisualMap | None, errors: ErrorModel | None, label: str) -> list[str]:
+def further_steps(
+    run: Run, known: VisualMap | None, errors: ErrorModel | None, refinement: Refinement | None, label: str
+) -> list[str]:
     """Return what the robot could get besides what was exported, and what to do next, in words."""
     lines, named = [], f"run={run.folder}" + ("" if label == "network" else f" descriptor={label}")
     if known is not None and known.heading is None and known.made.get("data", {}).get("circular", True):
@@ -255,6 +257,12 @@ def further_steps(run: Run, known: VisualMap | None, errors: ErrorModel | None, 
         if (run.evaluation(label) / "error_model.json").is_file():
             lines.append("error_model.json left out, it was learned on another map")
         lines.append(f"for expected errors: siamloc evaluate {named} task.error_model=true, then export again")
+    if known is not None and refinement is None:
+        if (run.evaluation(label) / "refinement.json").is_file():
+            lines.append("refinement.json left out, it was learned on another map")
+        elif getattr(known.describes, "compares", False):
+            step = f"siamloc evaluate {named} task.refine=relative"
+            lines.append(f"for poses finer than the map: {step}, then export again")
     return [*lines, f"next: siamloc localize run={run.folder} images=[photo.jpeg]"]
 
 

@@ -15,11 +15,12 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import calibration
 from siamloc.evaluation.absolute import most_neighbours
 from siamloc.evaluation.columns import check_retrieval, room_names
-from siamloc.evaluation.interpolation import interpolate_poses
 from siamloc.evaluation.metrics import heading_error, localization_error, recall_from_ranks, summarize
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Search, Session
 from siamloc.maps.error_model import ErrorModel
+from siamloc.maps.interpolation import interpolate_poses
+from siamloc.maps.refinement import Refinement
 from siamloc.maps.search import Retrieval
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
@@ -154,14 +155,16 @@ def with_estimates(
         columns, about = filtered(settings, search, queries, validation)
         result = _with_columns(result, "filtered", columns, {"filter": about})
     if settings.refine == "relative":
-        columns, about = refined(settings, search, queries, validation, session.skipped)
+        columns, about, refinement = refined(settings, search, queries, validation, session.skipped)
         result = _with_columns(result, "refined", columns, {"refinement": about})
+        result = replace(result, refinement=refinement)
     if settings.refine == "interpolate":
         k, radius = settings.neighbours, settings.place_radius
         poses = interpolate_poses(search.retrieval, known.frames, k, radius, search.headings)
         columns = estimate_columns("interpolated", poses.xy, queries, poses.theta)
         columns["interpolated_used"] = poses.used
         result = _with_columns(result, "interpolated", columns, {"interpolation": {"neighbours": k, "radius": radius}})
+        result = replace(result, refinement=Refinement("interpolate", k, radius, map_digest=known.digest))
     if settings.error_model and validation is not None:
         model, about = learned_errors(settings, known, validation)
         expected = model.predict(search.retrieval, known.frames.xy)
@@ -215,27 +218,28 @@ def refined(
     queries: FrameTable,
     validation: Validation | None,
     skipped: dict[str, str],
-) -> tuple[Columns, dict[str, Any]]:
-    """Return the columns of the poses by comparison, and what they were made with.
+) -> tuple[Columns, dict[str, Any], Refinement]:
+    """Return the columns of the poses by comparison, what they were made with, and how the robot makes such.
 
     How wide their ellipses are is learned from validation frames, where there are enough; it is noted where not.
     """
-    poses = search.refined
+    poses, widening = search.refined, 1.0
     about: dict[str, Any] = {"neighbours": settings.neighbours}
     if validation is not None:
         try:
-            about["widened"] = validation.search.refined.widening(validation.frames.xy)
+            about["widened"] = widening = validation.search.refined.widening(validation.frames.xy)
             about["validation"] = len(validation.frames)
-            poses = poses.widened(about["widened"])
+            poses = poses.widened(widening)
         except DataError as error:
             skipped["ellipses"] = str(error)
+    refinement = Refinement("relative", settings.neighbours, widening=widening, map_digest=search.known.digest)
     columns = {
         **estimate_columns("refined", poses.xy, queries, poses.theta),
         "refined_match": poses.frame,
         "refined_agreement": poses.agreement,
         "refined_inside": poses.inside(queries.xy),
     }
-    return columns, about
+    return columns, about, refinement
 
 
 def learned_errors(settings: Estimates, known: VisualMap, validation: Validation) -> tuple[ErrorModel, dict[str, Any]]:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from siamloc.maps.error_model import ErrorModel
+    from siamloc.maps.refinement import Refinement
 
 _KEPT = ("config", "measures", "baselines", "denominators", "skipped", "tables", "schema", "created", "versions")
 
@@ -32,6 +33,7 @@ class Result:
         about: what was evaluated: data, protocol, descriptor and so on, as plain values.
         settings: of the evaluation, as plain values.
         error_model: what was learned of the error, where that was asked for.
+        refinement: how poses were refined, where that was asked for: the robot does it alike.
         layer: folder of the coarse layer, where there is one on disk: some pictures need it.
 
     Example:
@@ -53,6 +55,7 @@ class Result:
     about: dict[str, Any] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
     error_model: ErrorModel | None = None
+    refinement: Refinement | None = None
     layer: Path | None = None
 
     @property
@@ -132,6 +135,8 @@ class Result:
         }
         if self.error_model is not None:
             self.error_model.save(folder / "error_model.json")
+        if self.refinement is not None:
+            self.refinement.save(folder / "refinement.json")
         write_results(folder, self.as_dict(), tables={**self.tables, **extra})
         if not pictures:
             return []
@@ -172,6 +177,7 @@ class Result:
             about=about,
             settings=held["config"],
             error_model=_saved_errors(Path(folder) / "error_model.json"),
+            refinement=_saved_refinement(Path(folder) / "refinement.json"),
         )
 
     def joined(self, other: Result) -> Result:
@@ -184,6 +190,7 @@ class Result:
             skipped={**self.skipped, **other.skipped},
             about={**self.about, **other.about},
             error_model=self.error_model or other.error_model,
+            refinement=self.refinement or other.refinement,
         )
 
 
@@ -191,3 +198,9 @@ def _saved_errors(path: Path) -> ErrorModel | None:
     from siamloc.maps.error_model import ErrorModel
 
     return ErrorModel.load(path) if path.is_file() else None
+
+
+def _saved_refinement(path: Path) -> Refinement | None:
+    from siamloc.maps.refinement import Refinement
+
+    return Refinement.load(path) if path.is_file() else None

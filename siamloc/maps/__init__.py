@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from siamloc.maps.grouping import WAYS, Built, group
     from siamloc.maps.heading import HeadingPart, WithHeading
     from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking
+    from siamloc.maps.interpolation import interpolate_poses
     from siamloc.maps.matching import frame_distances, headings, match
     from siamloc.maps.projector import write_projector
-    from siamloc.maps.refinement import RefinedPoses, refine
+    from siamloc.maps.refinement import RefinedPoses, Refinement, refine
     from siamloc.maps.search import Retrieval, VectorIndex
     from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
     from siamloc.maps.visual_map import VisualMap
@@ -40,11 +41,13 @@ _HOMES = {
     "HierarchicalRetrieval": "hierarchy",
     "HierarchicalSearch": "hierarchy",
     "NodeRanking": "hierarchy",
+    "interpolate_poses": "interpolation",
     "frame_distances": "matching",
     "headings": "matching",
     "match": "matching",
     "write_projector": "projector",
     "RefinedPoses": "refinement",
+    "Refinement": "refinement",
     "refine": "refinement",
     "Retrieval": "search",
     "VectorIndex": "search",
@@ -67,6 +70,7 @@ __all__ = [
     "MotionModel",
     "NodeRanking",
     "RefinedPoses",
+    "Refinement",
     "Retrieval",
     "SequenceFilter",
     "VectorIndex",
@@ -77,6 +81,7 @@ __all__ = [
     "frame_distances",
     "group",
     "headings",
+    "interpolate_poses",
     "match",
     "refine",
     "temperature_of_map",

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.files import read_json, write_json
+from siamloc.maps.interpolation import interpolate_poses
+from siamloc.maps.matching import headings
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
+
+METHODS = ("interpolate", "relative")
+OUTPUTS = ("pose", "information", "match")
+"""What `Compares` returns, in order."""
+_FORMAT = "siamloc-refinement"
+_VERSION = 1
 
 _FREEDOM = 4.0  # of the t-distribution that the information is of
 _STRAY = 0.15  # density of answers that are wrong, per square unit of the positions
@@ -39,6 +51,8 @@ class RefinedPoses:
             zeros where nothing could be compared. Answers about one query err alike: see `widening`.
         agreement: (n,) share of the answers that agree on the pose, from 0 to 1.
         frame: (n,) the map frame whose answer counts most.
+
+    Poses by `interpolate_poses` have no information, and their agreement is the share of the map frames they rest on.
     """
 
     xy: NDArray[np.float64]
@@ -80,11 +94,107 @@ class RefinedPoses:
         """Return the poses with ellipses that are larger by a factor of squared distances."""
         return replace(self, information=self.information / factor)
 
+    def covariance(self) -> NDArray[np.float64]:
+        """Return the covariances of x and y (n, 2, 2), in squared units of the positions; NaN where nothing is told."""
+        told = np.asarray(self.information.any(axis=(1, 2)))[:, None, None]
+        held = np.where(told, self.information, np.eye(2))
+        return np.where(told, np.linalg.inv(held) * _FREEDOM / (_FREEDOM - 2), np.nan)
+
     @staticmethod
     def concatenate(parts: list[RefinedPoses]) -> RefinedPoses:
         """Return the poses of parts, one after the other."""
         names = ("xy", "theta", "information", "agreement", "frame")
         return RefinedPoses(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How poses are made finer than the map, as plain values: what an evaluation leaves for the robot.
+
+    Attributes:
+        method: "interpolate", see `siamloc.maps.interpolate_poses`, or "relative", see `refine`.
+        neighbours: how many of the nearest map frames are looked at, at least 1.
+        radius: map frames farther apart are different places, for "interpolate"; in units of x and y.
+        widening: how much wider the ellipses of "relative" have to be, see `RefinedPoses.widening`.
+        map_digest: of the map that this was learned on; "" if unknown.
+
+    Raises:
+        ConfigError: an unknown method, or a value out of range.
+    """
+
+    method: str
+    neighbours: int = 3
+    radius: float = 1.0
+    widening: float = 1.0
+    map_digest: str = ""
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ConfigError(f"unknown way of refining {self.method!r}: {hint(str(self.method), METHODS)}")
+        if not isinstance(self.neighbours, int) or self.neighbours < 1:
+            raise ConfigError(f"refining needs a whole number of neighbours from 1, got {self.neighbours!r}")
+        if not 0 <= self.radius < math.inf or not 0 < self.widening < math.inf:
+            raise ConfigError(f"refining needs radius >= 0 and widening > 0, got {self.radius} and {self.widening}")
+
+    def poses(
+        self, known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None
+    ) -> RefinedPoses:
+        """Return the refined poses of queries; arguments and errors as `refine` and `interpolate_poses`.
+
+        For "interpolate", all map frames need positions.
+        """
+        if self.method == "relative":
+            return refine(known, queries, found, compares, self.neighbours).widened(self.widening)
+        count = min(self.neighbours, len(known))
+        turned = headings(known, queries, found, count)
+        poses = interpolate_poses(found, known.frames, self.neighbours, self.radius, turned)
+        assert poses.theta is not None
+        nothing = np.zeros((len(poses), 2, 2))
+        return RefinedPoses(poses.xy, poses.theta, nothing, poses.used / count, found.indices[:, 0])
+
+    def learned_on(self, known: VisualMap) -> bool:
+        """Find out whether this was learned on the frames of a map that have a position."""
+        return bool(known.frames.has_position.any()) and self.map_digest == known.placed().digest
+
+    def save(self, path: str | Path) -> None:
+        """Write it as JSON, atomically.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        write_json(path, {"format": _FORMAT, "version": _VERSION, **asdict(self)})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Refinement:
+        """Read what `save` wrote.
+
+        Raises:
+            FormatError: the file is missing, cut short, something else, or of a newer version.
+        """
+        values = read_json(path)
+        if not isinstance(values, Mapping) or values.get("format") != _FORMAT:
+            raise FormatError(f"{path} does not say how poses are refined: make it with `siamloc evaluate`")
+        if values.get("version") != _VERSION:
+            raise FormatError(
+                f"{path} has format version {values.get('version')}, this siamloc reads {_VERSION}: update siamloc"
+            )
+        plain: dict[str, Any] = {key: value for key, value in values.items() if key not in ("format", "version")}
+        try:
+            return cls(**plain)
+        except (TypeError, ValueError) as error:
+            raise FormatError(f"{path} does not say in full how poses are refined ({error}): make it again") from error
+
+
+def saved_refinement(path: str | Path, known: VisualMap | None) -> Refinement | None:
+    """Read how poses are refined if it is there and was learned on this map.
+
+    Raises:
+        FormatError: the file is cut short, something else, or of a newer version.
+    """
+    if known is None or not Path(path).is_file():
+        return None
+    found = Refinement.load(path)
+    return found if found.learned_on(known) else None
 
 
 def refine(

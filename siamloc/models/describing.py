@@ -16,6 +16,7 @@ from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.network import Network
+from siamloc.models.relative import RelativePose
 from siamloc.models.weights_file import state_hash
 
 CHUNK = 64
@@ -99,16 +100,11 @@ class NetworkDescriptor(BetweenColumns):
         Raises:
             ConfigError: a network that does not compare.
         """
-        network = orienting(self.module)
-        if network is None or network.relative is None:
-            raise ConfigError(
-                "this network does not tell where images were taken relative to others: train one with "
-                "model.relative=true (from Python relative=True)"
-            )
-        like = next(network.parameters())
+        relative = comparing(self.module)
+        like = next(relative.parameters())
         pairs = zip(*(torch.tensor(one).split(chunk) for one in (queries, known)), strict=True)
-        with evaluating(network), torch.autocast(device_type=like.device.type, enabled=False):
-            parts = [network.relative(*(one.to(like) for one in pair)) for pair in pairs]
+        with evaluating(relative), torch.autocast(device_type=like.device.type, enabled=False):
+            parts = [relative(*(one.to(like) for one in pair)) for pair in pairs]
         pose, information, match = (torch.cat(one).double().cpu().numpy() for one in zip(*parts, strict=True))
         return pose, information, match
 
@@ -167,6 +163,21 @@ def orienting(module: nn.Module) -> Network | None:
     """
     network = network_of(module)
     return network if type(network) is Network and network.orientation is not None else None
+
+
+def comparing(module: nn.Module) -> RelativePose:
+    """Return what a network compares images by.
+
+    Raises:
+        ConfigError: it does not compare.
+    """
+    network = orienting(module)
+    if network is None or network.relative is None:
+        raise ConfigError(
+            "this network does not tell where images were taken relative to others: train one with "
+            "model.relative=true (from Python relative=True)"
+        )
+    return network.relative
 
 
 def margin_of(loss: object) -> float | None:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from siamloc.errors import DataError
+from siamloc.models.relative import RelativePose
 
 ELSEWHERE = 100.0
 """What counts as the error of a query that is found in another building, in the unit of the positions."""
@@ -39,32 +40,40 @@ class DriveFigures:
         self.radius = radius
         self._parts: list[dict[str, Tensor]] = []
 
-    def add(self, batch: Mapping[str, Tensor], descriptors: Tensor) -> None:
+    def add(self, batch: Mapping[str, Tensor], descriptors: Tensor, orientation: Tensor | None = None) -> None:
         """Add frames of the map and queries.
 
         Args:
             batch: `known` (B,) bool, True for frames of the map; `xy` (B, 2), NaN where unknown; `building` (B,);
                 `room` (B,), negative where unknown.
             descriptors: (B, D).
+            orientation: parts (B, K, F) of a network that compares; then the batch has `theta` (B,) as well, NaN where
+                unknown.
 
         Raises:
             DataError: a batch without one of these.
         """
-        missing = [name for name in _COLUMNS if name not in batch]
+        columns = _COLUMNS if orientation is None else (*_COLUMNS, "theta")
+        missing = [name for name in columns if name not in batch]
         if missing:
             raise DataError(
-                f"a batch of the validation needs {', '.join(_COLUMNS)} (known says what belongs to the map); missing: "
+                f"a batch of the validation needs {', '.join(columns)} (known says what belongs to the map); missing: "
                 f"{', '.join(missing)}"
             )
-        self._parts.append({"descriptors": descriptors.float(), **{name: batch[name] for name in _COLUMNS}})
+        held = {} if orientation is None else {"orientation": orientation.float()}
+        self._parts.append({"descriptors": descriptors.float(), **held, **{name: batch[name] for name in columns}})
 
-    def compute(self) -> dict[str, Tensor]:
+    def compute(self, relative: RelativePose | None = None) -> dict[str, Tensor]:
         """Look for the queries in the map, and forget them.
+
+        Args:
+            relative: compares the orientation parts.
 
         Returns:
             `error`, the mean distance from the map frame with the nearest descriptor, `median` and `recall`, where
-            there are positions; `room`, the share of queries whose room it has, where the map has two or more; nothing
-            where nothing was added.
+            there are positions; `refined`, the mean error of the pose by comparison with that frame, where parts were
+            added and there are headings; `room`, the share of queries whose room it has, where the map has two or more;
+            nothing where nothing was added.
 
         Raises:
             FloatingPointError: descriptors are not finite.
@@ -88,7 +97,22 @@ class DriveFigures:
         if bool((usable := torch.isfinite(error)).any()):
             figures = {"error": error[usable].mean(), "median": error[usable].median()}
             figures["recall"] = found[usable].float().mean()
+        if relative is not None and "orientation" in whole:
+            about = whole["theta"][known][match]
+            rows = torch.isfinite(whole["xy"][query]).all(dim=1) & torch.isfinite(about) & placed[match]
+            if bool(rows.any()):
+                pose = relative(whole["orientation"][query][rows], whole["orientation"][known][match][rows]).pose
+                turned = _turned(pose[:, :2], about[rows])
+                off = whole["xy"][known][match][rows] + turned - whole["xy"][query][rows]
+                away = torch.linalg.vector_norm(off, dim=1)
+                figures["refined"] = torch.where(there[rows], away, ELSEWHERE).mean()
         rooms, asked = whole["room"][known], whole["room"][query]
         if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED and bool((asked >= 0).any()):
             figures["room"] = (rooms[apart.argmin(dim=1)] == asked)[asked >= 0].float().mean()
         return figures
+
+
+def _turned(xy: Tensor, theta: Tensor) -> Tensor:
+    """Return vectors (n, 2) in the axes of robots with these headings (n,) in those of the building."""
+    cosine, sine = theta.cos(), theta.sin()
+    return torch.stack([cosine * xy[:, 0] - sine * xy[:, 1], sine * xy[:, 0] + cosine * xy[:, 1]], dim=1)

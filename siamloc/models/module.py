@@ -12,8 +12,9 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
-from siamloc.models.describing import as_float, identity_of, margin_of
+from siamloc.models.describing import as_float, identity_of, margin_of, orienting
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
+from siamloc.models.network import Network
 from siamloc.models.network_stages import FrozenStages, comparing_weights, weights_by_stage
 from siamloc.models.registry import Optimizer
 
@@ -65,6 +66,12 @@ class NetworkModule(LightningModule):
     def trained_network(self) -> nn.Module:
         """The network alone, which describes and is exported in place of the module."""
         return self.network
+
+    @property
+    def comparing_network(self) -> Network | None:
+        """The network, if it learns to compare images; see `siamloc.models.relative`."""
+        network = orienting(self.network)
+        return network if network is not None and network.relative is not None else None
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -179,8 +186,9 @@ class NetworkModule(LightningModule):
         Raises:
             DataError: a batch that does not say what belongs to the map.
         """
-        found = checked_descriptors(self.network(as_float(batch["images"])), len(batch["images"]))
-        self._drive.add(batch, found)
+        images, network = as_float(batch["images"]), self.comparing_network
+        found, parts = (self.network(images), None) if network is None else network.with_orientation(images)
+        self._drive.add(batch, checked_descriptors(found, len(images)), parts)
 
     def drive_figures(self) -> dict[str, Tensor]:
         """Look for the queries of the validation drive in the map; nothing where there were none.
@@ -189,7 +197,8 @@ class NetworkModule(LightningModule):
             ConfigError: the descriptors are not finite.
         """
         try:
-            return self._drive.compute()
+            network = self.comparing_network
+            return self._drive.compute(None if network is None else network.relative)
         except FloatingPointError as error:
             raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 

@@ -395,7 +395,7 @@ def _canonical(branch: str, head: Head, image_size: tuple[int, int], circular: b
 def _initialize(network: Network, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     network.branch.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
-    last = [None, *(module for module in network.modules() if isinstance(module, nn.Linear))][-1]
+    last = [None, *(module for module in network.head.modules() if isinstance(module, nn.Linear))][-1]
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
             module.reset_parameters()

@@ -10,13 +10,13 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss
-from siamloc.models.describing import as_float, orienting
+from siamloc.models.describing import as_float, comparing
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
 from siamloc.models.network_stages import comparing_weights
 from siamloc.models.origins import Origins
 from siamloc.models.registry import Optimizer
-from siamloc.models.relative import RelativePose, relative_loss
+from siamloc.models.relative import relative_loss
 
 ensure_torchvision()
 
@@ -38,7 +38,8 @@ class PlaceModule(NetworkModule):
     `train/active`, the share of triplets that cost anything, or of pairs with a gradient; where displacements are
     learned `train/relative`, the mean error of those within reach; of the validation
     `val/error`, the mean distance from the map frame with the nearest descriptor, `val/median`, `val/recall`, the
-    share that lies within a radius of it, and `val/room`, the share whose room it has.
+    share that lies within a radius of it, `val/room`, the share whose room it has, and `val/refined`, the mean error of
+    the pose by comparison with that frame.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -79,9 +80,8 @@ class PlaceModule(NetworkModule):
         if hasattr(self.loss, "active"):
             figures["active"] = self.loss.active(seen, origins)
         if orientation is not None:
-            assert self._comparing is not None
             with torch.autocast(device_type=orientation.device.type, enabled=False):  # its sums need full precision
-                more, figures["relative"] = relative_loss(self._comparing, orientation.float(), *mine)
+                more, figures["relative"] = relative_loss(comparing(self.network), orientation.float(), *mine)
             total = loss + more
         for name, figure in figures.items():  # read at the end of the epoch: no step waits for the device
             self._figures.setdefault(name, []).append(figure)
@@ -105,18 +105,12 @@ class PlaceModule(NetworkModule):
 
     def _described(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor | None]:
         """Return descriptors, and orientation parts where displacements are learned."""
-        images = as_float(batch["images"])
-        network = orienting(self.network)
-        if self._comparing is None or network is None:
+        images, network = as_float(batch["images"]), self.comparing_network
+        if network is None:
             return self.computed(images), None
         if "theta" not in batch:
             raise DataError("a network built with relative=True learns from headings: a batch needs theta as well")
         return network.with_orientation(images)
-
-    @property
-    def _comparing(self) -> RelativePose | None:
-        network = orienting(self.network)
-        return None if network is None else network.relative
 
     def on_train_epoch_end(self) -> None:
         """Log the figures of the training epoch."""

@@ -19,7 +19,9 @@ _GROUPS, _SHIFTS, _WIDTH = 8, 5, 128
 _TURN = 10.0  # turns count in tenths of a radian, of the size of displacements
 _PRIOR = 0.5  # information of each coordinate before any column is looked at: a deviation of 1.4 m
 _GAIN = 10.0
+_MOST = 6.0  # logarithm of how much more or less than by its sum the information may be
 _RANKS = (0, 4, 10)  # of an image's nearest ones in a batch, those that it is compared with
+_ALIKE, _APART = 2, 1.0  # and how many of those farther away than this, which look most like it
 
 
 class Relative(NamedTuple):
@@ -45,8 +47,9 @@ class RelativePose(nn.Module):
     the map frame is compared with its surroundings in the query: a robot that stands elsewhere sees things shifted, by
     an angle that says how far it has moved across the line of sight. From that, each column votes for a displacement
     along and across its own line of sight and for the rest of the turn, with an information matrix. The votes are
-    turned into the map frame's axes and added up as independent measurements are. So a panorama that is turned turns
-    the answer, whatever was learned.
+    turned into the map frame's axes and added up as independent measurements are. How much less than those they know
+    together, where two places look alike for instance, is told by all columns at once. So a panorama that is turned
+    turns the answer, whatever was learned.
 
     Args:
         columns: K of the orientation parts.
@@ -72,7 +75,7 @@ class RelativePose(nn.Module):
         self.first = nn.Conv1d(inputs, _WIDTH, 3)
         self.more = nn.ModuleList(nn.Conv1d(_WIDTH, _WIDTH, 3) for _ in range(3))
         self.votes = nn.Conv1d(_WIDTH, 9, 1)
-        self.match = nn.Conv1d(_WIDTH, 1, 1)
+        self.whole = nn.Linear(_WIDTH, 2)
         self.register_buffer("places", torch.empty(columns, columns, dtype=torch.int64), persistent=False)
         self.register_buffer("axes", torch.empty(columns, 3, 3), persistent=False)
 
@@ -87,7 +90,7 @@ class RelativePose(nn.Module):
             self.axes[:, 1, 0] = azimuth.sin().float()
             self.axes[:, 0, 1] = -azimuth.sin().float()
             self.axes[:, 2, 2] = 1.0
-            for layer in (self.votes, self.match):
+            for layer in (self.votes, self.whole):
                 layer.weight *= 0.1
 
     def forward(self, query: Tensor, known: Tensor, steps: Tensor | None = None) -> Relative:
@@ -101,7 +104,7 @@ class RelativePose(nn.Module):
         if steps is None:
             steps = self.steps(query, known)
         seen = _turned(query, steps).transpose(1, 2)
-        votes, match = self._votes(seen, known.transpose(1, 2))
+        votes, whole = self._votes(seen, known.transpose(1, 2))
         vector = (self.axes @ votes[:, :3].permute(0, 2, 1)[..., None])[..., 0].sum(dim=1)
         factors = self.axes @ _lower(votes[:, 3:].transpose(1, 2))
         information = (factors @ factors.mT).sum(dim=1) + self.axes.new_tensor(_PRIOR / _GAIN) * _identity(self.axes)
@@ -109,10 +112,11 @@ class RelativePose(nn.Module):
         turn = pose[:, 2] / _TURN - steps * (2 * math.pi / self.columns)
         turn = turn - 2 * math.pi * (turn / (2 * math.pi)).round()
         units = self.axes.new_tensor([1.0, 1.0, _TURN])
+        known_together = whole[:, 1].clamp(-_MOST, _MOST).exp()[:, None, None]
         return Relative(
             torch.cat([pose[:, :2], turn[:, None]], dim=1),
-            information * (units[:, None] * units * _GAIN),
-            match,
+            information * known_together * (units[:, None] * units * _GAIN),
+            whole[:, 0],
         )
 
     def steps(self, query: Tensor, known: Tensor) -> Tensor:
@@ -122,7 +126,7 @@ class RelativePose(nn.Module):
         return shifted.sum(dim=1).argmax(dim=1)
 
     def _votes(self, seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the votes (B, 9, K) and the odds (B,) for (B, F, K)."""
+        """Return the votes (B, 9, K), and by all columns the odds of a match and what they know together (B, 2)."""
         around = _wrapped(seen, self.shifts)
         compared = [
             (known * around[:, :, shift : shift + self.columns]).unflatten(1, (_GROUPS, -1)).mean(dim=2)
@@ -131,14 +135,14 @@ class RelativePose(nn.Module):
         found = F.relu(self.first(_wrapped(torch.cat([*compared, known, seen], dim=1), 1)))
         for layer in self.more:
             found = found + F.relu(layer(_wrapped(found, 1)))
-        return self.votes(found), self.match(found).mean(dim=(1, 2))
+        return self.votes(found), self.whole(found.mean(dim=2))
 
 
 def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
     """Choose pairs of a batch to learn from: the query's row and the map frame's row of each.
 
-    Each image is compared with some of its nearest ones, near and farther, and with the one of those out of reach that
-    looks most like it.
+    Each image is compared with some of its nearest ones, near and farther, and with those at other places that look
+    most like it, within reach or not: they are what a search finds by mistake.
 
     Args:
         origins: of the images (N); those without a heading are left out.
@@ -150,12 +154,13 @@ def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
     itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
     barred = itself | ~usable[:, None] | ~usable
     order = apart.masked_fill(barred, math.inf).argsort(dim=1)
-    likeness, alike = torch.where(barred | (apart <= REACH), -math.inf, descriptors @ descriptors.mT).max(dim=1)
     rank = order.new_tensor([one for one in _RANKS if one < len(apart)])
-    known = torch.cat([order[:, rank], alike[:, None]], dim=1)
+    likeness = torch.where(barred | (apart <= _APART), -math.inf, descriptors @ descriptors.mT)
+    found, alike = likeness.topk(min(_ALIKE, len(apart)), dim=1)
+    known = torch.cat([order[:, rank], alike], dim=1)
     query = torch.arange(len(apart), device=apart.device)[:, None].expand_as(known)
     kept = ~barred[query, known]
-    kept[:, -1] &= likeness > -math.inf
+    kept[:, len(rank) :] &= found > -math.inf
     return query[kept], known[kept]
 
 

@@ -23,7 +23,7 @@ from siamloc.simulate.mesh import embree
 from siamloc.training.checks import check_loss, check_network
 from siamloc.training.fitting import augmentation_of, learn, process_rank
 from siamloc.training.run_folder import check_folder
-from siamloc.training.settings import Training
+from siamloc.training.settings import Monitor, Training
 
 
 def pretrain(
@@ -90,7 +90,8 @@ def pretrain(
         raise ConfigError("pretraining needs a network of siamloc.models.build, whose image size the pictures have")
     if process_rank() == 0:
         check_folder(run, resume, overwrite)
-    settings = replace(settings, monitor="recall") if settings.monitor == "auto" else settings
+    judged: Monitor = "recall" if network.relative is None else "refined"
+    settings = replace(settings, monitor=judged) if settings.monitor == "auto" else settings
     check_loss(loss, 2)
     change, augmented = augmentation_of(augmentation, bool(network.settings["circular"]), settings, trainer)
     data = ViewDataModule(network.image_size, views, places, change, settings.seed)
@@ -141,6 +142,6 @@ def _check(settings: Training, views: ViewSettings) -> PlaceSettings:
         raise ConfigError(
             f"workers={settings.workers} gather batches of a data set; how many render buildings is views.processes"
         )
-    if settings.monitor not in ("auto", "recall", "error"):
+    if settings.monitor not in ("auto", "recall", "error", "refined"):
         raise ConfigError(f"pretraining is judged by the places found: monitor={settings.monitor} means nothing here")
     return places

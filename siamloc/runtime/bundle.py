@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from torch import nn
 
     from analytic import Descriptor
-    from siamloc.maps import ErrorModel, VisualMap
+    from siamloc.maps import ErrorModel, Refinement, VisualMap
 
 FORMAT = "siamloc-bundle"
 VERSION = 3
@@ -24,6 +24,9 @@ _MODEL = "model.onnx"
 _MAP = "map.npz"
 _HEADING = "heading.onnx"
 _ERRORS = "error_model.json"
+_REFINEMENT = "refinement.json"
+_RELATIVE = "relative.onnx"
+_FINER = {"interpolate": "between", "relative": "by comparison with"}
 _KEYS = {"sha256": dict, "preprocessing": dict, "identity": dict, "parity": dict}
 
 
@@ -34,7 +37,8 @@ class Bundle:
     Attributes:
         folder: where it lies.
         about: what `bundle.json` holds: `preprocessing`, `identity` of the network, `parity` (how far the exported
-            network is from the original), `heading` and `errors` (what gives them, None without), `sha256` by file.
+            network is from the original), `heading` and `errors` (what gives them, None without), `refinement` (how
+            poses are made finer than the map, None if they are not), `sha256` by file.
         preprocessing: how an image becomes a panorama.
     """
 
@@ -80,6 +84,16 @@ class Bundle:
         """The model of the expected error; None if there is none."""
         return self._file(_ERRORS)
 
+    @property
+    def refinement(self) -> Path | None:
+        """How poses are made finer than the map; None if they are not."""
+        return self._file(_REFINEMENT)
+
+    @property
+    def relative(self) -> Path | None:
+        """What compares a query with map frames, as ONNX; None if nothing does."""
+        return self._file(_RELATIVE)
+
     def summary(self) -> str:
         """Say in two lines how exact the exported network is, and what the robot gets."""
         first = (
@@ -88,7 +102,9 @@ class Bundle:
         )
         if self.map is None:
             return f"{first}\nthe robot gets descriptors alone: there is no map to locate images in"
-        gets = ["position"]
+        finer = self.about.get("refinement")
+        how = "" if finer is None else f" ({_FINER[finer['method']]} {finer['neighbours']} map frames)"
+        gets = [f"position{how}"]
         if self.about.get("heading") is not None:
             gets.append(f"heading (by {self.about['heading']['identity']['name']})")
         if self.errors is not None:
@@ -149,6 +165,7 @@ def export(
     folder: str | Path,
     *,
     errors: ErrorModel | None = None,
+    refinement: Refinement | None = None,
     preprocessing: Preprocessing | None = None,
 ) -> Bundle:
     """Write network and map as a bundle for the robot, whose `Localizer` needs no torch.
@@ -161,19 +178,23 @@ def export(
             headings.
         folder: where to.
         errors: the model of the expected error, learned on this map; None if there is none.
+        refinement: how poses are made finer than the map, learned on this map, such as `Result.refinement`; None for
+            the poses of the nearest map frames.
         preprocessing: how images become panoramas (`images.preprocessing`); the map's if None.
 
     Returns:
         The opened bundle; `parity` says how far the exported network is from the original.
 
     Raises:
-        ConfigError: the folder holds other files than a bundle's, the map is another network's, the error model was
-            learned on another map, panoramas that cannot be made from plain values, or what cannot be exported.
+        ConfigError: the folder holds other files than a bundle's, the map is another network's, the error model or the
+            refinement was learned on another map, a network that does not compare is to refine, panoramas that cannot
+            be made from plain values, or what cannot be exported.
         SiamlocError: the exported network differs from the original.
         StorageError: the disk is full or refuses.
     """
     from siamloc.models import as_descriptor
     from siamloc.runtime.onnx_model import export_heading, export_onnx
+    from siamloc.runtime.onnx_relative import export_relative
 
     folder, descriptor = Path(folder).absolute(), as_descriptor(network)
     _check_replaceable(folder)
@@ -183,6 +204,8 @@ def export(
     identity, parameters = _described_alike(descriptor, known, preprocessing)
     if errors is not None and (known is None or not errors.learned_on(known)):
         raise ConfigError("the error model was learned on another map than the bundle's: learn it again")
+    if refinement is not None and (known is None or not refinement.learned_on(known)):
+        raise ConfigError("how poses are refined was learned on another map than the bundle's: evaluate again")
     image_size = (parameters["height"], parameters["width"])
     with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -203,6 +226,14 @@ def export(
             if errors is not None:
                 errors.save(fresh / _ERRORS)
                 files.append(_ERRORS)
+            finer: dict[str, Any] | None = None
+            if refinement is not None:
+                refinement.save(fresh / _REFINEMENT)
+                files.append(_REFINEMENT)
+                finer = {"method": refinement.method, "neighbours": refinement.neighbours}
+            if finer is not None and finer["method"] == "relative":
+                finer["parity"] = export_relative(module, fresh / _RELATIVE)
+                files.append(_RELATIVE)
             about = {
                 "format": FORMAT,
                 "version": VERSION,
@@ -212,6 +243,7 @@ def export(
                 "parity": exported["parity"],
                 "heading": heading,
                 "errors": None if errors is None else errors.as_dict(),
+                "refinement": finer,
                 "sha256": {file: file_hash(fresh / file) for file in files},
             }
             write_json(fresh / _DESCRIPTION, about)
@@ -252,7 +284,7 @@ def _check_replaceable(folder: Path) -> None:
     if not folder.is_dir():
         raise ConfigError(f"{folder} is a file: name another folder for the bundle")
     names = {path.name for path in folder.iterdir()}
-    others = sorted(names - {_DESCRIPTION, _MODEL, f"{_MODEL}.data", _MAP, _HEADING, _ERRORS})
+    others = sorted(names - {_DESCRIPTION, _MODEL, f"{_MODEL}.data", _MAP, _HEADING, _ERRORS, _REFINEMENT, _RELATIVE})
     if others or (names and _DESCRIPTION not in names):
         raise ConfigError(
             f"{folder} holds other files, such as {(others or sorted(names))[0]}: name a folder of its own"

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import write_text
-from siamloc.maps import ErrorModel, Retrieval, VisualMap, headings
+from siamloc.maps import ErrorModel, RefinedPoses, Refinement, Retrieval, VisualMap, headings
 from siamloc.runtime.bundle import Bundle
 
 
@@ -46,8 +46,9 @@ class Location:
     """Where an image was taken.
 
     Attributes:
-        x: position of the nearest map frame, in the unit of the map; NaN where the map does not know it.
-        y: position of the nearest map frame.
+        x: position, in the unit of the map: finer than the map where the bundle refines it, else that of the nearest
+            map frame; NaN where the map does not know it.
+        y: the same.
         theta: heading in rad in (-pi, pi], counter-clockwise; NaN where the bundle gives no headings, or that of the
             nearest map frame is unknown.
         room: room of the nearest map frame, or "".
@@ -56,6 +57,8 @@ class Location:
             is none.
         candidates: the map frames that resemble the image most, the nearest first.
         ms: time that preparing, describing, searching and all estimates took, in milliseconds.
+        covariance: of x and y, in their squared unit, as ((xx, xy), (xy, yy)); None where nothing tells it.
+        agreement: share of the map frames looked at that agree on a refined pose, from 0 to 1; NaN for one that is not.
     """
 
     x: float
@@ -66,6 +69,8 @@ class Location:
     lost: bool | None
     candidates: tuple[Candidate, ...]
     ms: float
+    covariance: tuple[tuple[float, float], tuple[float, float]] | None = None
+    agreement: float = math.nan
 
     def describe(self, unit: str = "m") -> str:
         """Say in one line where the image was taken, and which map frames resemble it."""
@@ -119,6 +124,15 @@ class Localizer:
         self._heading = None if self.bundle.heading is None else session(self.bundle.heading)
         self._errors = None if self.bundle.errors is None else ErrorModel.load(self.bundle.errors)
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
+        self._refinement = None if self.bundle.refinement is None else Refinement.load(self.bundle.refinement)
+        self._relative = None if self.bundle.relative is None else session(self.bundle.relative)
+        if self._refinement is not None and self._refinement.method == "relative" and self._relative is None:
+            raise FormatError(
+                f"{bundle_path} says that poses are refined by comparison, and holds nothing to compare by: export "
+                "again"
+            )
+        looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
+        self._wanted = max(top, *looked_at, 1)
 
     @property
     def unit(self) -> str:
@@ -135,7 +149,10 @@ class Localizer:
         panorama = self._panorama(image)
         pixels = panorama[None].astype(np.float32) / np.float32(255)
         descriptor, *orientation = self._session.run(None, {"panorama": pixels})
-        found = self.map.search(descriptor, max(self._top, self._errors.neighbours if self._errors else 1))
+        if self._heading is not None:
+            orientation = self._heading.run(None, {"panorama": pixels})
+        query = Description(descriptor, orientation[0] if orientation else None)
+        found = self.map.search(descriptor, self._wanted)
         frames = self.map.frames
         candidates = tuple(
             Candidate(
@@ -148,40 +165,44 @@ class Localizer:
             for row, distance in zip(found.indices[0, : self._top], found.distances[0, : self._top], strict=True)
         )
         best = candidates[0]
-        error, lost = self._expected_error(descriptor, found)
+        pose, error, lost = self._estimates(query, found)
         return Location(
-            x=best.x,
-            y=best.y,
-            theta=self._theta(pixels, descriptor, orientation, found),
+            x=best.x if pose is None else float(pose.xy[0, 0]),
+            y=best.y if pose is None else float(pose.xy[0, 1]),
+            theta=float((headings(self.map, query, found)[:, 0] if pose is None else pose.theta)[0]),
             room=best.room,
             error_m=error,
             lost=lost,
             candidates=candidates,
             ms=1000 * (time.perf_counter() - start),
+            covariance=None if pose is None else _told(pose),
+            agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
 
-    def _theta(
-        self,
-        pixels: NDArray[np.float32],
-        descriptor: NDArray[np.float32],
-        orientation: list[NDArray[np.float32]],
-        found: Retrieval,
-    ) -> float:
-        """Return the heading by the nearest map frame, NaN if there is none."""
-        if self._heading is not None:
-            orientation = self._heading.run(None, {"panorama": pixels})
-        if self.map.heading is None or not orientation:
-            return math.nan
-        return float(headings(self.map, Description(descriptor, orientation[0]), found)[0, 0])
+    def _estimates(self, query: Description, found: Retrieval) -> tuple[RefinedPoses | None, float, bool | None]:
+        """Return the pose finer than the map, the expected error, and whether that means lost.
 
-    def _expected_error(self, descriptor: NDArray[np.float32], found: Retrieval) -> tuple[float, bool | None]:
-        """Return the expected error and whether it means lost, by the map frames that have a position."""
-        if self._errors is None or self._placed is None or not self.map.frames.has_position[found.indices[0, 0]]:
-            return math.nan, None
+        All rest on the map frames that have a position; there is none of them where the nearest frame has none.
+        """
+        if self._placed is None or not self.map.frames.has_position[found.indices[0, 0]]:
+            return None, math.nan, None
         if self._placed is not self.map:
-            found = self._placed.search(descriptor, self._errors.neighbours)
-        expected = self._errors.predict(found, self._placed.frames.xy)
-        return float(expected[0]), None if self._errors.lost_above is None else bool(self._errors.lost(expected)[0])
+            found = self._placed.search(query.position, self._wanted)
+        pose, expected, lost = None, math.nan, None
+        if self._refinement is not None:
+            pose = self._refinement.poses(self._placed, query, found, self._compare)
+        if self._errors is not None:
+            errors = self._errors.predict(found, self._placed.frames.xy)
+            expected = float(errors[0])
+            lost = None if self._errors.lost_above is None else bool(self._errors.lost(errors)[0])
+        return pose, expected, lost
+
+    def _compare(
+        self, queries: NDArray[np.float32], known: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        assert self._relative is not None
+        pose, information, match = self._relative.run(None, {"query": queries, "known": known})
+        return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
 
     def _panorama(self, image: Any) -> NDArray[np.uint8]:
         if isinstance(image, (str, Path)):
@@ -195,6 +216,12 @@ class Localizer:
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
         return self.bundle.preprocessing.prepare(pixels)
+
+
+def _told(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Return the covariance of one pose; None where nothing tells it."""
+    (xx, xy), (_, yy) = pose.covariance()[0].tolist()
+    return None if math.isnan(xx) else ((xx, xy), (xy, yy))
 
 
 def write_locations(path: str | Path, located: Mapping[str, Location]) -> None:
@@ -217,6 +244,7 @@ def write_locations(path: str | Path, located: Mapping[str, Location]) -> None:
 
 def _row(image: str, location: Location) -> dict[str, object]:
     best = location.candidates[0]
+    (xx, xy), (_, yy) = location.covariance or ((math.nan, math.nan), (math.nan, math.nan))
     return {
         "image": image,
         "x": _cell(location.x),
@@ -225,6 +253,10 @@ def _row(image: str, location: Location) -> dict[str, object]:
         "room": location.room,
         "error_m": _cell(location.error_m),
         "lost": "" if location.lost is None else location.lost,
+        "covariance_xx": _cell(xx),
+        "covariance_xy": _cell(xy),
+        "covariance_yy": _cell(yy),
+        "agreement": _cell(location.agreement),
         "match": best.image,
         "distance": best.distance,
         "ms": round(location.ms, 2),

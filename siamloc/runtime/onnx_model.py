@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import copy
-import json
-import logging
 import tempfile
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +13,15 @@ import torch
 from torch import nn
 
 from analytic import Description, Descriptor, ImageDescriptor
-from siamloc.errors import ConfigError, FormatError, SiamlocError
+from siamloc.errors import ConfigError, SiamlocError
 from siamloc.files import atomic_path, file_hash, storage_errors
 from siamloc.models.describing import evaluating, identity_of, network_of, orienting
 from siamloc.models.network import Network
+from siamloc.runtime.onnx_file import OPSET, label, quiet, session_of, traced
 
 FORMAT, HEADING_FORMAT = "siamloc-network", "siamloc-heading"
-FORMAT_VERSION = 1
 INPUT, OUTPUT, HEADING_OUTPUT = "panorama", "descriptor", "orientation"
 TOLERANCE, HEADING_TOLERANCE = 1e-4, 1e-3
-OPSET = 20
 ONE_FILE_BYTES = 2**31 - 2**24  # protobuf ends at 2 GiB; the graph next to the weights takes a little
 _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 _HEADING_IMAGES = 4
@@ -57,20 +52,20 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
         StorageError: the disk refuses.
     """
     path = Path(path)
-    network = _on_cpu(network)
+    network = on_cpu(network)
     identity = identity_of(network)
     rows, columns = int(image_size[0]), int(image_size[1])
     example = torch.zeros(2, 3, rows, columns)  # an example of 1 would fix the batch to 1
     with evaluating(network):
         network(example)  # a wrong size fails here, in the network's own words
     graph, outputs = _graph(network)
-    program = _program(graph, example, *outputs, dynamic_shapes=({0: torch.export.Dim("batch")},))
-    _label(program, FORMAT, identity)
+    program = traced(graph, (example,), [INPUT], outputs, free_batch=True)
+    label(program, FORMAT, identity)
     size = sum(tensor.nbytes for tensor in network.state_dict().values())
     if size < ONE_FILE_BYTES:
         files = [path.name]
         with atomic_path(path) as temporary:
-            with _quiet():
+            with quiet():
                 program.save(temporary, external_data=False)
             report = parity(network, temporary)
     else:
@@ -79,7 +74,7 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
             path.parent.mkdir(parents=True, exist_ok=True)
             # The graph names the weights' file, so both are written under their own names elsewhere.
             with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-                with _quiet():
+                with quiet():
                     program.save(Path(folder) / path.name, external_data=True)
                 report = parity(network, Path(folder) / path.name)
                 for name in reversed(files):
@@ -128,8 +123,8 @@ def parity(
     """
     import onnxruntime
 
-    network = _on_cpu(network)
-    session = _session(path)
+    network = on_cpu(network)
+    session = session_of(path)
     graph, outputs = _graph(network)
     rows, columns = session.get_inputs()[0].shape[2:]
     generator = np.random.default_rng(seed)
@@ -234,12 +229,12 @@ def export_heading(descriptor: Descriptor, path: str | Path, image_size: Sequenc
     if found.is_complex():
         raise refused
     try:
-        program = _program(module, example, HEADING_OUTPUT)
+        program = traced(module, (example,), [INPUT], [HEADING_OUTPUT], free_batch=False)
     except Exception as error:  # the exporter's errors have no common base
         raise refused from error
-    _label(program, HEADING_FORMAT, descriptor.identity)
+    label(program, HEADING_FORMAT, descriptor.identity)
     with atomic_path(path) as temporary:
-        with _quiet():
+        with quiet():
             program.save(temporary, external_data=False)
         return heading_parity(descriptor, temporary)
 
@@ -265,7 +260,7 @@ def heading_parity(descriptor: Descriptor, path: str | Path, seed: int = 0) -> d
     """
     import onnxruntime
 
-    session = _session(path)
+    session = session_of(path)
     rows, columns = session.get_inputs()[0].shape[2:]
     generator = np.random.default_rng(seed)
     images = generator.integers(0, 256, (_HEADING_IMAGES, 3, rows, columns), dtype=np.uint8)
@@ -303,39 +298,12 @@ def heading_parity(descriptor: Descriptor, path: str | Path, seed: int = 0) -> d
     }
 
 
-def _program(module: nn.Module, example: torch.Tensor, *outputs: str, **options: Any) -> Any:
-    """Trace a module in evaluation mode; afterwards every part has the mode it had before."""
-    training = [(part, part.training) for part in module.modules()]
-    module.eval()
-    try:
-        with _quiet(), torch.no_grad():
-            return torch.onnx.export(
-                module,
-                (example,),
-                dynamo=True,
-                input_names=[INPUT],
-                output_names=list(outputs),
-                opset_version=OPSET,
-                verbose=False,
-                **options,
-            )
-    finally:
-        for part, mode in training:
-            part.training = mode
+def on_cpu(network: nn.Module) -> nn.Module:
+    """Return a network on the CPU: itself, or a copy.
 
-
-def _label(program: Any, kind: str, identity: dict[str, Any]) -> None:
-    """Write into a file what it is."""
-    program.model.metadata_props.update(
-        {
-            "format": kind,
-            "format_version": str(FORMAT_VERSION),
-            "identity": json.dumps(identity, sort_keys=True),
-        }
-    )
-
-
-def _on_cpu(network: nn.Module) -> nn.Module:
+    Raises:
+        ConfigError: weights that are not float32.
+    """
     network = network_of(network)
     types = {tensor.dtype for tensor in network.parameters()}
     if not types <= {torch.float32}:
@@ -344,30 +312,3 @@ def _on_cpu(network: nn.Module) -> nn.Module:
     if {tensor.device.type for tensor in network.parameters()} <= {"cpu"}:
         return network
     return copy.deepcopy(network).cpu()
-
-
-def _session(path: str | Path) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions have no common base
-        raise FormatError(f"{path} is no ONNX file that onnxruntime can run ({type(error).__name__})") from error
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence the exporter's deprecation warnings and progress lines; its errors pass."""
-    loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)

@@ -29,7 +29,7 @@ from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, WeightAvera
 
 _SAID = (
     *("train/loss", "train/accuracy", "train/active", "train/relative"),
-    *("val/loss", "val/accuracy", "val/error", "val/recall", "val/room"),
+    *("val/loss", "val/accuracy", "val/error", "val/recall", "val/room", "val/refined"),
 )
 _COLLAPSED = 0.01  # spread of descriptors of length 1, below which they tell nothing apart
 _COLLAPSED_PAIRS = 0.0125  # the same of the mean distance of pairs, as a share of the margin; random weights have more

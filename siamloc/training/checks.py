@@ -187,7 +187,9 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
         )
 
 
-def monitored(settings: Training, train: FrameTable, validated: FrameTable | None) -> Monitor | None:
+def monitored(
+    settings: Training, train: FrameTable, validated: FrameTable | None, network: nn.Module
+) -> Monitor | None:
     """Name the figure by which the checkpoint is chosen, as `Training.monitor` does; None where nothing is validated.
 
     Raises:
@@ -214,8 +216,16 @@ def monitored(settings: Training, train: FrameTable, validated: FrameTable | Non
             f"monitor=room needs rooms, {_ROOMS} or more in training, and training and validation frames do not both "
             "have them: give them, or choose monitor=auto"
         )
+    compares = getattr(network, "relative", None) is not None
+    if monitor == "refined" and not (placed and compares):
+        raise ConfigError(
+            "monitor=refined is the error of poses by comparison: it needs model.relative=true (from Python "
+            "relative=True), and training and validation frames with positions in one building; or choose monitor=auto"
+        )
     if monitor != "auto":
         return monitor
+    if placed and compares:
+        return "refined"
     if not isinstance(settings.pairs, PlaceSettings):
         return "error" if placed and _another_drive(train, validated) else "loss"
     if placed:

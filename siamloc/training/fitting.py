@@ -149,7 +149,7 @@ def fit(
     faster = compiles(settings.compile, on_gpu(trainer), network)
     if resume and settings.monitor == "auto" and same_kind_of_pairs(run, settings):
         settings = replace(settings, monitor=monitor_of(run))
-    monitor = monitored(settings, train, validated)
+    monitor = monitored(settings, train, validated, network)
     settings = settings if monitor is None else replace(settings, monitor=monitor)
     data, module = _parts(network, images, train, validated, loss, change, settings)
     check_network(network, images.batch([0]), images.circular, unit=isinstance(module.loss, UNIT_LENGTH))

@@ -11,7 +11,7 @@ from siamloc.errors import ConfigError
 from siamloc.models.registry import Optimizer
 from siamloc.settings import Count, Natural, Positive, Probability, Settings
 
-Monitor = Literal["auto", "error", "recall", "room", "loss"]
+Monitor = Literal["auto", "error", "recall", "room", "refined", "loss"]
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,11 @@ class Training(Settings):
         clip: length that the gradient is cut to; not cut if None.
         average: decay of the moving average of the weights, which is what is kept; no average if None.
         monitor: figure of the validation by which the checkpoint is chosen: "error", the mean error of localization;
-            "recall", the share of queries found within `recall_radius`; "room", the share whose room is found; "loss",
-            that of pairs, as published. "auto" is the error where both sides have positions (with pairs, where they
-            are of different drives, too), otherwise the loss with pairs, and the rooms with batches of places.
+            "recall", the share of queries found within `recall_radius`; "room", the share whose room is found;
+            "refined", the mean error of poses by comparison, of a network with relative=True; "loss", that of pairs, as
+            published. "auto" is the refined error for such a network, and the error for others, where both sides have
+            positions (with pairs, where they are of different drives, too); otherwise the loss with pairs, and the
+            rooms with batches of places.
         recall_radius: a query is found if the map frame with the nearest descriptor lies this near, in the unit of the
             positions.
         patience: epochs without a better validation after which the training stops early; it never does if None. A
@@ -72,7 +74,7 @@ class Training(Settings):
             if self.monitor == "loss":
                 raise ConfigError(
                     "monitor=loss is the loss of pairs, and batches of places have no loss of the validation: choose "
-                    "auto, error, recall or room"
+                    "auto, error, recall, room or refined"
                 )
             for name, instead in (("batch_size", "pairs.places and pairs.images"), ("margin", "a loss of its own")):
                 if getattr(self, name) != getattr(Training, name):

@@ -12,12 +12,13 @@ from torch import Tensor
 import siamloc
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import build
+from siamloc.models.drive_figures import ELSEWHERE, DriveFigures
 from siamloc.models.network import Network
 from siamloc.models.origins import Origins
 from siamloc.models.places import PlaceModule
 from siamloc.models.pretrained_network import without_layer
 from siamloc.models.registry import Optimizer
-from siamloc.models.relative import REACH, RelativePose, _inverse, compared, relative_loss
+from siamloc.models.relative import Relative, RelativePose, _inverse, compared, relative_loss
 from siamloc.training.compiled import compiles
 
 SIZE, COLUMNS, VALUES = (32, 128), 16, 64
@@ -81,21 +82,26 @@ def origins(count: int, seed: int = 0) -> Origins:
     )
 
 
-def test_images_are_compared_with_near_ones_and_with_one_that_only_looks_alike():
+def test_images_are_compared_with_near_ones_and_with_other_places_that_look_alike():
     where = origins(30)
     assert where.theta is not None
     where.theta[3] = math.nan
-    query, known = compared(where, torch.randn(30, 8, generator=torch.Generator().manual_seed(0)))
+    descriptors = torch.nn.functional.normalize(torch.randn(30, 8, generator=torch.Generator().manual_seed(0)))
+    query, known = compared(where, descriptors)
     assert (query != known).all()
     assert 3 not in query.tolist() + known.tolist()
-    apart = (where.xy[query] - where.xy[known]).norm(dim=1)
-    far = apart > REACH
-    assert far.any()
-    assert (~far).sum() >= 2 * 29
-    nearest = where.distances().masked_fill(torch.eye(30, dtype=torch.bool), math.inf)
-    nearest[3], nearest[:, 3] = math.inf, math.inf
+    itself = torch.eye(30, dtype=torch.bool)
+    apart = where.distances().masked_fill(itself, math.inf)
+    apart[3], apart[:, 3] = math.inf, math.inf
+    likeness = torch.where((apart > 1) & ~itself, descriptors @ descriptors.T, -math.inf)
+    likeness[3], likeness[:, 3] = -math.inf, -math.inf
     for row in (0, 7, 29):
-        assert int(nearest[row].argmin()) in known[query == row].tolist()
+        chosen = known[query == row].tolist()
+        assert chosen[:3] == apart[row].argsort()[[0, 4, 10]].tolist()
+        assert chosen[3:] == likeness[row].topk(2).indices.tolist()
+    few = Origins(**{name: None if one is None else one[:2] for name, one in vars(where).items()})
+    query, known = compared(few, descriptors[:2])
+    assert set(zip(query.tolist(), known.tolist(), strict=True)) == {(0, 1), (1, 0)}
 
 
 def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int) -> Tensor:
@@ -186,7 +192,7 @@ def test_networks_without_orientation_parts_are_refused(options):
 def test_headings_are_needed_and_in_rad(tmp_path):
     images = siamloc.data.example()
     network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
-    frames = images.frames
+    frames, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
     way = {"pairs": {"places": 4, "images": 2, "epoch_batches": 2}, "epochs": 1, "run": tmp_path / "run"}
     blind = frames.with_columns(theta=np.full(len(frames), np.nan))
     with pytest.raises(DataError, match="learned from headings, and the training frames have none"):
@@ -201,6 +207,18 @@ def test_headings_are_needed_and_in_rad(tmp_path):
     again = siamloc.models.load(run)
     assert again.relative is not None
     torch.testing.assert_close(again.relative.first.weight, network.relative.first.weight)
+    with pytest.raises(ConfigError, match="monitor=refined is the error of poses by comparison"):
+        siamloc.training.fit(
+            build("panoresnet", "magnitudes", images.image_shape[1:], circular=True),
+            images,
+            frames,
+            **{**way, "run": tmp_path / "other"},
+            validation=tuesday,
+            monitor="refined",
+        )
+    judged = siamloc.training.fit(network, images, frames, **{**way, "run": tmp_path / "judged"}, validation=tuesday)
+    assert judged.settings["training"]["monitor"] == "refined"
+    assert np.isfinite(judged.curves()["val/refined"]).all()
 
 
 def test_a_batch_without_a_usable_pair_costs_nothing_that_is_not_finite(network):
@@ -270,3 +288,40 @@ def test_branches_learn_at_the_rates_that_they_have_without_it():
         module = PlaceModule(network, optimizer=Optimizer(learning_rate=0.1, stage_decay=0.5))
         rates.append([group["lr"] for group in module.configure_optimizers().param_groups])
     assert rates[1] == [*rates[0], 0.1]
+
+
+def test_the_validation_tells_how_far_off_the_refined_poses_are():
+    """What compares is told the truth by the parts themselves: displacement along the map frame's own axes."""
+
+    class Told(RelativePose):
+        def forward(self, query, known, steps=None):
+            pose = torch.cat([query[:, 0, :2] - known[:, 0, :2], query[:, 0, :1]], dim=1)
+            return Relative(pose, torch.eye(3).expand(len(query), 3, 3), torch.zeros(len(query)))
+
+    theta = torch.tensor([0.5, -2.0, math.nan, 1.0, 1.0])
+    xy = torch.tensor([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [0.3, 0.4], [4.5, 0.0]])
+    apart = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.3, 0.4], [0.3, 0.0]])  # the last one is told wrongly
+    for row, frame in ((3, 0), (4, 1)):
+        cosine, sine = theta[frame].cos(), theta[frame].sin()
+        x, y = apart[row]
+        apart[row] = torch.stack([cosine * x + sine * y, cosine * y - sine * x])
+    rows = {
+        "xy": xy,
+        "theta": theta,
+        "known": torch.tensor([True, True, True, False, False]),
+        "building": torch.zeros(5, dtype=torch.int64),
+        "room": torch.full((5,), -1),
+    }
+    figures = DriveFigures()
+    parts = torch.zeros(5, COLUMNS, VALUES)
+    parts[:, 0, :2] = apart
+    figures.add(rows, xy[:, :1], parts)
+    found = figures.compute(Told(COLUMNS, VALUES))
+    torch.testing.assert_close(found["refined"], torch.tensor(0.1))
+    figures.add({**rows, "building": torch.tensor([0, 0, 0, 1, 0])}, xy[:, :1], parts)
+    found = figures.compute(Told(COLUMNS, VALUES))
+    torch.testing.assert_close(found["refined"], torch.tensor((ELSEWHERE + 0.2) / 2))
+    figures.add({**rows, "theta": torch.full((5,), math.nan)}, xy[:, :1], parts)
+    assert "refined" not in figures.compute(Told(COLUMNS, VALUES))
+    with pytest.raises(DataError, match="missing: theta"):
+        figures.add({name: one for name, one in rows.items() if name != "theta"}, xy[:, :1], parts)

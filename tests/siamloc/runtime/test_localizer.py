@@ -191,7 +191,9 @@ def test_locations_are_written_as_a_table(bundle, tmp_path):
     location = Localizer(bundle).locate(drive(2)[0][0])
     write_locations(tmp_path / "locations.csv", {"a.png": location, "b.png": replace(location, theta=math.nan)})
     first, second, third = (tmp_path / "locations.csv").read_text().splitlines()
-    assert first == "image,x,y,theta,room,error_m,lost,match,distance,ms"
+    assert first == (
+        "image,x,y,theta,room,error_m,lost,covariance_xx,covariance_xy,covariance_yy,agreement,match,distance,ms"
+    )
     assert second.startswith(f"a.png,{location.x},{location.y},{location.theta},{location.room},")
     assert third.startswith(f"b.png,{location.x},{location.y},,{location.room},")
     assert location.describe("m").startswith(f"x {location.x:.2f} m, y {location.y:.2f} m, heading ")

@@ -139,7 +139,7 @@ def test_pairs_are_located_as_places_are(images, frames, day):
 )
 def test_pairs_are_judged_by_another_drive_only(frames, day, changed, expected):
     validation = frames.select(sequence="night1").with_columns(**changed)
-    assert monitored(Training(), day, validation) == expected
+    assert monitored(Training(), day, validation, nn.Identity()) == expected
 
 
 def test_a_run_goes_on_with_what_its_checkpoint_was_chosen_by(train, frames):

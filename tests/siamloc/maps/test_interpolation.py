@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.interpolation import interpolate_poses, path_positions
 from siamloc.maps import Retrieval
+from siamloc.maps.interpolation import interpolate_poses, path_positions
 from tests.oracles import interpolation as oracle
 
 

@@ -1,0 +1,160 @@
+"""The robot's poses finer than the map: those of the evaluation, with covariances, by a bundle that holds all of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import siamloc
+from siamloc.errors import ConfigError, FormatError, SiamlocError
+from siamloc.files import file_hash, read_json, write_json
+from siamloc.maps import HeadingPart, Refinement, VisualMap, match
+from siamloc.maps.heading import NetworkHeading
+from siamloc.models import as_descriptor, build
+from siamloc.runtime import Localizer, export
+from siamloc.runtime.onnx_relative import export_relative, relative_parity
+from tests.siamloc.runtime.test_localizer import IMAGES, drive
+
+SIZE = (32, 128)
+
+
+@pytest.fixture(scope="module")
+def network():
+    """One whose answers are large enough to be told from the map frames' own poses."""
+    found = build("panoresnet", "magnitudes", SIZE, circular=True, relative=True).eval()
+    assert found.relative is not None
+    with torch.no_grad():
+        found.relative.votes.weight[:3] *= 10
+    return found
+
+
+@pytest.fixture(scope="module")
+def known(network) -> VisualMap:
+    pictures, frames = drive(0)
+    descriptor = as_descriptor(network)
+    seen = descriptor.describe(pictures.transpose(0, 3, 1, 2))
+    part = HeadingPart.of(NetworkHeading(), seen.orientation)
+    identity = {**descriptor.identity, "images": IMAGES}
+    return VisualMap(seen.position, frames, identity, heading=part, describes=descriptor)
+
+
+def refinement(known: VisualMap, method: str, **options) -> Refinement:
+    return Refinement(method, map_digest=known.digest, **options)
+
+
+def bundled(folder, network, known, **options):
+    export(network, known, folder, refinement=refinement(known, **options))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def bundle(network, known, tmp_path_factory):
+    return bundled(tmp_path_factory.mktemp("robot") / "bundle", network, known, method="relative", widening=2.0)
+
+
+@pytest.mark.parametrize("method", ["relative", "interpolate"])
+def test_the_robot_refines_as_the_evaluation_does(network, known, tmp_path, method):
+    folder = bundled(tmp_path / "bundle", network, known, method=method, widening=2.0)
+    pictures, _ = drive(2)
+    seen = known.describer.describe(pictures.transpose(0, 3, 1, 2))
+    expected = refinement(known, method, widening=2.0).poses(known, seen, match(known, seen, 3))
+    localizer = Localizer(folder, top=1)
+    found = [localizer.locate(picture) for picture in pictures]
+    np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-3)
+    np.testing.assert_allclose([math.cos(one.theta) for one in found], np.cos(expected.theta), atol=1e-3)
+    np.testing.assert_allclose([one.agreement for one in found], expected.agreement, atol=1e-3)
+    if method == "interpolate":
+        assert {one.covariance for one in found} == {None}
+    else:
+        np.testing.assert_allclose([one.covariance for one in found], expected.covariance(), rtol=1e-2)
+        alone = refinement(known, method).poses(known, seen, match(known, seen, 3))
+        np.testing.assert_allclose(expected.covariance(), 2 * alone.covariance())
+        assert np.abs(expected.xy - known.frames.xy[match(known, seen, 1).indices[:, 0]]).max() > 0.1
+
+
+def test_the_summary_says_that_poses_are_finer(bundle, network, known, tmp_path):
+    assert "position (by comparison with 3 map frames)" in siamloc.runtime.Bundle.open(bundle).summary()
+    between = bundled(tmp_path / "bundle", network, known, method="interpolate", neighbours=2)
+    assert "position (between 2 map frames)" in siamloc.runtime.Bundle.open(between).summary()
+    assert not (between / "relative.onnx").exists()
+    assert read_json(bundle / "bundle.json")["refinement"]["parity"]["max_relative_difference"] < 1e-3
+
+
+def test_a_map_without_some_positions_is_refined_by_the_others(network, known, tmp_path):
+    x = known.frames.x.copy()
+    x[::3] = np.nan
+    partly = replace(known, frames=known.frames.with_columns(x=x))
+    placed = partly.placed()
+    folder = tmp_path / "bundle"
+    export(network, partly, folder, refinement=refinement(placed, "relative"))
+    pictures, _ = drive(2)
+    seen = known.describer.describe(pictures.transpose(0, 3, 1, 2))
+    nearest = match(partly, seen, 1).indices[:, 0]
+    expected = refinement(placed, "relative").poses(placed, seen, match(placed, seen, 3))
+    found = [Localizer(folder).locate(picture) for picture in pictures]
+    for one, row, xy in zip(found, nearest, expected.xy, strict=True):
+        if partly.frames.has_position[row]:
+            np.testing.assert_allclose([one.x, one.y], xy, atol=1e-3)
+        else:
+            assert math.isnan(one.x)
+
+
+def test_what_does_not_fit_is_refused(network, known, bundle, tmp_path):
+    with pytest.raises(ConfigError, match="learned on another map"):
+        export(network, known, tmp_path / "bundle", refinement=Refinement("relative"))
+    other = build("panoresnet", "magnitudes", SIZE, circular=True)
+    with pytest.raises(ConfigError, match="does not tell where images were taken relative to others"):
+        export_relative(other, tmp_path / "relative.onnx")
+    assert not list(tmp_path.iterdir())
+    different = build("panoresnet", "magnitudes", SIZE, circular=True, relative=True, seed=1)
+    with pytest.raises(SiamlocError, match=r"differs by .* do not use the file"):
+        relative_parity(different, bundle / "relative.onnx")
+
+
+def test_a_bundle_that_lacks_what_compares_is_refused(network, known, tmp_path):
+    folder = bundled(tmp_path / "bundle", network, known, method="relative")
+    about = read_json(folder / "bundle.json")
+    del about["sha256"]["relative.onnx"]
+    write_json(folder / "bundle.json", about)
+    with pytest.raises(FormatError, match="holds nothing to compare by: export again"):
+        Localizer(folder)
+
+
+def test_how_poses_are_refined_is_saved(tmp_path):
+    path = tmp_path / "refinement.json"
+    made = Refinement("interpolate", 5, 2.0, 1.5, "abc")
+    made.save(path)
+    assert Refinement.load(path) == made
+    for changed, says in (
+        ({"format": "other"}, "does not say how poses are refined"),
+        ({"version": 2}, "has format version 2"),
+        ({"neighbours": 0}, "neighbours from 1, got 0"),
+        ({"neighbours": "3"}, "neighbours from 1, got '3'"),
+        ({"method": "guess"}, "unknown way of refining 'guess'"),
+        ({"widening": -1}, "widening > 0"),
+        ({"more": 1}, "in full"),
+    ):
+        write_json(path, {**json.loads(path.read_text()), **changed})
+        with pytest.raises((FormatError, ConfigError), match=says):
+            Refinement.load(path)
+        made.save(path)
+
+
+def test_altered_files_are_found(bundle, tmp_path):
+    import shutil
+
+    copy = tmp_path / "bundle"
+    shutil.copytree(bundle, copy)
+    (copy / "refinement.json").write_text("{}")
+    with pytest.raises(FormatError, match="not the file the bundle was written with"):
+        Localizer(copy)
+    about = read_json(copy / "bundle.json")
+    about["sha256"]["refinement.json"] = file_hash(copy / "refinement.json")
+    write_json(copy / "bundle.json", about)
+    with pytest.raises(FormatError, match="does not say how poses are refined"):
+        Localizer(copy)
