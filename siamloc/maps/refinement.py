@@ -25,10 +25,11 @@ OUTPUTS = ("pose", "information", "match")
 _FORMAT = "siamloc-refinement"
 _VERSION = 1
 
-_FREEDOM = 4.0  # of the t-distribution that the information is of
-_STRAY = 0.15  # density of answers that are wrong, per square unit of the positions
+FREEDOM = 4.0  # of the t-distribution that the information is of
+STRAY = 0.15  # density of answers that are wrong, per square unit of the positions
 _ROUNDS = 10
 _AT_ONCE = 256  # queries
+_NAMES = ("xy", "theta", "information", "agreement", "frame")
 
 
 Compares = Callable[
@@ -98,13 +99,16 @@ class RefinedPoses:
         """Return the covariances of x and y (n, 2, 2), in squared units of the positions; NaN where nothing is told."""
         told = np.asarray(self.information.any(axis=(1, 2)))[:, None, None]
         held = np.where(told, self.information, np.eye(2))
-        return np.where(told, np.linalg.inv(held) * _FREEDOM / (_FREEDOM - 2), np.nan)
+        return np.where(told, np.linalg.inv(held) * FREEDOM / (FREEDOM - 2), np.nan)
+
+    def take(self, rows: NDArray[Any]) -> RefinedPoses:
+        """Return the poses given by positions or by a mask."""
+        return RefinedPoses(*(getattr(self, name)[rows] for name in _NAMES))
 
     @staticmethod
     def concatenate(parts: list[RefinedPoses]) -> RefinedPoses:
         """Return the poses of parts, one after the other."""
-        names = ("xy", "theta", "information", "agreement", "frame")
-        return RefinedPoses(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
+        return RefinedPoses(*(np.concatenate([getattr(one, name) for one in parts]) for name in _NAMES))
 
 
 @dataclass(frozen=True)
@@ -288,14 +292,14 @@ def _weighed(
     """Return how likely points (n, s, 2) are (n, s), and the weights and shares (n, s, k) of the answers there."""
     apart = xy[:, :, None] - at[:, None]
     squared = np.einsum("nski,nkij,nskj->nsk", apart, about, apart)
-    density = height[:, None] * (1 + squared / _FREEDOM) ** (-(_FREEDOM + 2) / 2)
-    share = density / (density + _STRAY)
-    return np.log(density + _STRAY).sum(axis=2), share * (_FREEDOM + 2) / (_FREEDOM + squared), share
+    density = height[:, None] * (1 + squared / FREEDOM) ** (-(FREEDOM + 2) / 2)
+    share = density / (density + STRAY)
+    return np.log(density + STRAY).sum(axis=2), share * (FREEDOM + 2) / (FREEDOM + squared), share
 
 
 def _limit(share: float) -> float:
     """Return the squared distance within which that share of a t-distribution in the plane lies."""
-    return _FREEDOM * float((1 - share) ** (-2 / _FREEDOM) - 1)
+    return FREEDOM * float((1 - share) ** (-2 / FREEDOM) - 1)
 
 
 def _of_map(known: VisualMap) -> Compares:

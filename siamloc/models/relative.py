@@ -9,19 +9,19 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from siamloc.maps.refinement import FREEDOM
 from siamloc.models.origins import Origins
 
 REACH = 5.0
 """How far two images may be apart, in the unit of the positions, to be compared."""
-FREEDOM = 4.0
-"""Degrees of freedom of the errors' t-distribution."""
 _GROUPS, _SHIFTS, _WIDTH = 8, 5, 128
 _TURN = 10.0  # turns count in tenths of a radian, of the size of displacements
 _PRIOR = 0.5  # information of each coordinate before any column is looked at: a deviation of 1.4 m
 _GAIN = 10.0
 _MOST = 6.0  # logarithm of how much more or less than by its sum the information may be
 _RANKS = (0, 4, 10)  # of an image's nearest ones in a batch, those that it is compared with
-_ALIKE, _APART = 2, 1.0  # and how many of those farther away than this, which look most like it
+_ELSEWHERE = (1.0, REACH)  # and of those farther away than this, the one that looks most like it
+_ALIGNED = 2.0  # columns: a query that is turned otherwise than it should be by more cannot be compared
 
 
 class Relative(NamedTuple):
@@ -32,7 +32,7 @@ class Relative(NamedTuple):
             far the query's robot has turned left, in rad in [-pi, pi].
         information: (B, 3, 3) inverse of the scale matrix of a t-distribution with 4 degrees of freedom; a turn counts
             in rad.
-        match: (B,) logarithm of the odds that the images were taken within `REACH` of each other.
+        match: (B,) logarithm of the odds that the images were taken within `REACH` of each other, and turned alike.
     """
 
     pose: Tensor
@@ -141,8 +141,8 @@ class RelativePose(nn.Module):
 def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
     """Choose pairs of a batch to learn from: the query's row and the map frame's row of each.
 
-    Each image is compared with some of its nearest ones, near and farther, and with those at other places that look
-    most like it, within reach or not: they are what a search finds by mistake.
+    Each image is compared with some of its nearest ones, near and farther, with the one at another place that looks
+    most like it, and with the one out of reach that does: they are what a search finds by mistake.
 
     Args:
         origins: of the images (N); those without a heading are left out.
@@ -155,12 +155,12 @@ def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
     barred = itself | ~usable[:, None] | ~usable
     order = apart.masked_fill(barred, math.inf).argsort(dim=1)
     rank = order.new_tensor([one for one in _RANKS if one < len(apart)])
-    likeness = torch.where(barred | (apart <= _APART), -math.inf, descriptors @ descriptors.mT)
-    found, alike = likeness.topk(min(_ALIKE, len(apart)), dim=1)
-    known = torch.cat([order[:, rank], alike], dim=1)
+    likeness = (descriptors @ descriptors.mT).masked_fill(barred, -math.inf)
+    mistaken = [likeness.masked_fill(apart <= least, -math.inf).max(dim=1) for least in _ELSEWHERE]
+    known = torch.cat([order[:, rank], *(one.indices[:, None] for one in mistaken)], dim=1)
     query = torch.arange(len(apart), device=apart.device)[:, None].expand_as(known)
     kept = ~barred[query, known]
-    kept[:, len(rank) :] &= found > -math.inf
+    kept[:, len(rank) :] &= torch.stack([one.values for one in mistaken], dim=1) > -math.inf
     return query[kept], known[kept]
 
 
@@ -170,8 +170,8 @@ def relative_loss(
     """Return the loss of what is said of pairs of a batch, and the mean error of the displacements within reach.
 
     The loss is the negative logarithm of the likelihood: of a t-distribution for the pose, for which a few large errors
-    do not decide alone, and of whether the images were taken within reach of each other. The error is NaN where no two
-    images were.
+    do not decide alone, and of whether the images can be compared: taken within reach of each other, and turned alike
+    by their correlation. The error is NaN where no two images can.
 
     Args:
         relative: compares.
@@ -189,12 +189,10 @@ def relative_loss(
     ahead = cosine * apart[:, 0] + sine * apart[:, 1]
     left = cosine * apart[:, 1] - sine * apart[:, 0]
     turn = theta[query] - theta[known]
-    with torch.no_grad():  # where the correlation of near images errs by far, the right turn is shown
+    with torch.no_grad():
         column = 2 * math.pi / relative.columns
         steps = relative.steps(orientation[query], orientation[known])
-        off = _wrap(turn + steps * column) / column
-        right = (-turn / column).round().long() % relative.columns
-        steps = torch.where(near & (off.abs() > 2), right, steps)
+        near &= (_wrap(turn + steps * column) / column).abs() <= _ALIGNED
     found = relative(orientation[query], orientation[known], steps)
     error = torch.stack([ahead, left, turn], dim=1) - found.pose
     error = torch.cat([error[:, :2], _wrap(error[:, 2:])], dim=1)

@@ -18,7 +18,7 @@ from siamloc.models.origins import Origins
 from siamloc.models.places import PlaceModule
 from siamloc.models.pretrained_network import without_layer
 from siamloc.models.registry import Optimizer
-from siamloc.models.relative import Relative, RelativePose, _inverse, compared, relative_loss
+from siamloc.models.relative import REACH, Relative, RelativePose, _inverse, compared, relative_loss
 from siamloc.training.compiled import compiles
 
 SIZE, COLUMNS, VALUES = (32, 128), 16, 64
@@ -93,12 +93,14 @@ def test_images_are_compared_with_near_ones_and_with_other_places_that_look_alik
     itself = torch.eye(30, dtype=torch.bool)
     apart = where.distances().masked_fill(itself, math.inf)
     apart[3], apart[:, 3] = math.inf, math.inf
-    likeness = torch.where((apart > 1) & ~itself, descriptors @ descriptors.T, -math.inf)
+    likeness = descriptors @ descriptors.T
     likeness[3], likeness[:, 3] = -math.inf, -math.inf
     for row in (0, 7, 29):
         chosen = known[query == row].tolist()
         assert chosen[:3] == apart[row].argsort()[[0, 4, 10]].tolist()
-        assert chosen[3:] == likeness[row].topk(2).indices.tolist()
+        others = [torch.where(apart[row] > least, likeness[row], -math.inf) for least in (1, REACH)]
+        others = [one.masked_fill(itself[row], -math.inf) for one in others]
+        assert chosen[3:] == [int(one.argmax()) for one in others]
     few = Origins(**{name: None if one is None else one[:2] for name, one in vars(where).items()})
     query, known = compared(few, descriptors[:2])
     assert set(zip(query.tolist(), known.tolist(), strict=True)) == {(0, 1), (1, 0)}

@@ -1,0 +1,149 @@
+"""A filter over refined poses: a moving robot goes on as it went, and an answer far from there has to be repeated.
+
+Where `SequenceFilter` follows the frames of a map, this one follows positions between them: the robot keeps its
+velocity up to a random acceleration (a Kalman filter in x and y), and each pose by `siamloc.maps.refine` counts by its
+information, and by how likely it is no stray one. Several stories are kept at once [Reid 1979]: a pose that fits none
+of them begins another, which takes over when it explains the following poses better.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps.refinement import FREEDOM, STRAY, RefinedPoses
+
+_STORIES = 5
+_NEAR = 0.05  # share of a step: stories that have come this near to each other are one
+_ACCELERATION = 0.5  # deviation of how much the step between two queries changes, as a share of the usual step
+_MOVES = np.block([[np.eye(2), np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
+_NOISE = np.kron(np.array([[0.25, 0.5], [0.5, 1.0]]), np.eye(2))
+
+
+@dataclass(frozen=True)
+class _Story:
+    """Where the robot is and how far it goes in a step: mean (4,), covariance (4, 4), and how well that explains it."""
+
+    mean: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    evidence: float
+    share: float  # of the last pose that is no stray one
+
+
+class PoseFilter:
+    """Where a robot is, given the refined pose of each of its queries.
+
+    Args:
+        step: how far the robot goes between two queries, in units of x and y, such as that of a `MotionModel`.
+        kidnapping: probability that the robot is carried somewhere else between two queries.
+
+    Raises:
+        ConfigError: a step or a probability out of range.
+
+    Example:
+        >>> one = RefinedPoses(np.zeros((1, 2)), np.zeros(1), 100 * np.eye(2)[None], np.ones(1), np.zeros(1, int))
+        >>> robot = PoseFilter(step=0.2)
+        >>> for x in (0.0, 0.2, 0.4, 9.0, 0.8):
+        ...     found = robot.step(replace(one, xy=np.array([[x, 0.0]])))
+        ...     print(found.xy.round(1).tolist())
+        [[0.0, 0.0]]
+        [[0.2, 0.0]]
+        [[0.4, 0.0]]
+        [[0.6, 0.0]]
+        [[0.8, 0.0]]
+    """
+
+    def __init__(self, step: float, kidnapping: float = 1e-3) -> None:
+        if not 0 < step < math.inf:
+            raise ConfigError(f"the step of a pose filter must be positive, got {step}")
+        if not 0 < kidnapping < 1:
+            raise ConfigError(f"the probability of kidnapping lies in (0, 1), got {kidnapping}")
+        self.length, self.kidnapping = float(step), float(kidnapping)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all queries: the robot may be anywhere."""
+        self._stories: list[_Story] = []
+
+    def step(self, pose: RefinedPoses) -> RefinedPoses:
+        """Take in the pose of one query and return the filtered one.
+
+        A pose without information, see `RefinedPoses`, moves the robot on as it went.
+
+        Raises:
+            DataError: not one pose.
+        """
+        if len(pose) != 1:
+            raise DataError(f"a step takes the pose of one query, got {len(pose)}")
+        at, about, agreement = pose.xy[0], pose.information[0], float(pose.agreement[0])
+        stories = [self._moved(story) for story in self._stories]
+        if about.any():
+            spread = np.linalg.inv(about)
+            best = max((story.evidence for story in stories), default=0.0)
+            begun = np.block([[spread, np.zeros((2, 2))], [np.zeros((2, 2)), self.length**2 * np.eye(2)]])
+            fresh = best + math.log(self.kidnapping) + math.log(STRAY)
+            stories = [self._told(story, at, spread, agreement) for story in stories]
+            stories.append(_Story(np.concatenate([at, np.zeros(2)]), begun, fresh, 1.0))
+        if not stories:
+            return pose
+        self._stories = self._kept(stories)
+        story = self._stories[0]
+        return replace(
+            pose,
+            xy=story.mean[None, :2],
+            information=np.linalg.inv(story.covariance[:2, :2])[None].astype(np.float64),
+            agreement=pose.agreement * story.share,
+        )
+
+    def run(self, poses: RefinedPoses, sequence: ArrayLike) -> RefinedPoses:
+        """Follow robots through whole sequences, starting again at each one.
+
+        Args:
+            poses: of n queries, in capture order inside each sequence.
+            sequence: (n,) names.
+
+        Raises:
+            DataError: not one name for each pose.
+        """
+        names = np.asarray(sequence)
+        if names.shape != (len(poses),):
+            raise DataError(f"{len(poses)} poses need as many names of sequences, got shape {names.shape}")
+        found: list[RefinedPoses] = [poses.take(np.array([row])) for row in range(len(poses))]
+        for name in dict.fromkeys(names.tolist()):
+            self.reset()
+            for row in np.flatnonzero(names == name).tolist():
+                found[row] = self.step(found[row])
+        self.reset()
+        return RefinedPoses.concatenate(found) if found else poses
+
+    def _moved(self, story: _Story) -> _Story:
+        noise = (_ACCELERATION * self.length) ** 2 * _NOISE
+        return replace(
+            story, mean=_MOVES @ story.mean, covariance=_MOVES @ story.covariance @ _MOVES.T + noise, share=0.0
+        )
+
+    def _told(self, story: _Story, at: NDArray[np.float64], spread: NDArray[np.float64], agreement: float) -> _Story:
+        """Return a story after a pose, which counts as far as it is likely to be no stray one."""
+        apart, total = at - story.mean[:2], story.covariance[:2, :2] + spread
+        squared = float(apart @ np.linalg.solve(total, apart))
+        height = (1 + squared / FREEDOM) ** (-(FREEDOM + 2) / 2) / (2 * math.pi * math.sqrt(np.linalg.det(total)))
+        share = agreement * height / (agreement * height + STRAY)
+        weight = max(share * (FREEDOM + 2) / (FREEDOM + squared), 1e-9)
+        gain = story.covariance[:, :2] @ np.linalg.inv(story.covariance[:2, :2] + spread / weight)
+        covariance = story.covariance - gain @ story.covariance[:2]
+        evidence = story.evidence + math.log(agreement * height + STRAY)
+        return _Story(story.mean + gain @ apart, (covariance + covariance.T) / 2, evidence, share)
+
+    def _kept(self, stories: list[_Story]) -> list[_Story]:
+        """Return the stories that explain the poses best, the best first, each place once; their evidence from 0."""
+        kept: list[_Story] = []
+        for story in sorted(stories, key=lambda one: -one.evidence):
+            near = _NEAR * self.length
+            if all(np.hypot(*(story.mean[:2] - other.mean[:2])) > near for other in kept):
+                kept.append(story)
+        best = kept[0].evidence
+        return [replace(story, evidence=story.evidence - best) for story in kept[:_STORIES]]
