@@ -24,7 +24,15 @@ from siamloc.files import read_json, write_json, write_text
 
 Columns = dict[str, NDArray[Any]]
 UNLABELLED = "(unlabelled)"
+FURTHER = {
+    "filtered": "filter",
+    "interpolated": "interpolation",
+    "refined": "refinement",
+    "tracked": "filter and refinement",
+}
+"""Estimates of a query's pose besides that of the nearest map frame, with what makes them."""
 
+_OF_ESTIMATES = ("est_x", "est_y", "est_theta", "error", "heading_error", "match")
 _SCHEMA = "siamloc-results"
 _VERSION = 1
 _REQUIRED = ("config", "measures", "denominators")
@@ -35,6 +43,18 @@ _PARSERS: dict[str, tuple[Any, Callable[[str], Any]]] = {
     "int": (np.int64, int),
     "float": (np.float64, lambda cell: float(cell) if cell else np.nan),
 }
+
+
+def finest(columns: Columns) -> tuple[Columns, str | None]:
+    """Return a table of queries whose estimates and errors are the finest that it holds, and what those are called.
+
+    Those are poses by comparison or followed between map frames; the table itself and None where it has neither.
+    """
+    for name in ("tracked", "refined"):
+        if f"{name}_error" in columns:
+            own = {key: columns[f"{name}_{key}"] for key in _OF_ESTIMATES if f"{name}_{key}" in columns}
+            return {**columns, **own}, name
+    return columns, None
 
 
 def write_results(

@@ -20,7 +20,8 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Search, Session
 from siamloc.maps.error_model import ErrorModel
 from siamloc.maps.interpolation import interpolate_poses
-from siamloc.maps.refinement import Refinement
+from siamloc.maps.pose_filter import PoseFilter
+from siamloc.maps.refinement import RefinedPoses, Refinement
 from siamloc.maps.search import Retrieval
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
@@ -28,6 +29,7 @@ from siamloc.results import Columns, rows_by_label
 from siamloc.settings import Count, NotNegative, Positive, Probability, Settings
 
 MATCHES = 20  # that an error model looks at
+_STANDING = 0.01  # step of a filter in a map whose frames are all at one place
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class Estimates(Settings):
     """What is estimated of each query besides the position of the nearest map frame.
 
     Attributes:
-        filter: follow the robot through each sequence; keeps the distances of all queries to all map frames.
+        filter: follow the robot through each sequence; keeps the distances of all queries to all map frames. With
+            `refine`, poses between them are followed as well.
         filter_settings: of that filter.
         filter_tune: choose both of them on the validation frames.
         refine: a pose finer than the map: "interpolate" takes one between the nearest map frames, "relative" compares
@@ -152,17 +155,24 @@ def with_estimates(
     learns = needs_validation(settings) or (settings.refine == "relative" and session.validation is not None)
     validation = search_validation(session, session.validation, settings, known) if learns else None
     if settings.filter:
-        columns, about = filtered(settings, search, queries, validation)
+        columns, about, between = filtered(settings, search, queries, validation)
         result = _with_columns(result, "filtered", columns, {"filter": about})
+        if settings.refine == "interpolate":
+            about = {"step": about["step"], "kidnapping": about["kidnapping"], "radius": settings.place_radius}
+            columns = estimate_columns("tracked", between, queries)
+            result = _with_columns(result, "tracked", columns, {"tracking": about})
     if settings.refine == "relative":
-        columns, about, refinement = refined(settings, search, queries, validation, session.skipped)
+        columns, about, refinement, poses = refined(settings, search, queries, validation, session.skipped)
         result = _with_columns(result, "refined", columns, {"refinement": about})
         result = replace(result, refinement=refinement)
+        if settings.filter:
+            columns, about = tracked(settings, search, queries, poses)
+            result = _with_columns(result, "tracked", columns, {"tracking": about})
     if settings.refine == "interpolate":
         k, radius = settings.neighbours, settings.place_radius
-        poses = interpolate_poses(search.retrieval, known.frames, k, radius, search.headings)
-        columns = estimate_columns("interpolated", poses.xy, queries, poses.theta)
-        columns["interpolated_used"] = poses.used
+        found = interpolate_poses(search.retrieval, known.frames, k, radius, search.headings)
+        columns = estimate_columns("interpolated", found.xy, queries, found.theta)
+        columns["interpolated_used"] = found.used
         result = _with_columns(result, "interpolated", columns, {"interpolation": {"neighbours": k, "radius": radius}})
         result = replace(result, refinement=Refinement("interpolate", k, radius, map_digest=known.digest))
     if settings.error_model and validation is not None:
@@ -181,8 +191,12 @@ def with_estimates(
 
 def filtered(
     settings: Estimates, search: Search, queries: FrameTable, validation: Validation | None
-) -> tuple[Columns, dict[str, Any]]:
-    """Follow the robot through the queries of each sequence; return the columns, and what the filter ran with."""
+) -> tuple[Columns, dict[str, Any], NDArray[np.float64]]:
+    """Follow the robot through the queries of each sequence.
+
+    Returns:
+        The columns, what the filter ran with, and positions (n, 2) between map frames.
+    """
     known = search.known
     temperature, kidnapping = settings.filter_settings.temperature, settings.filter_settings.kidnapping
     if temperature is None:
@@ -195,7 +209,10 @@ def filtered(
         temperature, kidnapping = best.temperature, best.kidnapping
         tuned = {"queries": len(frames), "error": best.error}
     motion = MotionModel.learn(known.frames, interval=_interval(queries))
-    track = SequenceFilter(motion, temperature, kidnapping).run(search.distances, queries.sequence)
+    track = SequenceFilter(motion, temperature, kidnapping).run(
+        search.distances, queries.sequence, settings.place_radius
+    )
+    assert track.xy is not None
     columns = {
         **estimate_columns("filtered", known.frames.xy[track.frame], queries),
         "filtered_match": track.frame,
@@ -209,7 +226,7 @@ def filtered(
         "spacing": motion.spacing,
         "tuned": tuned,
     }
-    return columns, about
+    return columns, about, track.xy
 
 
 def refined(
@@ -218,8 +235,8 @@ def refined(
     queries: FrameTable,
     validation: Validation | None,
     skipped: dict[str, str],
-) -> tuple[Columns, dict[str, Any], Refinement]:
-    """Return the columns of the poses by comparison, what they were made with, and how the robot makes such.
+) -> tuple[Columns, dict[str, Any], Refinement, RefinedPoses]:
+    """Return the columns of the poses by comparison, what they were made with, how the robot makes such, and the poses.
 
     How wide their ellipses are is learned from validation frames, where there are enough; it is noted where not.
     """
@@ -239,7 +256,23 @@ def refined(
         "refined_agreement": poses.agreement,
         "refined_inside": poses.inside(queries.xy),
     }
-    return columns, about, refinement
+    return columns, about, refinement, poses
+
+
+def tracked(
+    settings: Estimates, search: Search, queries: FrameTable, poses: RefinedPoses
+) -> tuple[Columns, dict[str, Any]]:
+    """Follow the poses by comparison through the queries of each sequence; return columns, and what that ran with."""
+    motion = MotionModel.learn(search.known.frames, interval=_interval(queries))
+    step, kidnapping = motion.step or _STANDING, settings.filter_settings.kidnapping
+    found = PoseFilter(step, kidnapping).run(poses, queries.sequence)
+    columns = {
+        **estimate_columns("tracked", found.xy, queries, found.theta),
+        "tracked_match": found.frame,
+        "tracked_agreement": found.agreement,
+        "tracked_inside": found.inside(queries.xy),
+    }
+    return columns, {"step": step, "kidnapping": kidnapping}
 
 
 def learned_errors(settings: Estimates, known: VisualMap, validation: Validation) -> tuple[ErrorModel, dict[str, Any]]:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.table import Table
 
+from siamloc.results import FURTHER
+
 Measures = Mapping[str, Any]
-FURTHER = {"filtered": "filter", "interpolated": "interpolation", "refined": "refinement"}
 """Estimates of the same descriptor by another way."""
 
 

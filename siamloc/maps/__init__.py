@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking
     from siamloc.maps.interpolation import interpolate_poses
     from siamloc.maps.matching import frame_distances, headings, match
+    from siamloc.maps.pose_filter import PoseFilter
     from siamloc.maps.projector import write_projector
     from siamloc.maps.refinement import RefinedPoses, Refinement, refine
     from siamloc.maps.search import Retrieval, VectorIndex
@@ -45,6 +46,7 @@ _HOMES = {
     "frame_distances": "matching",
     "headings": "matching",
     "match": "matching",
+    "PoseFilter": "pose_filter",
     "write_projector": "projector",
     "RefinedPoses": "refinement",
     "Refinement": "refinement",
@@ -69,6 +71,7 @@ __all__ = [
     "HierarchicalSearch",
     "MotionModel",
     "NodeRanking",
+    "PoseFilter",
     "RefinedPoses",
     "Refinement",
     "Retrieval",

@@ -36,6 +36,8 @@ class Track:
         spread: (n,) root mean square distance of where the robot may be from that frame, in units of x and y.
         node: (n,) the most probable node, -1 for being in none; None without nodes.
         node_probability: (n,) of that node; None without nodes.
+        xy: (n, 2) between map frames: the mean of where the robot may be near the most probable one; None where no
+            radius says what is near.
     """
 
     frame: NDArray[np.int64]
@@ -43,6 +45,7 @@ class Track:
     spread: NDArray[np.float64]
     node: NDArray[np.int64] | None = None
     node_probability: NDArray[np.float64] | None = None
+    xy: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -109,12 +112,13 @@ class SequenceFilter:
         self.belief = belief / belief.sum()
         return self.belief
 
-    def run(self, distances: ArrayLike, sequence: ArrayLike) -> Track:
+    def run(self, distances: ArrayLike, sequence: ArrayLike, radius: float | None = None) -> Track:
         """Follow robots through whole sequences, starting again at each one.
 
         Args:
             distances: (n, m) of each query to the map, in capture order inside each sequence.
             sequence: (n,) names.
+            radius: in units of x and y, within which the mean between map frames is taken; not taken if None.
 
         Raises:
             DataError: arrays that do not fit each other or the map.
@@ -126,19 +130,27 @@ class SequenceFilter:
             )
         frame, node = np.zeros(len(names), dtype=np.int64), np.zeros(len(names), dtype=np.int64)
         probability, spread, in_node = np.zeros(len(names)), np.zeros(len(names)), np.zeros(len(names))
+        xy = None if radius is None else np.zeros((len(names), 2))
         for name in dict.fromkeys(names.tolist()):
             self.reset()
             for row in np.flatnonzero(names == name).tolist():
                 belief = self.step(apart[row])
                 frame[row] = best = int(belief.argmax())
                 probability[row], spread[row] = belief[best], self._spread(best)
+                if xy is not None and radius is not None:
+                    xy[row] = self._between(best, radius)
                 if self._labels is not None:
                     mass = np.bincount(self._labels - UNASSIGNED, belief)
                     node[row], in_node[row] = mass.argmax() + UNASSIGNED, mass.max()
         self.reset()
         if self._labels is None:
-            return Track(frame, probability, spread)
-        return Track(frame, probability, spread, node, in_node)
+            return Track(frame, probability, spread, xy=xy)
+        return Track(frame, probability, spread, node, in_node, xy)
+
+    def _between(self, frame: int, radius: float) -> NDArray[np.float64]:
+        offset = self.motion.xy - self.motion.xy[frame]
+        near = np.where(np.square(offset).sum(axis=1) <= radius**2, self.belief, 0.0)
+        return np.asarray(self.motion.xy[frame] + near @ offset / near.sum(), dtype=np.float64)
 
     def _spread(self, frame: int) -> float:
         squared = np.square(self.motion.xy - self.motion.xy[frame]).sum(axis=1)

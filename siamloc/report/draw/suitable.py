@@ -18,7 +18,7 @@ from siamloc.report.draw.nodes import node_plan, nodes_on_plan
 from siamloc.report.draw.pairs import pair_curves
 from siamloc.report.draw.robustness import robustness_curves
 from siamloc.report.draw.rooms import confusion
-from siamloc.results import Columns, read_results, read_rows
+from siamloc.results import FURTHER, Columns, finest, read_results, read_rows
 
 Made = dict[str, Callable[[], Picture]]
 
@@ -40,9 +40,10 @@ def pictures(
         name: of what was measured, in legends and titles.
 
     Returns:
-        Of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "calibration",
-        "node_errors", "confusion", "confusion_by_lighting", "pairs", "robustness", "nodes" and "decision" those that
-        there are numbers for, each with a function of no arguments that returns a matplotlib figure.
+        Of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "tracked_curve",
+        "refined_plan", "tracked_plan", "calibration", "node_errors", "confusion", "confusion_by_lighting", "pairs",
+        "robustness", "nodes" and "decision" those that there are numbers for, each with a function of no arguments that
+        returns a matplotlib figure.
 
     Raises:
         FormatError: of a compact map: measures or columns are missing, or the layer is damaged or another one.
@@ -121,7 +122,10 @@ def _of_localization(measures: Mapping[str, Any], tables: Mapping[str, Columns],
         "floor_plan": partial(floor_plan, queries, known, unit),
         "error_curve": partial(error_curve, {**queries, **others}, unit, name),
     }
-    for estimate in ("filtered", "interpolated", "refined"):
+    finer, estimate_name = finest(dict(queries))
+    if estimate_name is not None:
+        made[f"{estimate_name}_plan"] = partial(floor_plan, finer, known, unit)
+    for estimate in FURTHER:
         if f"absolute_{estimate}" in measures:
             made[f"{estimate}_curve"] = partial(estimate_curve, queries, estimate, unit)
     return made

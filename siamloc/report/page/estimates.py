@@ -14,6 +14,7 @@ _TITLES = {
     "filtered": "Sequence filter",
     "interpolated": "Interpolation between map frames",
     "refined": "Compared with map frames",
+    "tracked": "Between map frames, followed along the sequence",
 }
 
 
@@ -22,7 +23,7 @@ def further_estimate(part: Part, name: str) -> Markup | None:
 
     Args:
         part: of the page.
-        name: "filtered", "interpolated" or "refined".
+        name: one of `siamloc.results.FURTHER`.
     """
     evaluation = part.evaluation
     found, absolute = evaluation.results["measures"].get(f"absolute_{name}"), evaluation.absolute
@@ -101,6 +102,18 @@ def _caption(evaluation: Evaluation, name: str) -> str:
             f"The network compares the query with the {of} that look most alike, and says where it was taken relative "
             "to each. The position is the one on which the surest answers agree; it can be nearer than the nearest map "
             "frame, so that errors below the floor are usual."
+        )
+    if name == "tracked":
+        settings = made.get("tracking") or {}
+        if "radius" in settings:
+            return (
+                "The position is the mean of where the robot may be by the sequence filter, within "
+                f"{settings['radius']:g} {evaluation.unit} of the most probable map frame."
+            )
+        moved = f", {settings['step']:.2f} {evaluation.unit} between two queries" if "step" in settings else ""
+        return (
+            f"The poses are followed along each sequence: the robot goes on as it went{moved}, and one that fits "
+            "nowhere has to be repeated. It uses earlier frames and never later ones."
         )
     text = (
         "The filter follows the robot through each sequence and weighs what it sees by where it can have driven; it "

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.results import Columns, read_results, read_rows, rows_by_label
+from siamloc.results import FURTHER, Columns, read_results, read_rows, rows_by_label
 from siamloc.runs import Run
 
 ALL = "all"
-FURTHER = {"filtered": "filter", "interpolated": "interpolation", "refined": "refinement"}
 _KINDS = ("localization", "hierarchical", "robustness", "mapping", "buildings")
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from siamloc.report.draw.floor_plan import is_line
 from siamloc.report.draw.look import series_1_2_5
 from siamloc.report.page.gathered import Evaluation
-from siamloc.results import Columns, rows_by_label
+from siamloc.results import Columns, finest, rows_by_label
 
 WORST = 20
 _CLASSES = 6
@@ -31,6 +31,8 @@ class Plan:
         total: rows of the whole table.
         nearest: the map frame nearest to each query's true position (n,): the right answer.
         unit: of the positions.
+        estimate: what the estimates and errors of `queries` are by, see `siamloc.results.finest`; None for those of the
+            nearest map frame by descriptor.
     """
 
     queries: Columns
@@ -39,6 +41,7 @@ class Plan:
     total: int
     nearest: NDArray[np.int64]
     unit: str
+    estimate: str | None = None
 
     @property
     def along(self) -> str | None:
@@ -131,6 +134,7 @@ def make_plan(evaluation: Evaluation, most: int) -> Plan | None:
     queries, known = evaluation.queries, evaluation.known
     if queries is None or known is None or not len(queries["error"]) or not len(known["x"]):
         return None
+    queries, estimate = finest(queries)
     total = len(queries["error"])
     rows = np.arange(total)
     if total > most:
@@ -140,7 +144,7 @@ def make_plan(evaluation: Evaluation, most: int) -> Plan | None:
     shown = {name: column[rows] for name, column in queries.items()}
     tree = cKDTree(np.column_stack([known["x"], known["y"]]))
     nearest = np.asarray(tree.query(np.column_stack([shown["x"], shown["y"]]))[1], dtype=np.int64)
-    return Plan(shown, known, rows, total, nearest, evaluation.unit)
+    return Plan(shown, known, rows, total, nearest, evaluation.unit, estimate)
 
 
 def spread(n: int) -> NDArray[np.int64]:

@@ -9,17 +9,22 @@ import numpy as np
 
 from siamloc.report.draw.training import training_curves
 from siamloc.report.page import tables
-from siamloc.report.page.gathered import ALL, FURTHER, Evaluation, RunFiles
+from siamloc.report.page.gathered import ALL, Evaluation, RunFiles
 from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Content, Markup, count, join, number, percent, plural, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.plan import Plan, error_classes
-from siamloc.results import Columns
+from siamloc.results import FURTHER, Columns
 
 _KNOWN_MEASURES = (
     *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration", "mapping", "buildings"),
     *(f"absolute_{name}" for name in FURTHER),
 )
+_LED_TO = {
+    None: "the estimated ones",
+    "refined": "those by comparison with map frames",
+    "tracked": "those between map frames, followed along the sequence",
+}
 _PICTURES = ("query", "match", "nearest map frame")
 
 
@@ -118,7 +123,8 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
     )
     keys = tag(
         "p.caption",
-        "Grey dots are map frames, coloured dots the true positions of queries, arrows lead to the estimated ones. "
+        "Grey dots are map frames, coloured dots the true positions of queries, arrows lead to "
+        f"{_LED_TO[plan.estimate]}. "
         "Point at a query, or click to keep it. With the plan in focus: ← → along the drive, ↑ ↓ to larger and smaller "
         "errors, + − 0 or the wheel to zoom; drag to move.",
         id=f"keys-{number_}",

@@ -13,13 +13,14 @@ from siamloc.files import write_text
 from siamloc.report.page import rooms, sections
 from siamloc.report.page.compared import comparison
 from siamloc.report.page.estimates import expected_errors, further_estimate
-from siamloc.report.page.gathered import FURTHER, Evaluation, RunFiles, gather
+from siamloc.report.page.gathered import Evaluation, RunFiles, gather
 from siamloc.report.page.hierarchical import hierarchical
 from siamloc.report.page.mapping import mapping
 from siamloc.report.page.markup import Markup, join, plural, script_data, tag
 from siamloc.report.page.parts import Part, large_pictures, notes_on, parts_of, reserve, sheets_of
 from siamloc.report.page.pictures import Sheets
 from siamloc.report.page.robustness import robustness
+from siamloc.results import FURTHER
 
 MAX_BYTES = 4_900_000
 _LARGE_SHARE = 0.27

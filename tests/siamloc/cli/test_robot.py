@@ -128,12 +128,21 @@ def test_a_map_without_positions_names_the_room(trained, flat, tmp_path, capsys)
         assert row["x"] == row["y"] == ""
 
 
-def test_the_map_hands_its_headings_on_and_they_can_be_left_out(finished, tmp_path):
+def test_the_map_hands_its_headings_on_and_they_can_be_left_out(finished, tmp_path, capsys):
     run = Path(shutil.copytree(finished, tmp_path / "run"))
     siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]", "task.refine=interpolate")
     told = json.loads((run / "evaluation/network/results.json").read_text())["measures"]
     assert "heading_error" in told["absolute"]["overall"]
     assert "heading_error" in told["absolute_interpolated"]["overall"]
+    siamloc("export", f"run={run}")
+    assert "position (between 3 map frames), heading" in capsys.readouterr().out
+    rows = {row["path"]: row for row in table(run / "evaluation/network/queries.csv")}
+    picture = next(iter(rows))
+    siamloc("localize", f"run={run}", f"images=['{picture}']")
+    (found,) = table(run / "locations.csv")
+    for key in ("x", "y"):
+        assert float(found[key]) == pytest.approx(float(rows[picture][f"interpolated_est_{key}"]), abs=1e-3)
+    assert float(found["theta"]) == pytest.approx(float(rows[picture]["interpolated_est_theta"]), abs=1e-3)
     siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]", "heading=none")
     bare = json.loads((run / "evaluation/network/results.json").read_text())["measures"]
     assert "heading_error" not in bare["absolute"]["overall"]

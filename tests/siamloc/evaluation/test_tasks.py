@@ -16,6 +16,7 @@ from siamloc.evaluation import Result
 from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.files import plain
 from siamloc.models import build
+from siamloc.results import finest
 from tests.siamloc.evaluation.world import Reads, drive, library
 
 
@@ -100,9 +101,12 @@ def test_filter_interpolation_and_expected_errors(world):
     result = evaluation.localization(
         known, images, tuesday, validation=sunday, filter=True, filter_tune=True, refine="interpolate", error_model=True
     )
-    assert {"absolute_filtered", "absolute_interpolated", "calibration"} <= set(result.parts)
-    assert {"filtered_error", "interpolated_error", "error_m", "lost"} <= set(result.columns)
-    assert set(result.about["estimates"]) == {"filter", "interpolation", "error_model"}
+    assert {"absolute_filtered", "absolute_interpolated", "absolute_tracked", "calibration"} <= set(result.parts)
+    assert {"filtered_error", "interpolated_error", "tracked_error", "error_m", "lost"} <= set(result.columns)
+    assert set(result.about["estimates"]) == {"filter", "interpolation", "tracking", "error_model"}
+    near = np.hypot(result.columns["tracked_est_x"] - result.columns["filtered_est_x"], 0)
+    assert 0 < near.max() <= 1, "the mean between frames stays within place_radius of the most probable one"
+    assert result.refinement == maps.Refinement("interpolate", 3, 1.0, map_digest=known.digest)
     assert result.error_model == evaluation.error_model(known, images, sunday)
     with pytest.raises(ConfigError, match="give validation=FRAMES"):
         evaluation.localization(known, images, tuesday, error_model=True)
@@ -111,7 +115,7 @@ def test_filter_interpolation_and_expected_errors(world):
         evaluation.localization(own, images, tuesday, validation=sunday, error_model=True)
 
 
-def test_poses_by_comparison_with_map_frames(world):
+def test_poses_by_comparison_with_map_frames(world, tmp_path):
     images, monday, tuesday, sunday, reads = world
     network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
     known = maps.build(network, images, monday, progress=False)
@@ -125,6 +129,21 @@ def test_poses_by_comparison_with_map_frames(world):
     moved = np.hypot(*(poses.xy - tuesday.xy).T)
     np.testing.assert_allclose(result.columns["refined_error"], moved, rtol=1e-3, atol=1e-3)
     assert "refinement" in result.table()
+    wider = result.about["estimates"]["refinement"]["widened"]
+    assert result.refinement == maps.Refinement("relative", 2, widening=wider, map_digest=known.digest)
+    result.save(tmp_path / "result", pictures=False)
+    assert evaluation.Result.load(tmp_path / "result").refinement == result.refinement
+    finer, name = finest(result.columns)
+    assert name == "refined"
+    np.testing.assert_array_equal(finer["error"], result.columns["refined_error"])
+    followed = evaluation.localization(known, images, tuesday, refine="relative", neighbours=2, filter=True)
+    overall = followed.parts["absolute_tracked"]["overall"]
+    assert overall["error"]["mean"] == pytest.approx(followed.columns["tracked_error"].mean())
+    step = followed.about["estimates"]["tracking"]["step"]
+    expected = maps.PoseFilter(step).run(poses, tuesday.sequence)
+    np.testing.assert_allclose(followed.columns["tracked_est_x"], expected.xy[:, 0], rtol=1e-3, atol=1e-3)
+    assert finest(followed.columns)[1] == "tracked"
+    assert followed.plot("tracked_plan").axes
     with pytest.raises(ConfigError, match=r"reads does not tell .*task\.refine=interpolate"):
         evaluation.localization(reads, images, tuesday, refine="relative")
 

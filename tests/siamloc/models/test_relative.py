@@ -11,6 +11,7 @@ from torch import Tensor
 
 import siamloc
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps import refinement
 from siamloc.models import build
 from siamloc.models.drive_figures import ELSEWHERE, DriveFigures
 from siamloc.models.network import Network
@@ -18,7 +19,7 @@ from siamloc.models.origins import Origins
 from siamloc.models.places import PlaceModule
 from siamloc.models.pretrained_network import without_layer
 from siamloc.models.registry import Optimizer
-from siamloc.models.relative import REACH, Relative, RelativePose, _inverse, compared, relative_loss
+from siamloc.models.relative import FREEDOM, REACH, Relative, RelativePose, _inverse, compared, relative_loss
 from siamloc.training.compiled import compiles
 
 SIZE, COLUMNS, VALUES = (32, 128), 16, 64
@@ -63,6 +64,10 @@ def test_turning_the_query_adds_to_the_turn_alone(network):
     turned = torch.remainder(after.pose[:, 2] - before.pose[:, 2] - 3 * COLUMN + math.pi, 2 * math.pi) - math.pi
     torch.testing.assert_close(turned, torch.zeros(4), rtol=0, atol=1e-4)
     torch.testing.assert_close(network.relative.steps(query.roll(3, dims=1), known), torch.full((4,), COLUMNS - 3))
+
+
+def test_the_errors_have_the_distribution_that_the_answers_are_joined_by():
+    assert FREEDOM == refinement.FREEDOM
 
 
 def test_the_inverse_is_the_inverse():
