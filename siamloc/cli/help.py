@@ -153,6 +153,7 @@ COMMANDS = {
                                           task.filter_tune=true learns from protocol.validation
         task.refine=interpolate           a pose between the three nearest map frames (task.neighbours=3)
         task.refine=relative              one by comparing with each of them, for a network with model.relative=true
+                                          (descriptor=pretrained is one); with task.filter=true followed as well
         task.error_model=true             the expected error of each query, learned from protocol.validation, and
                                           whether it is lost, above task.lost_above=1.0
         heading=hog|fs|gist|radon_fourier
@@ -178,7 +179,8 @@ COMMANDS = {
         """
         Writes a bundle: the network as ONNX (any batch size), the map, and how images are prepared; and compares its
         output with the network's. With a map that holds headings the robot knows its own, and after an
-        evaluation with task.error_model=true its expected error and whether it is lost.
+        evaluation with task.error_model=true its expected error and whether it is lost. After one with task.refine
+        its poses are finer than the map in the same way.
 
         run=FOLDER              the run
         bundle=FOLDER           where to; the run's own folder if not given
@@ -192,7 +194,7 @@ COMMANDS = {
         "locate image files with an exported bundle",
         """
         Works without torch. Prints a line per image and writes locations.csv: position and room, and heading in rad,
-        expected error and verdict where the bundle holds what gives them.
+        expected error and verdict where the bundle holds what gives them; covariance and agreement of refined poses.
 
         images=[a.jpeg,folder]   files or folders
         run=FOLDER               the run whose bundle is used

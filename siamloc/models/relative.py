@@ -14,7 +14,7 @@ from siamloc.models.origins import Origins
 REACH = 5.0
 """How far two images may be apart, in the unit of the positions, to be compared."""
 FREEDOM = 4.0
-"""Degrees of freedom of the errors' t-distribution; what joins the answers, `siamloc.maps.refine`, counts on as many."""
+"""Degrees of freedom of the t-distribution of errors; what joins answers, `siamloc.maps.refine`, counts on as many."""
 _GROUPS, _SHIFTS, _WIDTH = 8, 5, 128
 _TURN = 10.0  # turns count in tenths of a radian, of the size of displacements
 _PRIOR = 0.5  # information of each coordinate before any column is looked at: a deviation of 1.4 m
