@@ -6,10 +6,10 @@ recipe `fine_tuning` with relative=True on three drives, one of which is the map
 stands the analytic way: between the three nearest map frames by HOG.
 
 Targets of the fine-tuned networks, of the mean over the seeds, under every lighting: with every fifth frame a mean
-error of at most 0.06 m, 95 % below 0.15 m, and a median heading error of at most 0.5 degrees; with every twentieth a mean of
-at most 0.25 m; and 87 to 93 % of the positions inside their 90 % ellipses, which are learned from the drives that chose
-the checkpoint. Without training: less than the nearest frame's error. And whatever the building: at most 3 ms for a
-query and 3 map frames on one core, and at most 8 kB in the map for a frame.
+error of at most 0.06 m, 95 % below 0.15 m, and a median heading error of at most 0.5 degrees; with every twentieth a
+mean of at most 0.25 m; and 87 to 93 % of the positions inside their 90 % ellipses, which are learned from the drives
+that chose the checkpoint. Without training: less than the nearest frame's error. And whatever the building: at most
+3 ms for a query and 3 map frames on one core, and at most 8 kB in the map for a frame.
 
     siamloc simulate camera=panorama out=data
     OMP_NUM_THREADS=1 python -m benchmarks.refinement --data data/freiburg_like
@@ -37,6 +37,7 @@ RECIPE = siamloc.training.recipe("fine_tuning")
 EVERY = (1, 2, 5, 10, 20)
 COMPARED = 3
 AS_IT_IS, TUNED, ANALYTIC = "without training", "fine-tuned on three drives", "between frames by HOG"
+WAYS = (AS_IT_IS, TUNED, ANALYTIC)
 MOST_MEAN, MOST_P95, MOST_TURN, MOST_SPARSE = 0.06, 0.15, 0.5, 0.25
 MOST_MS, MOST_BYTES = 3.0, 8000
 _STEP = 0.15  # metres between the frames of a drive
@@ -48,9 +49,7 @@ def main() -> None:
     arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, default=3)
-    arguments.add_argument(
-        "--ways", nargs="*", default=[AS_IT_IS, TUNED, ANALYTIC], choices=[AS_IT_IS, TUNED, ANALYTIC]
-    )
+    arguments.add_argument("--ways", nargs="*", default=WAYS, choices=WAYS)
     arguments.add_argument("--run", type=Path, help="of a network to take besides")
     arguments.add_argument("--picture", type=Path, help="PNG of the errors against the spacing")
     options = arguments.parse_args()
@@ -66,7 +65,7 @@ def main() -> None:
         rows[TUNED] = [refined(building, trained(building, seed)) for seed in range(options.seeds)]
     if ANALYTIC in options.ways:
         rows[ANALYTIC] = [interpolated(Building(options.data))]
-    rows = report.kept(rows, [AS_IT_IS, TUNED, ANALYTIC]) if options.keep else rows
+    rows = report.kept(rows, WAYS) if options.keep else rows
     for name, found in rows.items():
         judge(report, name, found)
         print(f"\n{name}\n{table(found)}")
