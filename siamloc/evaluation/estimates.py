@@ -60,7 +60,8 @@ class Estimates(Settings):
             the query with each of them, by a network built with relative=True; "none" leaves it out. With validation
             frames the ellipses of "relative" are learned from them.
         neighbours: how many of the nearest map frames that looks at.
-        error_model: expected error of each query, learned on the validation frames.
+        error_model: expected error of each query, learned on the validation frames: of the pose by comparison with
+            refine="relative", else of the nearest map frame's.
         lost_above: a larger expected error means lost, in the unit of the positions.
         place_radius: map frames farther apart are different places: for interpolation and the error model.
     """
@@ -177,11 +178,12 @@ def with_estimates(
         result = replace(result, refinement=Refinement("interpolate", k, radius, map_digest=known.digest))
     if settings.error_model and validation is not None:
         model, about = learned_errors(settings, known, validation)
-        expected = model.predict(search.retrieval, known.frames.xy)
+        expected = expected_errors(model, known, search)
         columns = {**result.tables["queries"], "error_m": expected, "lost": model.lost(expected)}
+        judged = {**columns, "error": columns["refined_error"]} if model.of_poses else columns
         result = replace(
             result,
-            parts={**result.parts, "calibration": calibration.measures_of(columns, settings.lost_above)},
+            parts={**result.parts, "calibration": calibration.measures_of(judged, settings.lost_above)},
             tables={**result.tables, "queries": columns},
             about={**result.about, "estimates": {**result.about.get("estimates", {}), "error_model": about}},
             error_model=model,
@@ -281,15 +283,24 @@ def learned_errors(settings: Estimates, known: VisualMap, validation: Validation
     Raises:
         DataError: too few validation frames.
     """
-    found, xy = validation.search.retrieval, known.frames.xy
-    errors = localization_error(xy[found.indices[:, 0]], validation.frames.xy)
-    model = ErrorModel.fit(found, xy, errors, radius=settings.place_radius, neighbours=MATCHES)
+    if settings.refine == "relative":
+        poses = validation.search.refined
+        model = ErrorModel.fit_poses(poses, localization_error(poses.xy, validation.frames.xy))
+    else:
+        found, xy = validation.search.retrieval, known.frames.xy
+        errors = localization_error(xy[found.indices[:, 0]], validation.frames.xy)
+        model = ErrorModel.fit(found, xy, errors, radius=settings.place_radius, neighbours=MATCHES)
     about = {
         "file": "error_model.json",
         "sequences": list(validation.frames.rows_by("sequence")),
         "queries": len(validation.frames),
     }
     return replace(model, lost_above=settings.lost_above, map_digest=known.digest), about
+
+
+def expected_errors(model: ErrorModel, known: VisualMap, search: Search) -> NDArray[np.float64]:
+    """Return the expected errors of what was looked for (n,)."""
+    return model.predict_poses(search.refined) if model.of_poses else model.predict(search.retrieval, known.frames.xy)
 
 
 def estimate_columns(
@@ -369,6 +380,7 @@ def located_columns(
     found: Retrieval,
     headings: ArrayLike | None = None,
     errors: ErrorModel | None = None,
+    poses: RefinedPoses | None = None,
 ) -> Columns:
     """Return where queries were found whose true poses are unknown: what `located.csv` holds.
 
@@ -377,7 +389,8 @@ def located_columns(
         frames: the queries (n).
         found: their nearest map frames.
         headings: estimated headings (n,), rad.
-        errors: the model of the expected error, with a threshold of being lost.
+        errors: the model of the expected error, with a threshold of being lost; of poses where those are given.
+        poses: by comparison with map frames.
 
     Raises:
         DataError: a retrieval of other queries, or of too few frames for the error model.
@@ -400,8 +413,10 @@ def located_columns(
     }
     if headings is not None:
         columns["est_theta"] = np.asarray(headings, dtype=np.float64)
+    if poses is not None:
+        columns |= {"refined_est_x": poses.xy[:, 0], "refined_est_y": poses.xy[:, 1], "refined_est_theta": poses.theta}
     if errors is not None:
-        columns["error_m"] = errors.predict(found, known.frames.xy)
+        columns["error_m"] = errors.predict(found, known.frames.xy) if poses is None else errors.predict_poses(poses)
         columns["lost"] = errors.lost(columns["error_m"])
     return columns
 

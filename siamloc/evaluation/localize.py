@@ -261,7 +261,7 @@ def _search_bare(session: Session, settings: Localization, placed: VisualMap, ro
     """Return the search for queries without a position."""
     excluded = session.excluded(session.queries.take(rows), placed.frames)
     k = most_neighbours(MATCHES if settings.error_model else 1, len(placed), excluded)
-    return Search(placed, rows, k, excluded=excluded)
+    return prepared(replace(settings, filter=False, filter_tune=False), Search(placed, rows, k, excluded=excluded))
 
 
 def _located(result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable) -> Result:
@@ -272,7 +272,8 @@ def _located(result: Result, session: Session, settings: Localization, search: S
         model, learned = learned_errors(settings, search.known, validation)
         about = {**about, "estimates": {"error_model": learned}}
     headings = None if search.headings is None else search.headings[:, 0]
-    columns = located_columns(search.known, queries, search.retrieval, headings, model)
+    poses = search.refined if settings.refine == "relative" else None
+    columns = located_columns(search.known, queries, search.retrieval, headings, model, poses)
     return replace(result, tables={**result.tables, "located": columns}, error_model=model, about=about)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +16,15 @@ from siamloc.files import read_json, write_json
 from siamloc.maps.search import Retrieval
 
 if TYPE_CHECKING:
+    from siamloc.maps.refinement import RefinedPoses
     from siamloc.maps.visual_map import VisualMap
 
 _FORMAT = "siamloc-error-model"
 _VERSION = 2
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
+_POSE = "pose"
+_AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the score of a pose that nothing is known of
 
 
 def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
@@ -49,6 +52,15 @@ def spread_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -
     return np.where(known, _from_best(found, map_xy), 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
 
 
+def pose_score(poses: RefinedPoses) -> NDArray[np.float64]:
+    """Return how far off refined poses claim to be (n,): the deviation by their covariance over their agreement.
+
+    Where no answer could be compared, the score is larger than any other.
+    """
+    spread = np.sqrt(np.trace(poses.covariance(), axis1=1, axis2=2))
+    return np.where(np.isnan(spread), _UNTOLD, np.minimum(spread / np.maximum(poses.agreement, _AGREEMENT), _UNTOLD))
+
+
 SCORES: dict[str, Callable[[Retrieval, NDArray[np.float64], float], NDArray[np.float64]]] = {
     "ratio": ratio_score,
     "distance": distance_score,
@@ -58,14 +70,14 @@ SCORES: dict[str, Callable[[Retrieval, NDArray[np.float64], float], NDArray[np.f
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """The expected error as an increasing function of one score of the retrieval, as plain numbers.
+    """The expected error as an increasing function of one score of the retrieval or of a pose, as plain numbers.
 
     The ratio score is the default: it has no unit, so that what was learned under one lighting holds under another,
     where all distances are larger; a weighted sum with the other scores predicted no better on queries that it had not
     learned from. Isotonic regression assumes nothing of the function but that it does not fall.
 
     Attributes:
-        score: a name in `SCORES`.
+        score: a name in `SCORES`; or "pose", that of refined poses, which looks at nothing else, see `pose_score`.
         radius: beyond which a match is another place, in units of x and y.
         neighbours: matches of each query that the score looks at.
         knots: scores, increasing.
@@ -85,8 +97,8 @@ class ErrorModel:
     map_digest: str = ""
 
     def __post_init__(self) -> None:
-        if self.score not in SCORES:
-            raise ConfigError(f"unknown score {self.score!r}: {hint(self.score, SCORES)}")
+        if self.score not in (*SCORES, _POSE):
+            raise ConfigError(f"unknown score {self.score!r}: {hint(self.score, (*SCORES, _POSE))}")
         if not 0 <= self.radius < math.inf or self.neighbours < 1:
             raise ConfigError(
                 f"an error model needs radius >= 0 and neighbours >= 1, got {self.radius} and {self.neighbours}"
@@ -127,17 +139,34 @@ class ErrorModel:
             ConfigError: an unknown score, or a parameter out of range.
             DataError: fewer than 10 queries, or arrays that do not fit each other.
         """
+        neighbours = min(int(neighbours), found.indices.shape[1])
+        blank = cls(score, float(radius), neighbours, (0.0,), (0.0,), len(found))
+        return blank._learned(lambda: blank.scores(found, map_xy), len(found), errors)
+
+    @classmethod
+    def fit_poses(cls, poses: RefinedPoses, errors: ArrayLike) -> ErrorModel:
+        """Learn from the refined poses of a validation sequence, as `fit` does.
+
+        Args:
+            poses: of n validation queries.
+            errors: (n,) of their positions, not negative.
+
+        Raises:
+            DataError: fewer than 10 queries, or not one error for each.
+        """
+        blank = cls(_POSE, 0.0, 1, (0.0,), (0.0,), len(poses))
+        return blank._learned(lambda: pose_score(poses), len(poses), errors)
+
+    def _learned(self, scored: Callable[[], NDArray[np.float64]], count: int, errors: ArrayLike) -> ErrorModel:
         values = np.asarray(errors, dtype=np.float64)
-        if values.shape != (len(found),) or not (values >= 0).all() or not np.isfinite(values).all():
-            raise DataError(f"{len(found)} validation queries need as many errors, finite and >= 0, got {values.shape}")
-        if len(values) < _FEWEST:
+        if values.shape != (count,) or not (values >= 0).all() or not np.isfinite(values).all():
+            raise DataError(f"{count} validation queries need as many errors, finite and >= 0, got {values.shape}")
+        if count < _FEWEST:
             raise DataError(
-                f"an error model needs at least {_FEWEST} validation queries, got {len(values)}: "
+                f"an error model needs at least {_FEWEST} validation queries, got {count}: "
                 "give protocol.validation more frames"
             )
-        neighbours = min(int(neighbours), found.indices.shape[1])
-        blank = cls(score, float(radius), neighbours, (0.0,), (0.0,), len(values))
-        scores = blank.scores(found, map_xy)
+        scores = scored()
         order = np.argsort(scores, kind="stable")
         groups = np.array_split(order, max(1, len(order) // _GROUP))
         knots, inverse = np.unique([scores[rows].mean() for rows in groups], return_inverse=True)
@@ -146,10 +175,27 @@ class ErrorModel:
         from sklearn.isotonic import IsotonicRegression
 
         fitted = IsotonicRegression().fit_transform(knots, mean, sample_weight=size)
-        return cls(score, float(radius), neighbours, tuple(knots), tuple(np.maximum.accumulate(fitted)), len(values))
+        return replace(self, knots=tuple(knots), errors=tuple(np.maximum.accumulate(fitted)), queries=count)
+
+    def predict_poses(self, poses: RefinedPoses) -> NDArray[np.float64]:
+        """Return the expected error of refined poses (n,), in units of x and y.
+
+        Raises:
+            ConfigError: the model was not learned from refined poses.
+        """
+        if self.score != _POSE:
+            raise ConfigError("the error model was not learned from refined poses: learn it with refine='relative'")
+        return np.interp(pose_score(poses), self.knots, self.errors)
+
+    @property
+    def of_poses(self) -> bool:
+        """Whether it was learned from refined poses, and expects their errors."""
+        return self.score == _POSE
 
     def scores(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
         """Return the score of each query (n,). Arguments and errors as `predict`."""
+        if self.of_poses:
+            raise ConfigError("the error model was learned from refined poses: give it those, by predict_poses")
         xy = np.asarray(map_xy, dtype=np.float64)
         if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
             raise DataError(f"the error of an estimate needs map positions (m, 2), all known, got shape {xy.shape}")

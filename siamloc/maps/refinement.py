@@ -223,7 +223,9 @@ def refine(
     """
     if int(k) != k or k < 1:
         raise ConfigError(f"a whole number of map frames from 1 must be compared, got {k}")
-    compares = _of_map(known) if compares is None else compares
+    if compares is None:
+        check_compares(known)
+        compares = known.descriptor.compare  # type: ignore[attr-defined]
     parts = queries.orientation
     if parts is None or (known.heading is None and known.orientation is None):
         raise DataError("the map or the queries have no orientation parts to compare: map by a network that makes them")
@@ -302,18 +304,22 @@ def _limit(share: float) -> float:
     return FREEDOM * float((1 - share) ** (-2 / FREEDOM) - 1)
 
 
-def _of_map(known: VisualMap) -> Compares:
-    if getattr(known.descriptor, "compares", False) and (known.heading is None or not known.heading.own):
-        raise ConfigError(
-            "the map does not hold what its network compares by: make it again without heading= of another descriptor"
-        )
+def check_compares(known: VisualMap) -> None:
+    """Make sure that a map and its network tell where queries were taken relative to its frames.
+
+    Raises:
+        ConfigError: the network does not compare, or the map does not hold what it compares by.
+    """
     if not getattr(known.descriptor, "compares", False):
         raise ConfigError(
             f"{known.descriptor.name} does not tell where images were taken relative to others: train a network with "
-            "model.relative=true (from Python build(..., relative=True)) and map by it, or use task.refine=interpolate"
+            "model.relative=true (from Python build(..., relative=True)) and map by it, take descriptor=pretrained, or "
+            "use task.refine=interpolate"
         )
-    compares: Compares = known.descriptor.compare  # type: ignore[attr-defined]
-    return compares
+    if known.heading is None or not known.heading.own:
+        raise ConfigError(
+            "the map does not hold what its network compares by: make it again without heading= of another descriptor"
+        )
 
 
 def _turns(theta: NDArray[np.float64]) -> NDArray[np.float64]:

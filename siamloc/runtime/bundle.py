@@ -192,6 +192,7 @@ def export(
         SiamlocError: the exported network differs from the original.
         StorageError: the disk is full or refuses.
     """
+    from siamloc.maps.refinement import check_compares
     from siamloc.models import as_descriptor
     from siamloc.runtime.onnx_model import export_heading, export_onnx
     from siamloc.runtime.onnx_relative import export_relative
@@ -206,6 +207,14 @@ def export(
         raise ConfigError("the error model was learned on another map than the bundle's: learn it again")
     if refinement is not None and (known is None or not refinement.learned_on(known)):
         raise ConfigError("how poses are refined was learned on another map than the bundle's: evaluate again")
+    compares = refinement is not None and refinement.method == "relative"
+    if known is not None and compares:
+        check_compares(known)
+    if errors is not None and errors.of_poses and not compares:
+        raise ConfigError(
+            "the error model expects errors of refined poses: give refinement=result.refinement of the evaluation that "
+            "it comes from as well, or learn it without refine"
+        )
     image_size = (parameters["height"], parameters["width"])
     with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ import io
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +131,8 @@ class Localizer:
                 f"{bundle_path} says that poses are refined by comparison, and holds nothing to compare by: export "
                 "again"
             )
+        if self._errors is not None and self._errors.of_poses and self._relative is None:
+            raise FormatError(f"{bundle_path} expects errors of refined poses, and refines none: export again")
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
         self._wanted = max(top, *looked_at, 1)
 
@@ -190,11 +192,17 @@ class Localizer:
             found = self._placed.search(query.position, self._wanted)
         pose, expected, lost = None, math.nan, None
         if self._refinement is not None:
-            pose = self._refinement.poses(self._placed, query, found, self._compare)
+            pose = replace(self._refinement, widening=1.0).poses(self._placed, query, found, self._compare)
         if self._errors is not None:
-            errors = self._errors.predict(found, self._placed.frames.xy)
+            if self._errors.of_poses:
+                assert pose is not None
+                errors = self._errors.predict_poses(pose)
+            else:
+                errors = self._errors.predict(found, self._placed.frames.xy)
             expected = float(errors[0])
             lost = None if self._errors.lost_above is None else bool(self._errors.lost(errors)[0])
+        if self._refinement is not None and pose is not None:
+            pose = pose.widened(self._refinement.widening)
         return pose, expected, lost
 
     def _compare(

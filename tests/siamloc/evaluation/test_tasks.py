@@ -136,6 +136,19 @@ def test_poses_by_comparison_with_map_frames(world, tmp_path):
     finer, name = finest(result.columns)
     assert name == "refined"
     np.testing.assert_array_equal(finer["error"], result.columns["refined_error"])
+    expecting = evaluation.localization(
+        known, images, tuesday, validation=sunday, refine="relative", neighbours=2, error_model=True
+    )
+    assert expecting.error_model.of_poses
+    np.testing.assert_allclose(expecting.columns["error_m"], expecting.error_model.predict_poses(poses), rtol=1e-2)
+    judged = expecting.parts["calibration"]["overall"]
+    assert judged["observed"] == pytest.approx(expecting.columns["refined_error"].mean())
+    bare = tuesday.with_columns(x=np.full(len(tuesday), np.nan), y=np.full(len(tuesday), np.nan))
+    located = evaluation.localization(
+        known, images, bare, validation=sunday, refine="relative", neighbours=2, error_model=True
+    ).tables["located"]
+    np.testing.assert_allclose(located["refined_est_x"], poses.xy[:, 0], rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(located["error_m"], expecting.columns["error_m"], rtol=1e-2)
     followed = evaluation.localization(known, images, tuesday, refine="relative", neighbours=2, filter=True)
     overall = followed.parts["absolute_tracked"]["overall"]
     assert overall["error"]["mean"] == pytest.approx(followed.columns["tracked_error"].mean())

@@ -13,7 +13,7 @@ import torch
 import siamloc
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.files import file_hash, read_json, write_json
-from siamloc.maps import HeadingPart, Refinement, VisualMap, match
+from siamloc.maps import ErrorModel, HeadingPart, Refinement, VisualMap, match
 from siamloc.maps.heading import NetworkHeading
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Localizer, export
@@ -104,9 +104,32 @@ def test_a_map_without_some_positions_is_refined_by_the_others(network, known, t
             assert math.isnan(one.x)
 
 
+def test_expected_errors_are_those_of_the_refined_poses(network, known, tmp_path):
+    pictures, frames = drive(2)
+    seen = known.describer.describe(pictures.transpose(0, 3, 1, 2))
+    poses = refinement(known, "relative").poses(known, seen, match(known, seen, 3))
+    errors = replace(
+        ErrorModel.fit_poses(poses, np.hypot(*(poses.xy - frames.xy).T)), lost_above=1.0, map_digest=known.digest
+    )
+    with pytest.raises(ConfigError, match=r"give refinement=result\.refinement"):
+        export(network, known, tmp_path / "bundle", errors=errors)
+    with pytest.raises(ConfigError, match="give it those, by predict_poses"):
+        errors.predict(match(known, seen, 3), known.frames.xy)
+    export(network, known, tmp_path / "bundle", errors=errors, refinement=refinement(known, "relative", widening=3.0))
+    localizer = Localizer(tmp_path / "bundle")
+    found = [localizer.locate(picture) for picture in pictures]
+    np.testing.assert_allclose([one.error_m for one in found], errors.predict_poses(poses), rtol=1e-2)
+    assert [one.lost for one in found] == errors.lost([one.error_m for one in found]).tolist()
+    untold = replace(poses, information=np.zeros_like(poses.information))
+    np.testing.assert_array_equal(errors.predict_poses(untold), errors.errors[-1])
+
+
 def test_what_does_not_fit_is_refused(network, known, bundle, tmp_path):
     with pytest.raises(ConfigError, match="learned on another map"):
         export(network, known, tmp_path / "bundle", refinement=Refinement("relative"))
+    bare = replace(known, heading=None)
+    with pytest.raises(ConfigError, match="the map does not hold what its network compares by"):
+        export(network, bare, tmp_path / "bundle", refinement=refinement(bare, "relative"))
     other = build("panoresnet", "magnitudes", SIZE, circular=True)
     with pytest.raises(ConfigError, match="does not tell where images were taken relative to others"):
         export_relative(other, tmp_path / "relative.onnx")
