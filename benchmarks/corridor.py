@@ -32,6 +32,9 @@ from siamloc.data import FrameTable, PanoramaLibrary
 PUBLISHED = {"published, labels over the whole corridor": None, "published, labels over 20 frames": 20.0}
 OURS = "ours"
 FILTERED = "ours, sequence filter"
+BETWEEN_FRAMES, FOLLOWED = ", between frames", ", followed between frames"
+BETWEEN = {"refine": "interpolate", "neighbours": 5, "place_radius": 3.0}
+"""Settings of positions between frames."""
 ANALYTIC = ("fs", "hog", "gist", "wisurf", "briefgist", "radon_fourier", "radon_poc", "hsv")
 RADIUS = 3  # frames
 LEAST_RECALL, LEAST_FILTERED = 0.75, 0.95
@@ -55,12 +58,14 @@ def main() -> None:
     for descriptor in (*ANALYTIC, Thumbnail()):
         name = descriptor if isinstance(descriptor, str) else "thumbnail 8 x 32, correlation"
         try:
-            found = located(library(frames, (128, 160)), descriptor, filter=True)
+            found = located(library(frames, (128, 160)), descriptor, filter=True, **BETWEEN)
         except AnalyticError as error:  # its settings are those for panoramas of 128 x 512
             print(f"{name} left out: {error}")
             continue
         rows[name] = [figures(found.parts["absolute"])]
         rows[f"{name}, sequence filter"] = [figures(found.parts["absolute_filtered"])]
+        rows[name + BETWEEN_FRAMES] = [figures(found.parts["absolute_interpolated"])]
+        rows[name + FOLLOWED] = [figures(found.parts["absolute_tracked"])]
     judge(report, rows)
     summary = {name: summarize(found) for name, found in rows.items()}
     for name, row in summary.items():
@@ -93,9 +98,11 @@ def ours(frames: FrameTable, ref: FrameTable, seed: int, folder: Path) -> Iterat
     network = recipe.build(seed=seed)
     yield "ours, untrained", located(images, network).parts["absolute"]
     recipe.fit(network, images, ref, run=folder / f"ours{seed}", seed=seed)
-    found = located(images, network, filter=True)
+    found = located(images, network, filter=True, **BETWEEN)
     yield OURS, found.parts["absolute"]
     yield FILTERED, found.parts["absolute_filtered"]
+    yield OURS + BETWEEN_FRAMES, found.parts["absolute_interpolated"]
+    yield OURS + FOLLOWED, found.parts["absolute_tracked"]
 
 
 def located(images: PanoramaLibrary, descriptor: Any, **options: Any) -> siamloc.evaluation.Result:
@@ -110,7 +117,11 @@ def judge(report: Report, rows: dict[str, list[dict[str, float]]]) -> None:
     if OURS not in rows:
         return
     recall = {name: statistics.mean(row["recall"] for row in found) for name, found in rows.items()}
-    others = max((value, name) for name, value in recall.items() if name != OURS and not name.endswith("filter"))
+    others = max(
+        (value, name)
+        for name, value in recall.items()
+        if name != OURS and not name.endswith(("filter", BETWEEN_FRAMES, FOLLOWED))
+    )
     report.target(f"recall at least {LEAST_RECALL:.0%} ({recall[OURS]:.1%})", recall[OURS] >= LEAST_RECALL)
     report.target(
         f"filtered at least {LEAST_FILTERED:.0%} ({recall[FILTERED]:.1%})", recall[FILTERED] >= LEAST_FILTERED

@@ -32,6 +32,7 @@ import numpy as np
 import siamloc
 from analytic import AnalyticError
 from benchmarks.building import LIGHTINGS, MAP, Building, located
+from benchmarks.corridor import BETWEEN, BETWEEN_FRAMES, FOLLOWED
 from benchmarks.corridor import figures as corridor_figures
 from benchmarks.corridor import located as located_in_corridor
 from benchmarks.recipes import ANALYTIC
@@ -72,7 +73,12 @@ def main() -> None:
         figures["corridor"] = in_corridor(options.manifest, options.analytic)
     if "corridor" in figures:
         recall = figures["corridor"][OURS]["recall"]
-        print(f"corridor: { {name: round(row['recall'], 3) for name, row in figures['corridor'].items()} }")
+        for name, row in figures["corridor"].items():
+            print(f"corridor: {name}: {row['recall']:.1%}, mean {row['mean_frames']:.2f} frames")
+        if OURS + BETWEEN_FRAMES in figures["corridor"]:
+            between, nearest = (figures["corridor"][OURS + how]["mean_frames"] for how in (BETWEEN_FRAMES, ""))
+            text = f"corridor: error between frames below the nearest frame's {nearest:.2f} ({between:.2f})"
+            report.target(text, between < nearest)
         report.target(f"corridor: recall above {HOG_RECALL:.0%} ({recall:.1%})", recall > HOG_RECALL)
     figures["bytes"] = registry.PRETRAINED.stat().st_size
     report.target(f"at most {MOST_BYTES / 1e6:g} MB ({figures['bytes'] / 1e6:.2f})", figures["bytes"] <= MOST_BYTES)
@@ -116,16 +122,19 @@ def pooled(rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def in_corridor(manifest: Path, analytic: list[str]) -> dict[str, Any]:
-    """Return figures of each descriptor on the real photographs, where the nearest frame decides."""
+    """Return figures of each descriptor on the real photographs: of the nearest frame, between frames, and followed."""
     frames = siamloc.data.read("manifest", manifest=str(manifest), unit="frame")
     found = {}
     for name in (OURS, *analytic):
         size = registry.PRETRAINED_SIZE if name == OURS else (128, 160)
         images = PanoramaLibrary(frames, image_size=size, circular=False)
         try:
-            found[name] = corridor_figures(located_in_corridor(images, name).parts["absolute"])
+            result = located_in_corridor(images, name, filter=True, **BETWEEN)
         except AnalyticError as error:  # its settings are those for panoramas of 128 x 512
             print(f"{name} left out: {error}")
+            continue
+        for part, how in {"": "", "_interpolated": BETWEEN_FRAMES, "_tracked": FOLLOWED}.items():
+            found[name + how] = corridor_figures(result.parts[f"absolute{part}"])
     return found
 
 
