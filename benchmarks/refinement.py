@@ -158,16 +158,27 @@ def description(known: siamloc.maps.VisualMap) -> Description:
 
 
 def costs(building: Building, network: siamloc.models.Network) -> dict[str, float]:
-    """Return the median time that the poses of one query take on one core, and what a map frame takes."""
-    import torch
+    """Return the median time that the pose of one query takes on one core, as the robot makes it: by onnxruntime.
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
+    Description and search are not in it.
+    """
+    import onnxruntime
+
+    from siamloc.runtime.onnx_relative import export_relative
+
     known = siamloc.maps.build(network, building.images, building.drives(MAP, 20), progress=False)
     query = description(known).take(np.array([0]))
     nearest = siamloc.maps.match(known, query, COMPARED)
-    time = milliseconds(lambda: siamloc.maps.refine(known, query, nearest, k=COMPARED), _RUNS)
-    torch.set_num_threads(threads)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    with tempfile.TemporaryDirectory() as folder:
+        export_relative(network, path := Path(folder) / "relative.onnx")
+        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+    def compares(queries: NDArray[np.float32], frames: NDArray[np.float32]) -> Any:
+        return session.run(None, {"query": queries, "known": frames})
+
+    time = milliseconds(lambda: siamloc.maps.refine(known, query, nearest, compares, COMPARED), _RUNS)
     assert known.heading is not None
     return {**time, "bytes": known.heading.values[0].nbytes}
 
