@@ -1,7 +1,8 @@
 """Poses finer than the map: each query compared with the map frames that it resembles, by map spacing.
 
 The map is every frame of one drive, or every 2nd, 5th, 10th or 20th; the queries are other drives under three
-lightings, and nobody knows headings. The network that comes with siamloc is taken as it is, and fine-tuned by the
+lightings, and nobody knows headings. A query is compared with 3 map frames, and with 8 where the map holds every 10th
+or 20th. The network that comes with siamloc is taken as it is, and fine-tuned by the
 recipe `fine_tuning` with relative=True on three drives, one of which is the map; `--run` takes another one. Beside it
 stands the analytic way: between the three nearest map frames by HOG.
 
@@ -20,6 +21,7 @@ from __future__ import annotations
 import statistics
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +36,15 @@ from benchmarks.report import Report, hardware, milliseconds, parser
 from siamloc.data import FrameTable
 
 RECIPE = siamloc.training.recipe("fine_tuning")
+COMPARING: dict[str, Any] = {
+    "epochs": 3,
+    "pairs": {"near": 0.75, "reach": 4.0, "epoch_batches": 80},
+    "optimizer": {"frozen_stages": 4, "learning_rate": 0.002},
+}
+"""Changes of the recipe that train what compares alone, with pairs of places a map's spacing apart."""
 EVERY = (1, 2, 5, 10, 20)
-COMPARED = 3
+COMPARED = {1: 3, 2: 3, 5: 3, 10: 8, 20: 8}
+"""Map frames that a query is compared with: where they lie farther apart, the right ones are less often the nearest."""
 AS_IT_IS, TUNED, ANALYTIC = "without training", "fine-tuned on three drives", "between frames by HOG"
 WAYS = (AS_IT_IS, TUNED, ANALYTIC)
 MOST_MEAN, MOST_P95, MOST_TURN, MOST_SPARSE = 0.06, 0.15, 0.5, 0.25
@@ -70,10 +79,12 @@ def main() -> None:
         judge(report, name, found)
         print(f"\n{name}\n{table(found)}")
     cost = costs(building, network)
-    report.target(f"at most {MOST_MS:g} ms for a query ({cost['ms']:.2f})", cost["ms"] <= MOST_MS)
+    for k in sorted(set(COMPARED.values())):
+        print(f"{cost[f'ms_{k}']:.2f} ms for a query and {k} map frames")
+    report.target(f"at most {MOST_MS:g} ms for a query and 3 map frames ({cost['ms_3']:.2f})", cost["ms_3"] <= MOST_MS)
     report.target(f"at most {MOST_BYTES} bytes for a map frame ({cost['bytes']})", cost["bytes"] <= MOST_BYTES)
     print(hardware()["cpu"])
-    report.write({"rows": rows, "cost": cost, "compared": COMPARED})
+    report.write({"rows": rows, "cost": cost, "compared": {str(every): k for every, k in COMPARED.items()}})
     if options.picture is not None:
         print(f"picture: {draw(rows, options.picture)}")
 
@@ -83,7 +94,8 @@ def trained(building: Building, seed: int) -> siamloc.models.Network:
     network = RECIPE.build(seed=seed, relative=True)
     train, validation = building.drives(TRAIN), building.drives(VALIDATION)
     with tempfile.TemporaryDirectory() as folder:
-        RECIPE.fit(network, building.images, train, run=Path(folder) / "run", validation=validation, seed=seed)
+        run = Path(folder) / "run"
+        RECIPE.fit(network, building.images, train, run=run, validation=validation, seed=seed, **COMPARING)
     return network
 
 
@@ -97,9 +109,10 @@ def refined(building: Building, network: siamloc.models.Network) -> dict[str, An
     found: dict[str, Any] = {}
     for every in EVERY:
         part = known.take(range(0, len(known), every))
-        nearest = siamloc.maps.match(part, asked, COMPARED)
-        poses = siamloc.maps.refine(part, asked, nearest, k=COMPARED)
-        apart = siamloc.maps.refine(part, other, siamloc.maps.match(part, other, COMPARED), k=COMPARED)
+        k = COMPARED[every]
+        nearest = siamloc.maps.match(part, asked, k)
+        poses = siamloc.maps.refine(part, asked, nearest, k=k)
+        apart = siamloc.maps.refine(part, other, siamloc.maps.match(part, other, k), k=k)
         poses = poses.widened(apart.widening(validation.xy))
         followed = siamloc.maps.PoseFilter(_STEP).run(poses, queries.sequence)
         off = np.degrees(np.abs(np.angle(np.exp(1j * (poses.theta - queries.theta)))))
@@ -124,9 +137,9 @@ def interpolated(building: Building) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for every in EVERY:
         part = known.take(range(0, len(known), every))
-        nearest = siamloc.maps.match(part, asked, COMPARED)
-        turned = siamloc.maps.headings(part, asked, nearest, COMPARED)
-        poses = siamloc.maps.interpolate_poses(nearest, part.frames, COMPARED, 1.5 * every * _STEP, turned)
+        nearest = siamloc.maps.match(part, asked, 3)
+        turned = siamloc.maps.headings(part, asked, nearest, 3)
+        poses = siamloc.maps.interpolate_poses(nearest, part.frames, 3, 1.5 * every * _STEP, turned)
         assert poses.theta is not None
         off = np.degrees(np.abs(np.angle(np.exp(1j * (poses.theta - queries.theta)))))
         found[str(every)] = by_light(
@@ -158,7 +171,7 @@ def description(known: siamloc.maps.VisualMap) -> Description:
 
 
 def costs(building: Building, network: siamloc.models.Network) -> dict[str, float]:
-    """Return the median time that the pose of one query takes on one core, as the robot makes it: by onnxruntime.
+    """Return the median times that the pose of one query takes on one core, as the robot makes it: by onnxruntime.
 
     Description and search are not in it.
     """
@@ -168,7 +181,7 @@ def costs(building: Building, network: siamloc.models.Network) -> dict[str, floa
 
     known = siamloc.maps.build(network, building.images, building.drives(MAP, 20), progress=False)
     query = description(known).take(np.array([0]))
-    nearest = siamloc.maps.match(known, query, COMPARED)
+    nearest = siamloc.maps.match(known, query, max(COMPARED.values()))
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     with tempfile.TemporaryDirectory() as folder:
@@ -178,9 +191,12 @@ def costs(building: Building, network: siamloc.models.Network) -> dict[str, floa
     def compares(queries: NDArray[np.float32], frames: NDArray[np.float32]) -> Any:
         return session.run(None, {"query": queries, "known": frames})
 
-    time = milliseconds(lambda: siamloc.maps.refine(known, query, nearest, compares, COMPARED), _RUNS)
+    found: dict[str, float] = {}
+    for k in sorted(set(COMPARED.values())):
+        time = milliseconds(partial(siamloc.maps.refine, known, query, nearest, compares, k), _RUNS)
+        found[f"ms_{k}"] = time["ms"]
     assert known.heading is not None
-    return {**time, "bytes": known.heading.values[0].nbytes}
+    return {**found, "bytes": known.heading.values[0].nbytes}
 
 
 def judge(report: Report, name: str, rows: list[dict[str, Any]]) -> None:

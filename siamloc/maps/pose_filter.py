@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps.refinement import FREEDOM, STRAY, RefinedPoses
+from siamloc.maps.refinement import FREEDOM, RefinedPoses
 
 _STORIES = 5
+_STRAY = 0.15  # density of poses that are wrong, per square unit of the positions
 _NEAR = 0.05  # share of a step: stories that have come this near to each other are one
 _ACCELERATION = 0.5  # deviation of how much the step between two queries changes, as a share of the usual step
 _MOVES = np.block([[np.eye(2), np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
@@ -85,7 +86,7 @@ class PoseFilter:
             spread = np.linalg.inv(about)
             best = max((story.evidence for story in stories), default=0.0)
             begun = np.block([[spread, np.zeros((2, 2))], [np.zeros((2, 2)), self.length**2 * np.eye(2)]])
-            fresh = best + math.log(self.kidnapping) + math.log(STRAY)
+            fresh = best + math.log(self.kidnapping) + math.log(_STRAY)
             stories = [self._told(story, at, spread, agreement) for story in stories]
             stories.append(_Story(np.concatenate([at, np.zeros(2)]), begun, fresh, 1.0))
         if not stories:
@@ -131,11 +132,11 @@ class PoseFilter:
         apart, total = at - story.mean[:2], story.covariance[:2, :2] + spread
         squared = float(apart @ np.linalg.solve(total, apart))
         height = (1 + squared / FREEDOM) ** (-(FREEDOM + 2) / 2) / (2 * math.pi * math.sqrt(np.linalg.det(total)))
-        share = agreement * height / (agreement * height + STRAY)
+        share = agreement * height / (agreement * height + _STRAY)
         weight = max(share * (FREEDOM + 2) / (FREEDOM + squared), 1e-9)
         gain = story.covariance[:, :2] @ np.linalg.inv(story.covariance[:2, :2] + spread / weight)
         covariance = story.covariance - gain @ story.covariance[:2]
-        evidence = story.evidence + math.log(agreement * height + STRAY)
+        evidence = story.evidence + math.log(agreement * height + _STRAY)
         return _Story(story.mean + gain @ apart, (covariance + covariance.T) / 2, evidence, share)
 
     def _kept(self, stories: list[_Story]) -> list[_Story]:

@@ -26,7 +26,7 @@ _FORMAT = "siamloc-refinement"
 _VERSION = 1
 
 FREEDOM = 4.0  # of the t-distribution that the information is of
-STRAY = 0.15  # density of answers that are wrong, per square unit of the positions
+STRAY = 1.0  # density of answers that are wrong, per square unit of the positions
 _ROUNDS = 10
 _AT_ONCE = 256  # queries
 _NAMES = ("xy", "theta", "information", "agreement", "frame")
