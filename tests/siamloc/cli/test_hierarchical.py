@@ -182,6 +182,7 @@ def test_estimates_beside_the_single_frame_one(manifest, tmp_path, capsys):
     again = {
         "absolute": absolute.measures_of(columns, radii, measures["absolute"]["ks"], frames, "m"),
         "absolute_filtered": estimates.measures_of(columns, "filtered", radii, frames, "m"),
+        "absolute_tracked": estimates.measures_of(columns, "tracked", radii, frames, "m"),
         "absolute_interpolated": estimates.measures_of(columns, "interpolated", radii, frames, "m"),
         "calibration": calibration.measures_of(columns, 0.5),
     }
@@ -211,7 +212,8 @@ def test_an_aligned_descriptor_has_the_same_estimates(manifest, tmp_path):
     options = ["task.filter=true", "task.refine=interpolate", "task.neighbours=2", "task.error_model=true"]
     evaluate(manifest, tmp_path, "briefgist", "descriptor.rows=8", *ABSOLUTE, *options)
     measures = read_results(tmp_path / "evaluation/briefgist")["measures"]
-    assert {"absolute", "absolute_filtered", "absolute_interpolated", "calibration"} == set(measures)
+    further = {"absolute_filtered", "absolute_tracked", "absolute_interpolated"}
+    assert {"absolute", *further, "calibration"} == set(measures)
     assert measures["absolute_interpolated"]["overall"]["heading_error"]["count"] == 72
 
 
