@@ -24,7 +24,7 @@ _VERSION = 2
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 _POSE = "pose"
-_AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the score of a pose that nothing is known of
+_AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the deviation of a pose that nothing is known of
 
 
 def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
@@ -53,12 +53,13 @@ def spread_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -
 
 
 def pose_score(poses: RefinedPoses) -> NDArray[np.float64]:
-    """Return how far off refined poses claim to be (n,): the deviation by their covariance over their agreement.
+    """Return how far off refined poses claim to be (n,): the logarithm of deviation by covariance over agreement.
 
-    Where no answer could be compared, the score is larger than any other.
+    Where no answer could be compared, the score is larger than any other. Of the logarithm, a few such ones do not
+    decide the mean of a group.
     """
-    spread = np.sqrt(np.trace(poses.covariance(), axis1=1, axis2=2))
-    return np.where(np.isnan(spread), _UNTOLD, np.minimum(spread / np.maximum(poses.agreement, _AGREEMENT), _UNTOLD))
+    spread = np.sqrt(np.trace(poses.covariance(), axis1=1, axis2=2)) / np.maximum(poses.agreement, _AGREEMENT)
+    return np.log(np.where(np.isnan(spread), _UNTOLD, np.clip(spread, 1 / _UNTOLD, _UNTOLD)))
 
 
 SCORES: dict[str, Callable[[Retrieval, NDArray[np.float64], float], NDArray[np.float64]]] = {

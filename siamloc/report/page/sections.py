@@ -250,7 +250,8 @@ def _worst_item(plan: Plan, row: int, rank: int, uris: Mapping[str, str]) -> Mar
     columns, known = plan.queries, plan.known
     match, nearest = int(columns["match"][row]), int(plan.nearest[row])
     lines = [_place(columns, row), _place(known, match), _place(known, nearest)]
-    distances = [columns["error"][row], columns["floor"][row]]
+    apart = np.hypot(known["x"][match] - columns["x"][row], known["y"][match] - columns["y"][row])
+    distances = [apart, columns["floor"][row]]
     lines[1] = f"{number(float(distances[0]), 2)} {plan.unit} away{_comma(lines[1])}"
     lines[2] = f"{number(float(distances[1]), 2)} {plan.unit} away{_comma(lines[2])}"
     pictures = [
