@@ -34,6 +34,7 @@ from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, VALIDATION, Buil
 from benchmarks.refinement_picture import draw
 from benchmarks.report import Report, hardware, milliseconds, parser
 from siamloc.data import FrameTable
+from siamloc.evaluation.metrics import heading_error, localization_error
 
 RECIPE = siamloc.training.recipe("fine_tuning")
 COMPARING: dict[str, Any] = {
@@ -115,15 +116,11 @@ def refined(building: Building, network: siamloc.models.Network) -> dict[str, An
         apart = siamloc.maps.refine(part, other, siamloc.maps.match(part, other, k), k=k)
         poses = poses.widened(apart.widening(validation.xy))
         followed = siamloc.maps.PoseFilter(_STEP).run(poses, queries.sequence)
-        off = np.degrees(np.abs(np.angle(np.exp(1j * (poses.theta - queries.theta)))))
         found[str(every)] = by_light(
             queries,
-            retrieval=np.hypot(*(part.frames.xy[nearest.indices[:, 0]] - queries.xy).T),
-            mean=(error := np.hypot(*(poses.xy - queries.xy).T)),
-            p95=(error, 95),
-            heading=(off, 50),
+            **errors_of(part, nearest, queries, poses.xy, poses.theta),
             inside=poses.inside(queries.xy),
-            followed=np.hypot(*(followed.xy - queries.xy).T),
+            followed=localization_error(followed.xy, queries.xy),
         )
     print(found, flush=True)
     return found
@@ -141,15 +138,25 @@ def interpolated(building: Building) -> dict[str, Any]:
         turned = siamloc.maps.headings(part, asked, nearest, 3)
         poses = siamloc.maps.interpolate_poses(nearest, part.frames, 3, 1.5 * every * _STEP, turned)
         assert poses.theta is not None
-        off = np.degrees(np.abs(np.angle(np.exp(1j * (poses.theta - queries.theta)))))
-        found[str(every)] = by_light(
-            queries,
-            retrieval=np.hypot(*(part.frames.xy[nearest.indices[:, 0]] - queries.xy).T),
-            mean=(error := np.hypot(*(poses.xy - queries.xy).T)),
-            p95=(error, 95),
-            heading=(off, 50),
-        )
+        found[str(every)] = by_light(queries, **errors_of(part, nearest, queries, poses.xy, poses.theta))
     return found
+
+
+def errors_of(
+    known: siamloc.maps.VisualMap,
+    nearest: siamloc.maps.Retrieval,
+    queries: FrameTable,
+    xy: NDArray[np.float64],
+    theta: NDArray[np.float64],
+) -> dict[str, Any]:
+    """Return errors (n,) of the nearest map frames and of estimated poses, as `by_light` takes them."""
+    error = localization_error(xy, queries.xy)
+    return {
+        "retrieval": localization_error(known.frames.xy[nearest.indices[:, 0]], queries.xy),
+        "mean": error,
+        "p95": (error, 95),
+        "heading": (np.degrees(heading_error(theta, queries.theta)), 50),
+    }
 
 
 def by_light(

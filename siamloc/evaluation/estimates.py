@@ -167,7 +167,8 @@ def with_estimates(
         result = _with_columns(result, "refined", columns, {"refinement": about})
         result = replace(result, refinement=refinement)
         if settings.filter:
-            columns, about = tracked(settings, search, queries, poses)
+            step = result.about["estimates"]["filter"]["step"] or _STANDING
+            columns, about = tracked(step, settings.filter_settings.kidnapping, queries, poses)
             result = _with_columns(result, "tracked", columns, {"tracking": about})
     if settings.refine == "interpolate":
         k, radius = settings.neighbours, settings.place_radius
@@ -261,12 +262,8 @@ def refined(
     return columns, about, refinement, poses
 
 
-def tracked(
-    settings: Estimates, search: Search, queries: FrameTable, poses: RefinedPoses
-) -> tuple[Columns, dict[str, Any]]:
+def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedPoses) -> tuple[Columns, dict[str, Any]]:
     """Follow the poses by comparison through the queries of each sequence; return columns, and what that ran with."""
-    motion = MotionModel.learn(search.known.frames, interval=_interval(queries))
-    step, kidnapping = motion.step or _STANDING, settings.filter_settings.kidnapping
     found = PoseFilter(step, kidnapping).run(poses, queries.sequence)
     columns = {
         **estimate_columns("tracked", found.xy, queries, found.theta),

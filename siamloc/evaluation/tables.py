@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator, Mapping
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
+from siamloc.results import FURTHER
+
 if TYPE_CHECKING:
     from rich.table import Table
 
-from siamloc.results import FURTHER
-
 Measures = Mapping[str, Any]
-"""Estimates of the same descriptor by another way."""
 
 
 def text_of(

@@ -22,7 +22,6 @@ from siamloc.runtime.onnx_model import on_cpu
 FORMAT = "siamloc-relative"
 INPUTS = ("query", "known")
 TOLERANCE = 1e-3
-_PAIRS = 16
 
 
 def export_relative(network: nn.Module, path: str | Path) -> dict[str, Any]:
