@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +27,9 @@ _VERSION = 1
 
 FREEDOM = 4.0  # of the t-distribution that the information is of
 STRAY = 1.0  # density of answers that are wrong, per square unit of the positions
-_ROUNDS = 10
+_ROUNDS = 6
+_STILL = 1e-4  # units: a search that moves by less has arrived
+_NOTHING = 1e-12  # determinants of information: smaller ones say nothing
 _AT_ONCE = 256  # queries
 _NAMES = ("xy", "theta", "information", "agreement", "frame")
 
@@ -268,6 +270,17 @@ def _refined(known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int6
     )
 
 
+class _Answers(NamedTuple):
+    """What k map frames say of n queries, (n, k) each: where, entries of the information, height of the density."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    xx: NDArray[np.float64]
+    xy: NDArray[np.float64]
+    yy: NDArray[np.float64]
+    height: NDArray[np.float64]
+
+
 def _most_likely(
     at: NDArray[np.float64], about: NDArray[np.float64], probability: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -275,28 +288,44 @@ def _most_likely(
 
     From each answer on, by reweighting: each round is the mean of the answers, weighted by their information and by how
     likely each is, at the point of the round before, to be no stray one. The best of the points found is taken.
+
+    A robot asks for one query at a time, and then numpy's calls cost more than what they compute: so matrices of 2 x 2
+    are spelled out by their entries.
     """
-    height = probability * np.sqrt(np.linalg.det(about)) / (2 * np.pi)
-    xy = at  # (n, k, 2): where the search from each answer has come to
+    middle = at[:, :1]
+    x, y = (at - middle)[..., 0], (at - middle)[..., 1]
+    xx, xy, yy = about[..., 0, 0], about[..., 0, 1], about[..., 1, 1]
+    answers = _Answers(x, y, xx, xy, yy, probability * np.sqrt(xx * yy - xy * xy) / (2 * np.pi))
+    summed = np.stack([xx, xy, yy, xx * x + xy * y, xy * x + yy * y], axis=2)
+    points = at - middle  # (n, k, 2): where the search from each answer has come to
     for _ in range(_ROUNDS):
-        _, weight, _ = _weighed(xy, at, about, height)
-        total = np.einsum("nsk,nkij->nsij", weight, about) + 1e-9 * np.eye(2)
-        moments = np.einsum("nsk,nkij,nskj->nsi", weight, about, at[:, None] - xy[:, :, None])
-        xy = xy + np.linalg.solve(total, moments[..., None])[..., 0]
-    likely, weight, share = _weighed(xy, at, about, height)
+        weight, _, _ = _weighed(points, answers)
+        sums = weight @ summed
+        a, b, c, right, up = (sums[..., one] for one in range(5))
+        size = a * c - b * b
+        moved = np.stack([c * right - b * up, a * up - b * right], axis=2) / np.maximum(size, _NOTHING)[..., None]
+        moved = np.where((size > _NOTHING)[..., None], moved, points)
+        still = np.abs(moved - points).max(initial=0.0) < _STILL
+        points = moved
+        if still:
+            break
+    weight, share, density = _weighed(points, answers)
+    likely = np.log(density + STRAY).sum(axis=2)
     best = np.arange(len(at)), likely.argmax(axis=1)
-    return xy[best], weight[best], share[best]
+    return points[best] + middle[:, 0], weight[best], share[best]
 
 
-def _weighed(
-    xy: NDArray[np.float64], at: NDArray[np.float64], about: NDArray[np.float64], height: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return how likely points (n, s, 2) are (n, s), and the weights and shares (n, s, k) of the answers there."""
-    apart = xy[:, :, None] - at[:, None]
-    squared = np.einsum("nski,nkij,nskj->nsk", apart, about, apart)
-    density = height[:, None] * (1 + squared / FREEDOM) ** (-(FREEDOM + 2) / 2)
+def _weighed(points: NDArray[np.float64], answers: _Answers) -> tuple[NDArray[np.float64], ...]:
+    """Return the weights, the shares and the densities (n, s, k) of the answers at points (n, s, 2).
+
+    A share is the probability that an answer is no stray one; the weight is 1 where the answer lies at the point, too.
+    """
+    dx, dy = points[..., :1] - answers.x[:, None], points[..., 1:] - answers.y[:, None]
+    squared = (answers.xx[:, None] * dx + 2 * answers.xy[:, None] * dy) * dx + answers.yy[:, None] * dy * dy
+    near = 1 / (1 + squared / FREEDOM)
+    density = answers.height[:, None] * near ** ((FREEDOM + 2) / 2)
     share = density / (density + STRAY)
-    return np.log(density + STRAY).sum(axis=2), share * (FREEDOM + 2) / (FREEDOM + squared), share
+    return share * near, share, density
 
 
 def _limit(share: float) -> float:

@@ -66,6 +66,7 @@ class RelativePose(nn.Module):
     """
 
     places: Tensor
+    windows: Tensor
     axes: Tensor
 
     def __init__(self, columns: int, values: int) -> None:
@@ -78,6 +79,8 @@ class RelativePose(nn.Module):
         self.votes = nn.Conv1d(_WIDTH, 9, 1)
         self.whole = nn.Linear(_WIDTH, 2)
         self.register_buffer("places", torch.empty(columns, columns, dtype=torch.int64), persistent=False)
+        windows = torch.empty(2 * self.shifts + 1, columns, dtype=torch.int64)
+        self.register_buffer("windows", windows, persistent=False)
         self.register_buffer("axes", torch.empty(columns, 3, 3), persistent=False)
 
     def reset(self) -> None:
@@ -86,6 +89,8 @@ class RelativePose(nn.Module):
         azimuth = -(column + 0.5 - self.columns / 2).double() * (2 * math.pi / self.columns)
         with torch.no_grad():
             self.places.copy_((column - column[:, None]) % self.columns)
+            shift = torch.arange(len(self.windows))[:, None] - self.shifts
+            self.windows.copy_((column + shift) % self.columns)
             self.axes.zero_()
             self.axes[:, 0, 0] = self.axes[:, 1, 1] = azimuth.cos().float()
             self.axes[:, 1, 0] = azimuth.sin().float()
@@ -104,8 +109,7 @@ class RelativePose(nn.Module):
         """
         if steps is None:
             steps = self.steps(query, known)
-        seen = _turned(query, steps).transpose(1, 2)
-        votes, whole = self._votes(seen, known.transpose(1, 2))
+        votes, whole = self._votes(_turned(query, steps), known)
         vector = (self.axes @ votes[:, :3].permute(0, 2, 1)[..., None])[..., 0].sum(dim=1)
         factors = self.axes @ _lower(votes[:, 3:].transpose(1, 2))
         information = (factors @ factors.mT).sum(dim=1) + self.axes.new_tensor(_PRIOR / _GAIN) * _identity(self.axes)
@@ -128,12 +132,11 @@ class RelativePose(nn.Module):
 
     def _votes(self, seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
         """Return the votes (B, 9, K), and by all columns the odds of a match and what they know together (B, 2)."""
-        around = _wrapped(seen, self.shifts)
-        compared = [
-            (known * around[:, :, shift : shift + self.columns]).unflatten(1, (_GROUPS, -1)).mean(dim=2)
-            for shift in range(2 * self.shifts + 1)
-        ]
-        found = F.relu(self.first(_wrapped(torch.cat([*compared, known, seen], dim=1), 1)))
+        around = seen.index_select(1, self.windows.flatten()).unflatten(1, self.windows.shape)  # (B, S, K, F)
+        compared = (known[:, None] * around).unflatten(3, (_GROUPS, -1)).mean(dim=4)  # (B, S, K, G)
+        compared = compared.transpose(2, 3).flatten(1, 2)
+        both = torch.cat([known, seen], dim=2).transpose(1, 2)
+        found = F.relu(self.first(_wrapped(torch.cat([compared, both], dim=1), 1)))
         for layer in self.more:
             found = found + F.relu(layer(_wrapped(found, 1)))
         return self.votes(found), self.whole(found.mean(dim=2))
@@ -224,9 +227,8 @@ def _turned(values: Tensor, steps: Tensor) -> Tensor:
 
 def _lower(values: Tensor) -> Tensor:
     """Return lower triangular matrices (..., 3, 3) of six numbers each."""
-    a, b, c, d, e, f = values.unbind(dim=-1)
-    zero = torch.zeros_like(a)
-    return torch.stack([a, zero, zero, b, c, zero, d, e, f], dim=-1).unflatten(-1, (3, 3))
+    entry = torch.tensor([0, 6, 6, 1, 2, 6, 3, 4, 5], device=values.device)  # the seventh is zero
+    return F.pad(values, (0, 1)).index_select(-1, entry).unflatten(-1, (3, 3))
 
 
 def _identity(like: Tensor) -> Tensor:
@@ -235,10 +237,9 @@ def _identity(like: Tensor) -> Tensor:
 
 def _inverse(matrix: Tensor) -> Tensor:
     """Return the inverses of symmetric matrices (B, 3, 3), by their cofactors: every runtime has what that takes."""
-    a, b, c = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 0, 2]
-    d, e, f = matrix[:, 1, 1], matrix[:, 1, 2], matrix[:, 2, 2]
-    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
-    fourth, fifth, sixth = a * f - c * c, b * c - a * e, a * d - b * b
-    determinant = a * first + b * second + c * third
-    rows = [first, second, third, second, fourth, fifth, third, fifth, sixth]
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3)) / determinant[:, None, None]
+    one, two = torch.tensor([[1, 2, 0], [2, 0, 1]], device=matrix.device)  # the rows and columns a cofactor is made of
+    upper, lower = matrix.index_select(1, one), matrix.index_select(1, two)
+    cofactor = upper.index_select(2, one) * lower.index_select(2, two)
+    cofactor = cofactor - upper.index_select(2, two) * lower.index_select(2, one)
+    determinant = (matrix[:, 0] * cofactor[:, 0]).sum(dim=1)
+    return cofactor / determinant[:, None, None]
