@@ -9,11 +9,15 @@ stands the analytic way: between the three nearest map frames by HOG.
 Targets of the fine-tuned networks, of the mean over the seeds, under every lighting: with every fifth frame a mean
 error of at most 0.06 m, 95 % below 0.15 m, and a median heading error of at most 0.5 degrees; with every twentieth a
 mean of at most 0.25 m; and 87 to 93 % of the positions inside their 90 % ellipses, which are learned from the drives
-that chose the checkpoint. Without training: less than the nearest frame's error. And whatever the building: at most
-3 ms for a query and 3 map frames on one core, and at most 8 kB in the map for a frame.
+that chose the checkpoint. Without training: less than the nearest frame's error. What it costs is measured with the
+usual building: at most 3 ms for a query and 3 map frames on one core, and at most 8 kB in the map for a frame.
 
     siamloc simulate camera=panorama out=data
     OMP_NUM_THREADS=1 python -m benchmarks.refinement --data data/freiburg_like
+
+Buildings that nobody chose anything by, such as `siamloc simulate camera=panorama building=random seed=101 out=data`:
+
+    OMP_NUM_THREADS=1 python -m benchmarks.refinement --data data/annex --ways "without training"
 """
 
 from __future__ import annotations
@@ -30,7 +34,7 @@ from numpy.typing import NDArray
 
 import siamloc
 from analytic import Description
-from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, VALIDATION, Building, mean_and_range, report_name
+from benchmarks.building import LIGHTINGS, MAP, QUERIES, TRAIN, USUAL, VALIDATION, Building, mean_and_range, report_name
 from benchmarks.refinement_picture import draw
 from benchmarks.report import Report, hardware, milliseconds, parser
 from siamloc.data import FrameTable
@@ -79,13 +83,16 @@ def main() -> None:
     for name, found in rows.items():
         judge(report, name, found)
         print(f"\n{name}\n{table(found)}")
-    cost = costs(building, network)
-    for k in sorted(set(COMPARED.values())):
-        print(f"{cost[f'ms_{k}']:.2f} ms for a query and {k} map frames")
-    report.target(f"at most {MOST_MS:g} ms for a query and 3 map frames ({cost['ms_3']:.2f})", cost["ms_3"] <= MOST_MS)
-    report.target(f"at most {MOST_BYTES} bytes for a map frame ({cost['bytes']})", cost["bytes"] <= MOST_BYTES)
-    print(hardware()["cpu"])
-    report.write({"rows": rows, "cost": cost, "compared": {str(every): k for every, k in COMPARED.items()}})
+    cost = costs(building, network) if options.data.resolve().name == USUAL else {}
+    if cost:
+        for k in sorted(set(COMPARED.values())):
+            print(f"{cost[f'ms_{k}']:.2f} ms for a query and {k} map frames")
+        text = f"at most {MOST_MS:g} ms for a query and 3 map frames ({cost['ms_3']:.2f})"
+        report.target(text, cost["ms_3"] <= MOST_MS)
+        report.target(f"at most {MOST_BYTES} bytes for a map frame ({cost['bytes']})", cost["bytes"] <= MOST_BYTES)
+        print(hardware()["cpu"])
+    found = {"rows": rows, "compared": {str(every): k for every, k in COMPARED.items()}}
+    report.write({**found, "cost": cost} if cost else found)
     if options.picture is not None:
         print(f"picture: {draw(rows, options.picture)}")
 

@@ -28,7 +28,7 @@ FURTHER = {
     "filtered": "filter",
     "interpolated": "interpolation",
     "refined": "refinement",
-    "tracked": "filter and refinement",
+    "tracked": "filter between frames",
 }
 """Estimates of a query's pose besides that of the nearest map frame, with what makes them."""
 

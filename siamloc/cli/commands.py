@@ -155,9 +155,7 @@ def evaluate(config: DictConfig) -> None:
 def export(config: DictConfig) -> None:
     """Write the bundle for the robot."""
     from siamloc import runtime
-    from siamloc.maps import VisualMap
-    from siamloc.maps.error_model import saved_errors
-    from siamloc.maps.refinement import saved_refinement
+    from siamloc.maps import ErrorModel, Refinement, VisualMap
 
     label = label_of(config.descriptor)
     if not by_network(config) and label != "pretrained":
@@ -167,8 +165,9 @@ def export(config: DictConfig) -> None:
     run = run_of(config)
     network, path = descriptor_of(config, run), map_file(run, label)
     known = VisualMap.load(path, network) if path.is_file() else None
-    errors = saved_errors(run.evaluation(label) / "error_model.json", known)
-    refinement = saved_refinement(run.evaluation(label) / "refinement.json", known)
+    evaluation = run.evaluation(label)
+    errors = None if known is None else ErrorModel.saved(evaluation / "error_model.json", known)
+    refinement = None if known is None else Refinement.saved(evaluation / "refinement.json", known)
     images = {} if known is not None else {"preprocessing": preprocessing_of(config)}
     folder = Path(config.bundle) if config.bundle is not None else run.bundle
     bundle = runtime.export(network, known, folder, errors=errors, refinement=refinement, **images)

@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import calibration
 from siamloc.evaluation.absolute import most_neighbours
-from siamloc.evaluation.columns import check_retrieval, room_names
-from siamloc.evaluation.metrics import heading_error, localization_error, recall_from_ranks, summarize
+from siamloc.evaluation.estimate_columns import estimate_columns, measures_of
+from siamloc.evaluation.metrics import localization_error
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Search, Session
 from siamloc.maps.error_model import ErrorModel
-from siamloc.maps.interpolation import interpolate_poses
 from siamloc.maps.pose_filter import PoseFilter
 from siamloc.maps.refinement import RefinedPoses, Refinement
-from siamloc.maps.search import Retrieval
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
-from siamloc.results import Columns, rows_by_label
+from siamloc.results import FURTHER, Columns
 from siamloc.settings import Count, NotNegative, Positive, Probability, Settings
 
 MATCHES = 20  # that an error model looks at
+ESTIMATES = {"interpolate": "interpolated", "relative": "refined"}  # what finer poses are called, by their method
 _STANDING = 0.01  # step of a filter in a map whose frames are all at one place
 
 
@@ -60,8 +58,8 @@ class Estimates(Settings):
             the query with each of them, by a network built with relative=True; "none" leaves it out. With validation
             frames the ellipses of "relative" are learned from them.
         neighbours: how many of the nearest map frames that looks at.
-        error_model: expected error of each query, learned on the validation frames: of the pose by comparison with
-            refine="relative", else of the nearest map frame's.
+        error_model: expected error of each query, learned on the validation frames: of the finer pose with `refine`,
+            else of the nearest map frame's.
         lost_above: a larger expected error means lost, in the unit of the positions.
         place_radius: map frames farther apart are different places: for interpolation and the error model.
     """
@@ -115,26 +113,33 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
         session.skipped["validation"] = text
     k = min(max(MATCHES, settings.neighbours), len(known))
     tuned = settings.filter and settings.filter_tune
-    compared = settings.neighbours if settings.refine == "relative" else 0
-    search = Search(known, np.flatnonzero(has), k, refined_by=compared, with_distances=tuned)
+    search = Search(known, np.flatnonzero(has), k, refinement=refinement(settings, known), with_distances=tuned)
     session.run(known, frames, {"validation": search}, "the validation frames")
     return Validation(frames.take(has), search)
 
 
+def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
+    """Return how poses are made finer than a map, before anything is learned; None where they are not."""
+    if settings.refine == "none":
+        return None
+    return Refinement(settings.refine, settings.neighbours, settings.place_radius, map_digest=known.digest)
+
+
 def prepared(settings: Estimates, search: Search) -> Search:
-    """Return a search for all that the further estimates need."""
-    refined = 0 if settings.refine == "none" else settings.neighbours
+    """Return a search for all that the further estimates need.
+
+    Raises:
+        DataError: poses by comparison, and headings of the map that cannot be right.
+    """
     if settings.refine == "relative":
         for finding in wrong_headings(search.known.frames):
             raise DataError(f"task.refine=relative rests on the headings of the map: {finding}")
-    wanted = max(search.k, refined, MATCHES if settings.error_model else 0)
-    return replace(
-        search,
-        k=most_neighbours(wanted, len(search.known), search.excluded),
-        headings_of=max(1, min(refined, len(search.known))) if settings.refine == "interpolate" else 1,
-        refined_by=refined if settings.refine == "relative" else 0,
-        with_distances=settings.filter,
-    )
+    finer = refinement(settings, search.known)
+    wanted = max(search.k, 0 if finer is None else finer.neighbours, MATCHES if settings.error_model else 0)
+    k = most_neighbours(wanted, len(search.known), search.excluded)
+    if finer is not None and finer.method == "interpolate":
+        finer = replace(finer, neighbours=min(finer.neighbours, k))
+    return replace(search, k=k, refinement=finer, with_distances=settings.filter)
 
 
 def with_estimates(
@@ -152,9 +157,7 @@ def with_estimates(
     Raises:
         DataError: validation frames without positions, or too few.
     """
-    known = search.known
-    learns = needs_validation(settings) or (settings.refine == "relative" and session.validation is not None)
-    validation = search_validation(session, session.validation, settings, known) if learns else None
+    known, validation = search.known, learned_from(session, settings, search.known)
     if settings.filter:
         columns, about, between = filtered(settings, search, queries, validation)
         result = _with_columns(result, "filtered", columns, {"filter": about})
@@ -162,26 +165,25 @@ def with_estimates(
             about = {"step": about["step"], "kidnapping": about["kidnapping"], "radius": settings.place_radius}
             columns = estimate_columns("tracked", between, queries)
             result = _with_columns(result, "tracked", columns, {"tracking": about})
-    if settings.refine == "relative":
-        columns, about, refinement, poses = refined(settings, search, queries, validation, session.skipped)
-        result = _with_columns(result, "refined", columns, {"refinement": about})
-        result = replace(result, refinement=refinement)
-        if settings.filter:
-            step = result.about["estimates"]["filter"]["step"] or _STANDING
+    if search.refinement is not None:
+        finer, about = learned_refinement(search.refinement, validation, session.skipped)
+        poses = search.refined.widened(finer.widening)
+        columns = refined(finer, poses, queries)
+        name = ESTIMATES[finer.method]
+        result = _with_columns(result, name, columns, {FURTHER[name]: about})
+        result = replace(result, refinement=finer)
+        if settings.filter and finer.method == "relative":
+            step = result.about["estimates"]["filter"]["step"]
             columns, about = tracked(step, settings.filter_settings.kidnapping, queries, poses)
             result = _with_columns(result, "tracked", columns, {"tracking": about})
-    if settings.refine == "interpolate":
-        k, radius = settings.neighbours, settings.place_radius
-        found = interpolate_poses(search.retrieval, known.frames, k, radius, search.headings)
-        columns = estimate_columns("interpolated", found.xy, queries, found.theta)
-        columns["interpolated_used"] = found.used
-        result = _with_columns(result, "interpolated", columns, {"interpolation": {"neighbours": k, "radius": radius}})
-        result = replace(result, refinement=Refinement("interpolate", k, radius, map_digest=known.digest))
     if settings.error_model and validation is not None:
         model, about = learned_errors(settings, known, validation)
         expected = expected_errors(model, known, search)
         columns = {**result.tables["queries"], "error_m": expected, "lost": model.lost(expected)}
-        judged = {**columns, "error": columns["refined_error"]} if model.of_poses else columns
+        judged = {
+            **columns,
+            "error": columns[f"{ESTIMATES[model.refine]}_error" if model.refine in ESTIMATES else "error"],
+        }
         result = replace(
             result,
             parts={**result.parts, "calibration": calibration.measures_of(judged, settings.lost_above)},
@@ -190,6 +192,12 @@ def with_estimates(
             error_model=model,
         )
     return result
+
+
+def learned_from(session: Session, settings: Estimates, known: VisualMap) -> Validation | None:
+    """Return the validation frames, looked for in the map, where anything is learned from them."""
+    learns = needs_validation(settings) or (settings.refine == "relative" and session.validation is not None)
+    return search_validation(session, session.validation, settings, known) if learns else None
 
 
 def filtered(
@@ -232,38 +240,50 @@ def filtered(
     return columns, about, track.xy
 
 
-def refined(
-    settings: Estimates,
-    search: Search,
-    queries: FrameTable,
-    validation: Validation | None,
-    skipped: dict[str, str],
-) -> tuple[Columns, dict[str, Any], Refinement, RefinedPoses]:
-    """Return the columns of the poses by comparison, what they were made with, how the robot makes such, and the poses.
+def learned_refinement(
+    refinement: Refinement, validation: Validation | None, skipped: dict[str, str]
+) -> tuple[Refinement, dict[str, Any]]:
+    """Return how the robot makes finer poses, and what that was learned from.
 
-    How wide their ellipses are is learned from validation frames, where there are enough; it is noted where not.
+    How wide the ellipses of poses by comparison are is learned from validation frames, where there are enough; it is
+    noted where not.
     """
-    poses, widening = search.refined, 1.0
-    about: dict[str, Any] = {"neighbours": settings.neighbours}
+    about: dict[str, Any] = {"neighbours": refinement.neighbours}
+    if refinement.method == "interpolate":
+        return refinement, {**about, "radius": refinement.radius}
     if validation is not None:
         try:
-            about["widened"] = widening = validation.search.refined.widening(validation.frames.xy)
-            about["validation"] = len(validation.frames)
-            poses = poses.widened(widening)
+            widening = validation.search.refined.widening(validation.frames.xy)
+            refinement = replace(refinement, widening=widening)
+            about |= {"widened": widening, "validation": len(validation.frames)}
         except DataError as error:
             skipped["ellipses"] = str(error)
-    refinement = Refinement("relative", settings.neighbours, widening=widening, map_digest=search.known.digest)
-    columns = {
-        **estimate_columns("refined", poses.xy, queries, poses.theta),
-        "refined_match": poses.frame,
-        "refined_agreement": poses.agreement,
-        "refined_inside": poses.inside(queries.xy),
-    }
-    return columns, about, refinement, poses
+    return refinement, about
+
+
+def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) -> Columns:
+    """Return the columns of finer poses."""
+    headings = poses.theta if np.isfinite(poses.theta).any() else None
+    columns = estimate_columns(ESTIMATES[refinement.method], poses.xy, queries, headings)
+    if refinement.method == "interpolate":
+        used = np.rint(poses.agreement * refinement.neighbours)
+        return {**columns, "interpolated_used": used.astype(np.int64)}
+    agreement, inside = poses.agreement, poses.inside(queries.xy)
+    return {**columns, "refined_match": poses.frame, "refined_agreement": agreement, "refined_inside": inside}
 
 
 def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedPoses) -> tuple[Columns, dict[str, Any]]:
-    """Follow the poses by comparison through the queries of each sequence; return columns, and what that ran with."""
+    """Follow the poses by comparison through the queries of each sequence; return columns, and what that ran with.
+
+    Args:
+        step: how far the map's drives go between two queries; where the queries go farther, theirs is taken.
+        kidnapping: as `PoseFilter` takes it.
+        queries: n.
+        poses: of them.
+    """
+    gone = [np.hypot(*np.diff(poses.xy[rows], axis=0).T) for rows in queries.rows_by("sequence").values()]
+    usual = float(np.median(steps)) if len(steps := np.concatenate([np.empty(0), *gone])) else 0.0
+    step = max(step, usual, _STANDING)
     found = PoseFilter(step, kidnapping).run(poses, queries.sequence)
     columns = {
         **estimate_columns("tracked", found.xy, queries, found.theta),
@@ -280,142 +300,27 @@ def learned_errors(settings: Estimates, known: VisualMap, validation: Validation
     Raises:
         DataError: too few validation frames.
     """
-    if settings.refine == "relative":
-        poses = validation.search.refined
-        model = ErrorModel.fit_poses(poses, localization_error(poses.xy, validation.frames.xy))
+    found, xy = validation.search.retrieval, known.frames.xy
+    if settings.refine == "none":
+        estimated = xy[found.indices[:, 0]]
     else:
-        found, xy = validation.search.retrieval, known.frames.xy
-        errors = localization_error(xy[found.indices[:, 0]], validation.frames.xy)
+        estimated = validation.search.refined.xy
+    errors = localization_error(estimated, validation.frames.xy)
+    if settings.refine == "relative":
+        model = ErrorModel.fit_poses(validation.search.refined, errors)
+    else:
         model = ErrorModel.fit(found, xy, errors, radius=settings.place_radius, neighbours=MATCHES)
     about = {
         "file": "error_model.json",
         "sequences": list(validation.frames.rows_by("sequence")),
         "queries": len(validation.frames),
     }
-    return replace(model, lost_above=settings.lost_above, map_digest=known.digest), about
+    return replace(model, refine=settings.refine, lost_above=settings.lost_above, map_digest=known.digest), about
 
 
 def expected_errors(model: ErrorModel, known: VisualMap, search: Search) -> NDArray[np.float64]:
     """Return the expected errors of what was looked for (n,)."""
     return model.predict_poses(search.refined) if model.of_poses else model.predict(search.retrieval, known.frames.xy)
-
-
-def estimate_columns(
-    name: str, estimated_xy: ArrayLike, frames: FrameTable, headings: ArrayLike | None = None
-) -> Columns:
-    """Return the columns of one more estimate of each query.
-
-    Args:
-        name: what the columns' names begin with.
-        estimated_xy: (n, 2).
-        frames: the queries (n), all with positions.
-        headings: estimated headings (n,), rad, NaN where unknown.
-
-    Returns:
-        `<name>_est_x`, `<name>_est_y`, `<name>_error`; with headings also `<name>_est_theta` and
-        `<name>_heading_error` in degrees, NaN where one of the two headings is unknown.
-
-    Raises:
-        DataError: arrays that do not fit each other, or positions that are unknown.
-    """
-    xy = np.asarray(estimated_xy, dtype=np.float64)
-    error = localization_error(xy, frames.xy)
-    columns: Columns = {f"{name}_est_x": xy[:, 0], f"{name}_est_y": xy[:, 1], f"{name}_error": error}
-    if headings is None:
-        return columns
-    theta = np.asarray(headings, dtype=np.float64)
-    if theta.shape != (len(frames),):
-        raise DataError(f"{len(frames)} queries need as many headings, got shape {theta.shape}")
-    known = np.isfinite(theta) & np.isfinite(frames.theta)
-    off = np.full(len(frames), np.nan)
-    off[known] = np.degrees(heading_error(theta[known], frames.theta[known]))
-    return {**columns, f"{name}_est_theta": theta, f"{name}_heading_error": off}
-
-
-def measures_of(
-    columns: Mapping[str, NDArray], name: str, radii: Sequence[float], map_frames: int, unit: str
-) -> dict[str, Any]:
-    """Return the measures of one more estimate, from the columns of `queries.csv`.
-
-    Returns:
-        What `siamloc.evaluation.absolute.measures_of` returns, with the recall of the estimate itself (k = 1) alone.
-        The excess is that over the nearest map frame, and negative where an estimate between frames is nearer.
-        `inside` is the share of true positions inside the 90 % ellipse, where an estimate has one.
-    """
-
-    def group(rows: NDArray[np.int64]) -> dict[str, Any]:
-        error, floor = columns[f"{name}_error"][rows], columns["floor"][rows]
-        within = {radius: (error <= radius).astype(np.int64) for radius in radii}
-        found = {
-            "queries": len(rows),
-            "error": summarize(error),
-            "floor": summarize(floor),
-            "excess": summarize(error - floor),
-            "recall": [dict(vars(recall_from_ranks(within[radius], floor, radius, 1))) for radius in radii],
-        }
-        if f"{name}_inside" in columns:
-            inside = columns[f"{name}_inside"][rows]
-            found["inside"] = float(np.nanmean(inside)) if np.isfinite(inside).any() else float("nan")
-        turned = columns[f"{name}_heading_error"][rows] if f"{name}_heading_error" in columns else np.empty(0)
-        turned = turned[np.isfinite(turned)]
-        return {**found, "heading_error": summarize(turned)} if len(turned) else found
-
-    return {
-        "unit": unit,
-        "map_frames": int(map_frames),
-        "radii": list(radii),
-        "ks": [1],
-        "overall": group(np.arange(len(columns["error"]))),
-        "lighting": {label: group(rows) for label, rows in rows_by_label(columns["lighting"]).items()},
-        "room": {label: group(rows) for label, rows in rows_by_label(columns["room"]).items()},
-    }
-
-
-def located_columns(
-    known: VisualMap,
-    frames: FrameTable,
-    found: Retrieval,
-    headings: ArrayLike | None = None,
-    errors: ErrorModel | None = None,
-    poses: RefinedPoses | None = None,
-) -> Columns:
-    """Return where queries were found whose true poses are unknown: what `located.csv` holds.
-
-    Args:
-        known: m frames, all with positions.
-        frames: the queries (n).
-        found: their nearest map frames.
-        headings: estimated headings (n,), rad.
-        errors: the model of the expected error, with a threshold of being lost; of poses where those are given.
-        poses: by comparison with map frames.
-
-    Raises:
-        DataError: a retrieval of other queries, or of too few frames for the error model.
-    """
-    check_retrieval(found, frames)
-    match = found.indices[:, 0]
-    known_rooms, rooms = room_names(known.frames, frames)
-    columns: Columns = {
-        "query": np.arange(len(frames)),
-        "path": frames.path,
-        "sequence": frames.sequence,
-        "lighting": frames.lighting,
-        "room": rooms,
-        "match": match,
-        "match_path": known.frames.path[match],
-        "match_room": known_rooms[match],
-        "est_x": known.frames.x[match],
-        "est_y": known.frames.y[match],
-        "descriptor_distance": found.distances[:, 0],
-    }
-    if headings is not None:
-        columns["est_theta"] = np.asarray(headings, dtype=np.float64)
-    if poses is not None:
-        columns |= {"refined_est_x": poses.xy[:, 0], "refined_est_y": poses.xy[:, 1], "refined_est_theta": poses.theta}
-    if errors is not None:
-        columns["error_m"] = errors.predict(found, known.frames.xy) if poses is None else errors.predict_poses(poses)
-        columns["lost"] = errors.lost(columns["error_m"])
-    return columns
 
 
 def _interval(frames: FrameTable) -> float | None:

@@ -17,7 +17,7 @@ from siamloc.errors import DataError
 from siamloc.evaluation import absolute
 from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, neighbours
 from siamloc.evaluation.columns import missing_rooms
-from siamloc.evaluation.estimates import located_columns
+from siamloc.evaluation.estimate_columns import located_columns
 from siamloc.evaluation.metrics import localization_error, summarize
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session

@@ -17,11 +17,14 @@ from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.evaluation import room_retrieval
 from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, most_neighbours, neighbours, with_baseline
 from siamloc.evaluation.columns import missing_rooms
+from siamloc.evaluation.estimate_columns import located_columns
 from siamloc.evaluation.estimates import (
+    ESTIMATES,
     MATCHES,
     Estimates,
     learned_errors,
-    located_columns,
+    learned_from,
+    learned_refinement,
     prepared,
     search_validation,
     with_estimates,
@@ -31,6 +34,7 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Search, Session
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
+from siamloc.results import FURTHER
 from siamloc.settings import Count, NotNegative, Settings, Share, takes
 
 
@@ -222,7 +226,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     result = Result(name, {}, {}, skipped=skipped)
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
-        headings = None if search.headings is None else search.headings[:, 0]
+        headings = None if search.headings is None else search.headings
         found = evaluate_absolute(
             search.known, None, placed, settings.radii, settings.ks, search.retrieval, headings, search.excluded
         )
@@ -266,15 +270,22 @@ def _search_bare(session: Session, settings: Localization, placed: VisualMap, ro
 
 def _located(result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable) -> Result:
     """Return the result with where queries without a pose were found."""
-    model, about = result.error_model, result.about
-    if settings.error_model and model is None:
-        validation = search_validation(session, session.validation, settings, search.known)
-        model, learned = learned_errors(settings, search.known, validation)
-        about = {**about, "estimates": {"error_model": learned}}
-    headings = None if search.headings is None else search.headings[:, 0]
-    poses = search.refined if settings.refine == "relative" else None
-    columns = located_columns(search.known, queries, search.retrieval, headings, model, poses)
-    return replace(result, tables={**result.tables, "located": columns}, error_model=model, about=about)
+    if "absolute" not in result.parts:  # where it is, it has learned all this
+        alone = replace(settings, filter=False, filter_tune=False)
+        validation, about = learned_from(session, alone, search.known), {}
+        if search.refinement is not None:
+            finer, learned = learned_refinement(search.refinement, validation, session.skipped)
+            about[FURTHER[ESTIMATES[finer.method]]] = learned
+            result = replace(result, refinement=finer)
+        if settings.error_model and validation is not None:
+            model, about["error_model"] = learned_errors(settings, search.known, validation)
+            result = replace(result, error_model=model)
+        if about:
+            result = replace(result, about={**result.about, "estimates": about})
+    poses = None if search.refinement is None else (ESTIMATES[search.refinement.method], search.refined)
+    errors = result.error_model
+    columns = located_columns(search.known, queries, search.retrieval, search.headings, errors, poses)
+    return replace(result, tables={**result.tables, "located": columns})
 
 
 def _with_pairs(

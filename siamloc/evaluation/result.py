@@ -133,10 +133,11 @@ class Result:
             for name, table in other.tables.items()
             if name in ("queries", "rooms", "pairs")
         }
-        if self.error_model is not None:
-            self.error_model.save(folder / "error_model.json")
-        if self.refinement is not None:
-            self.refinement.save(folder / "refinement.json")
+        for name, learned in (("error_model.json", self.error_model), ("refinement.json", self.refinement)):
+            if learned is not None:
+                learned.save(folder / name)
+            else:
+                (folder / name).unlink(missing_ok=True)  # of an evaluation that this one replaces
         write_results(folder, self.as_dict(), tables={**self.tables, **extra})
         if not pictures:
             return []
@@ -164,6 +165,9 @@ class Result:
         Raises:
             FormatError: a file is missing, cut short, altered, or of a newer version.
         """
+        from siamloc.maps.error_model import ErrorModel
+        from siamloc.maps.refinement import Refinement
+
         held = read_results(folder)
         tables = {name: read_rows(folder, name) for name in held.get("tables", {})}
         about = {key: value for key, value in held.items() if key not in (*_KEPT, "command", "name")}
@@ -176,8 +180,8 @@ class Result:
             baselines={method: cls(method, parts, {}) for method, parts in held.get("baselines", {}).items()},
             about=about,
             settings=held["config"],
-            error_model=_saved_errors(Path(folder) / "error_model.json"),
-            refinement=_saved_refinement(Path(folder) / "refinement.json"),
+            error_model=ErrorModel.saved(Path(folder) / "error_model.json"),
+            refinement=Refinement.saved(Path(folder) / "refinement.json"),
         )
 
     def joined(self, other: Result) -> Result:
@@ -192,15 +196,3 @@ class Result:
             error_model=self.error_model or other.error_model,
             refinement=self.refinement or other.refinement,
         )
-
-
-def _saved_errors(path: Path) -> ErrorModel | None:
-    from siamloc.maps.error_model import ErrorModel
-
-    return ErrorModel.load(path) if path.is_file() else None
-
-
-def _saved_refinement(path: Path) -> Refinement | None:
-    from siamloc.maps.refinement import Refinement
-
-    return Refinement.load(path) if path.is_file() else None

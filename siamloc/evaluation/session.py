@@ -15,7 +15,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps import RefinedPoses, Retrieval, VisualMap, frame_distances, headings, match, refine
+from siamloc.maps import RefinedPoses, Refinement, Retrieval, VisualMap, frame_distances, headings, match
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | str | Descriptor
 
@@ -28,8 +28,7 @@ class Search:
         known: map frames that have what the task needs.
         rows: of the frames that have it (n,), in order.
         k: neighbours wanted.
-        headings_of: by how many of the neighbours the heading is wanted.
-        refined_by: how many of the neighbours a query is compared with for a finer pose; 0 for none.
+        refinement: how poses finer than the map are made; None for none.
         with_distances: whether the distances to all map frames are kept, n x m float64; infinite where excluded.
         excluded: (n, m) map frames that a frame is not compared with; None if there are none.
     """
@@ -37,8 +36,7 @@ class Search:
     known: VisualMap
     rows: NDArray[np.int64]
     k: int
-    headings_of: int = 1
-    refined_by: int = 0
+    refinement: Refinement | None = None
     with_distances: bool = False
     excluded: NDArray[np.bool_] | None = None
     _found: list[Retrieval] = field(default_factory=list)
@@ -52,9 +50,9 @@ class Search:
         barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
         found = match(self.known, queries, self.k, excluded=barred)
         self._found.append(found)
-        self._turned.append(headings(self.known, queries, found, self.headings_of))
-        if self.refined_by:
-            self._refined.append(refine(self.known, queries, found, k=self.refined_by))
+        self._turned.append(headings(self.known, queries, found)[:, 0])
+        if self.refinement is not None:
+            self._refined.append(self.refinement.poses(self.known, queries, found))
         if self.with_distances:
             apart = frame_distances(self.known, queries)
             self._apart.append(apart if barred is None else np.where(barred, np.inf, apart))
@@ -76,7 +74,7 @@ class Search:
 
     @property
     def headings(self) -> NDArray[np.float64] | None:
-        """Headings by each of the first neighbours (n, headings_of), NaN if unknown; None where none is known."""
+        """Headings by the nearest map frame (n,), NaN if unknown; None where none is known."""
         turned = np.concatenate(self._turned)
         return turned if np.isfinite(turned).any() else None
 

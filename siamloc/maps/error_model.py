@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import read_json, write_json
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.maps.learned import Learned
 from siamloc.maps.search import Retrieval
 
 if TYPE_CHECKING:
     from siamloc.maps.refinement import RefinedPoses
-    from siamloc.maps.visual_map import VisualMap
 
-_FORMAT = "siamloc-error-model"
-_VERSION = 2
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 _POSE = "pose"
+_REFINED = ("none", "interpolate", "relative")
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the deviation of a pose that nothing is known of
 
 
@@ -70,7 +67,7 @@ SCORES: dict[str, Callable[[Retrieval, NDArray[np.float64], float], NDArray[np.f
 
 
 @dataclass(frozen=True)
-class ErrorModel:
+class ErrorModel(Learned):
     """The expected error as an increasing function of one score of the retrieval or of a pose, as plain numbers.
 
     The ratio score is the default: it has no unit, so that what was learned under one lighting holds under another,
@@ -86,7 +83,13 @@ class ErrorModel:
         queries: how many it was learned from.
         lost_above: the expected error above which the robot counts as lost; None if none was chosen.
         map_digest: of the map it was learned on; "" if unknown.
+        refine: of which poses the errors are: "none" for those of the nearest map frames, or a method of
+            `siamloc.maps.Refinement`.
     """
+
+    FORMAT = "siamloc-error-model"
+    VERSION = 2
+    NOUN = "error model"
 
     score: str
     radius: float
@@ -96,8 +99,11 @@ class ErrorModel:
     queries: int
     lost_above: float | None = None
     map_digest: str = ""
+    refine: str = "none"
 
     def __post_init__(self) -> None:
+        if self.refine not in _REFINED:
+            raise ConfigError(f"unknown way of refining {self.refine!r}: {hint(str(self.refine), _REFINED)}")
         if self.score not in (*SCORES, _POSE):
             raise ConfigError(f"unknown score {self.score!r}: {hint(self.score, (*SCORES, _POSE))}")
         if not 0 <= self.radius < math.inf or self.neighbours < 1:
@@ -155,7 +161,7 @@ class ErrorModel:
         Raises:
             DataError: fewer than 10 queries, or not one error for each.
         """
-        blank = cls(_POSE, 0.0, 1, (0.0,), (0.0,), len(poses))
+        blank = cls(_POSE, 0.0, 1, (0.0,), (0.0,), len(poses), refine="relative")
         return blank._learned(lambda: pose_score(poses), len(poses), errors)
 
     def _learned(self, scored: Callable[[], NDArray[np.float64]], count: int, errors: ArrayLike) -> ErrorModel:
@@ -226,66 +232,6 @@ class ErrorModel:
         if self.lost_above is None:
             raise ConfigError("the error model has no threshold of being lost: learn it again with task.lost_above")
         return np.asarray(expected) > self.lost_above
-
-    def learned_on(self, known: VisualMap) -> bool:
-        """Find out whether the model was learned on the frames of a map that have a position."""
-        return bool(known.frames.has_position.any()) and self.map_digest == known.placed().digest
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the model as plain values."""
-        return {"format": _FORMAT, "version": _VERSION, **asdict(self)}
-
-    @classmethod
-    def from_dict(cls, values: Any, source: str = "the error model") -> ErrorModel:
-        """Return the model that `as_dict` gave.
-
-        Args:
-            values: plain values, as JSON gives them back.
-            source: what to call them in an error message.
-
-        Raises:
-            FormatError: something else, or of a newer version.
-        """
-        if not isinstance(values, Mapping) or values.get("format") != _FORMAT:
-            raise FormatError(f"{source} is not an error model: make it with `siamloc evaluate`")
-        if not isinstance(values.get("version"), int) or values["version"] > _VERSION:
-            raise FormatError(
-                f"{source} has format version {values.get('version')}, this siamloc reads up to {_VERSION}: "
-                "update siamloc"
-            )
-        try:
-            return cls(**{key: value for key, value in values.items() if key not in ("format", "version")})
-        except (TypeError, ValueError) as error:
-            raise FormatError(f"{source} is not a whole error model ({error}): make it again") from error
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as JSON, atomically.
-
-        Raises:
-            StorageError: the disk refuses.
-        """
-        write_json(path, self.as_dict())
-
-    @classmethod
-    def load(cls, path: str | Path) -> ErrorModel:
-        """Read a model that `save` wrote.
-
-        Raises:
-            FormatError: the file is missing, cut short, no error model, or of a newer version.
-        """
-        return cls.from_dict(read_json(path), str(path))
-
-
-def saved_errors(path: str | Path, known: VisualMap | None) -> ErrorModel | None:
-    """Read an error model if it is there and was learned on this map.
-
-    Raises:
-        FormatError: the file is cut short, no error model, or of a newer version.
-    """
-    if known is None or not Path(path).is_file():
-        return None
-    model = ErrorModel.load(path)
-    return model if model.learned_on(known) else None
 
 
 def _from_best(found: Retrieval, map_xy: NDArray[np.float64]) -> NDArray[np.float64]:

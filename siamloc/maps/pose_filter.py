@@ -19,6 +19,7 @@ from siamloc.maps.refinement import FREEDOM, RefinedPoses
 
 _STORIES = 5
 _STRAY = 0.15  # density of poses that are wrong, per square unit of the positions
+_TRUSTED = 0.5  # probability from which on a pose is taken for no stray one
 _NEAR = 0.05  # share of a step: stories that have come this near to each other are one
 _ACCELERATION = 0.5  # deviation of how much the step between two queries changes, as a share of the usual step
 _MOVES = np.block([[np.eye(2), np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
@@ -32,7 +33,8 @@ class _Story:
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
     evidence: float
-    share: float  # of the last pose that is no stray one
+    share: float  # probability that the last pose is no stray one
+    trusted: RefinedPoses  # the last one that probably is none: it gives the heading and the map frame
 
 
 class PoseFilter:
@@ -73,22 +75,23 @@ class PoseFilter:
     def step(self, pose: RefinedPoses) -> RefinedPoses:
         """Take in the pose of one query and return the filtered one.
 
-        A pose without information, see `RefinedPoses`, moves the robot on as it went.
+        A pose without information, see `RefinedPoses`, moves the robot on as it went. Heading and map frame are those
+        of the last pose that is probably no stray one.
 
         Raises:
             DataError: not one pose.
         """
         if len(pose) != 1:
             raise DataError(f"a step takes the pose of one query, got {len(pose)}")
-        at, about, agreement = pose.xy[0], pose.information[0], float(pose.agreement[0])
+        about = pose.information[0]
         stories = [self._moved(story) for story in self._stories]
         if about.any():
             spread = np.linalg.inv(about)
             best = max((story.evidence for story in stories), default=0.0)
             begun = np.block([[spread, np.zeros((2, 2))], [np.zeros((2, 2)), self.length**2 * np.eye(2)]])
             fresh = best + math.log(self.kidnapping) + math.log(_STRAY)
-            stories = [self._told(story, at, spread, agreement) for story in stories]
-            stories.append(_Story(np.concatenate([at, np.zeros(2)]), begun, fresh, 1.0))
+            stories = [self._told(story, pose, spread) for story in stories]
+            stories.append(_Story(np.concatenate([pose.xy[0], np.zeros(2)]), begun, fresh, 1.0, pose))
         if not stories:
             return pose
         self._stories = self._kept(stories)
@@ -97,7 +100,9 @@ class PoseFilter:
             pose,
             xy=story.mean[None, :2],
             information=np.linalg.inv(story.covariance[:2, :2])[None].astype(np.float64),
+            theta=story.trusted.theta,
             agreement=pose.agreement * story.share,
+            frame=story.trusted.frame,
         )
 
     def run(self, poses: RefinedPoses, sequence: ArrayLike) -> RefinedPoses:
@@ -127,9 +132,10 @@ class PoseFilter:
             story, mean=_MOVES @ story.mean, covariance=_MOVES @ story.covariance @ _MOVES.T + noise, share=0.0
         )
 
-    def _told(self, story: _Story, at: NDArray[np.float64], spread: NDArray[np.float64], agreement: float) -> _Story:
+    def _told(self, story: _Story, pose: RefinedPoses, spread: NDArray[np.float64]) -> _Story:
         """Return a story after a pose, which counts as far as it is likely to be no stray one."""
-        apart, total = at - story.mean[:2], story.covariance[:2, :2] + spread
+        agreement = float(pose.agreement[0])
+        apart, total = pose.xy[0] - story.mean[:2], story.covariance[:2, :2] + spread
         squared = float(apart @ np.linalg.solve(total, apart))
         height = (1 + squared / FREEDOM) ** (-(FREEDOM + 2) / 2) / (2 * math.pi * math.sqrt(np.linalg.det(total)))
         share = agreement * height / (agreement * height + _STRAY)
@@ -137,7 +143,8 @@ class PoseFilter:
         gain = story.covariance[:, :2] @ np.linalg.inv(story.covariance[:2, :2] + spread / weight)
         covariance = story.covariance - gain @ story.covariance[:2]
         evidence = story.evidence + math.log(agreement * height + _STRAY)
-        return _Story(story.mean + gain @ apart, (covariance + covariance.T) / 2, evidence, share)
+        trusted = pose if share > _TRUSTED else story.trusted
+        return _Story(story.mean + gain @ apart, (covariance + covariance.T) / 2, evidence, share, trusted)
 
     def _kept(self, stories: list[_Story]) -> list[_Story]:
         """Return the stories that explain the poses best, the best first, each place once; their evidence from 0."""

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import read_json, write_json
+from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.interpolation import interpolate_poses
+from siamloc.maps.learned import Learned
 from siamloc.maps.matching import headings
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
@@ -22,8 +21,6 @@ from siamloc.maps.visual_map import VisualMap
 METHODS = ("interpolate", "relative")
 OUTPUTS = ("pose", "information", "match")
 """What `Compares` returns, in order."""
-_FORMAT = "siamloc-refinement"
-_VERSION = 1
 
 FREEDOM = 4.0  # of the t-distribution that the information is of
 STRAY = 1.0  # density of answers that are wrong, per square unit of the positions
@@ -114,7 +111,7 @@ class RefinedPoses:
 
 
 @dataclass(frozen=True)
-class Refinement:
+class Refinement(Learned):
     """How poses are made finer than the map, as plain values: what an evaluation leaves for the robot.
 
     Attributes:
@@ -127,6 +124,10 @@ class Refinement:
     Raises:
         ConfigError: an unknown method, or a value out of range.
     """
+
+    FORMAT = "siamloc-refinement"
+    VERSION = 1
+    NOUN = "refinement of poses"
 
     method: str
     neighbours: int = 3
@@ -158,50 +159,6 @@ class Refinement:
         nothing = np.zeros((len(poses), 2, 2))
         return RefinedPoses(poses.xy, poses.theta, nothing, poses.used / count, found.indices[:, 0])
 
-    def learned_on(self, known: VisualMap) -> bool:
-        """Find out whether this was learned on the frames of a map that have a position."""
-        return bool(known.frames.has_position.any()) and self.map_digest == known.placed().digest
-
-    def save(self, path: str | Path) -> None:
-        """Write it as JSON, atomically.
-
-        Raises:
-            StorageError: the disk refuses.
-        """
-        write_json(path, {"format": _FORMAT, "version": _VERSION, **asdict(self)})
-
-    @classmethod
-    def load(cls, path: str | Path) -> Refinement:
-        """Read what `save` wrote.
-
-        Raises:
-            FormatError: the file is missing, cut short, something else, or of a newer version.
-        """
-        values = read_json(path)
-        if not isinstance(values, Mapping) or values.get("format") != _FORMAT:
-            raise FormatError(f"{path} does not say how poses are refined: make it with `siamloc evaluate`")
-        if values.get("version") != _VERSION:
-            raise FormatError(
-                f"{path} has format version {values.get('version')}, this siamloc reads {_VERSION}: update siamloc"
-            )
-        plain: dict[str, Any] = {key: value for key, value in values.items() if key not in ("format", "version")}
-        try:
-            return cls(**plain)
-        except (TypeError, ValueError) as error:
-            raise FormatError(f"{path} does not say in full how poses are refined ({error}): make it again") from error
-
-
-def saved_refinement(path: str | Path, known: VisualMap | None) -> Refinement | None:
-    """Read how poses are refined if it is there and was learned on this map.
-
-    Raises:
-        FormatError: the file is cut short, something else, or of a newer version.
-    """
-    if known is None or not Path(path).is_file():
-        return None
-    found = Refinement.load(path)
-    return found if found.learned_on(known) else None
-
 
 def refine(
     known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None, k: int = 3
@@ -210,7 +167,8 @@ def refine(
 
     Each of them says where the query was taken, how sure that is, and whether it was taken nearby at all. An answer is
     right with the probability of a match, and then follows its t-distribution, or it is a stray one, which may lie
-    anywhere. The pose is the most likely one: answers that agree make it finer, and one that does not is left out.
+    anywhere. The pose is the most likely one: answers that agree make it finer, and one that does not is left out. So
+    are map frames of another building than the nearest one's.
 
     Args:
         known: m frames with positions, headings and orientation parts.
@@ -247,7 +205,8 @@ def _refined(known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int6
     assert held is not None
     pose, information, match = compares(np.repeat(_scaled(parts), count, axis=0), _scaled(held))
     theta, xy = known.frames.theta[rows], known.frames.xy[rows]
-    usable = np.asarray(np.isfinite(theta) & np.isfinite(xy).all(axis=2))
+    building = known.frames.building[rows]
+    usable = np.asarray(np.isfinite(theta) & np.isfinite(xy).all(axis=2) & (building == building[:, :1]))
     theta, xy = np.where(usable, theta, 0.0), np.where(usable[..., None], xy, 0.0)
     pose, information = pose.reshape(n, count, 3), information.reshape(n, count, 3, 3)
     axes = _turns(theta)

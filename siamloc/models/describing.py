@@ -100,7 +100,7 @@ class NetworkDescriptor(BetweenColumns):
         Raises:
             ConfigError: a network that does not compare.
         """
-        relative = comparing(self.module)
+        relative = required_comparing(self.module)
         like = next(relative.parameters())
         pairs = zip(*(torch.tensor(one).split(chunk) for one in (queries, known)), strict=True)
         with evaluating(relative), torch.autocast(device_type=like.device.type, enabled=False):
@@ -165,19 +165,24 @@ def orienting(module: nn.Module) -> Network | None:
     return network if type(network) is Network and network.orientation is not None else None
 
 
-def comparing(module: nn.Module) -> RelativePose:
-    """Return what a network compares images by.
+def comparing(module: nn.Module) -> RelativePose | None:
+    """Return what the network of a module compares images by; None for one that does not."""
+    network = orienting(module)
+    return None if network is None else network.relative
+
+
+def required_comparing(module: nn.Module) -> RelativePose:
+    """Return what the network of a module compares images by.
 
     Raises:
         ConfigError: it does not compare.
     """
-    network = orienting(module)
-    if network is None or network.relative is None:
+    if (relative := comparing(module)) is None:
         raise ConfigError(
             "this network does not tell where images were taken relative to others: train one with "
             "model.relative=true (from Python relative=True)"
         )
-    return network.relative
+    return relative
 
 
 def margin_of(loss: object) -> float | None:

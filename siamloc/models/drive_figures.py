@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import torch
 from torch import Tensor
@@ -18,6 +18,7 @@ RECALL_RADIUS = 0.5
 
 _COLUMNS = ("xy", "building", "room", "known")
 _ROOMS_NEED = 2
+_AT_ONCE = 256  # pairs to compare
 
 
 class DriveFigures:
@@ -101,7 +102,8 @@ class DriveFigures:
             about = whole["theta"][known][match]
             rows = torch.isfinite(whole["xy"][query]).all(dim=1) & torch.isfinite(about) & placed[match]
             if bool(rows.any()):
-                pose = relative(whole["orientation"][query][rows], whole["orientation"][known][match][rows]).pose
+                asked, answers = whole["orientation"][query][rows], whole["orientation"][known]
+                pose = torch.cat([relative(*pair).pose for pair in _pairs(asked, answers, match[rows])])
                 turned = _turned(pose[:, :2], about[rows])
                 off = whole["xy"][known][match][rows] + turned - whole["xy"][query][rows]
                 away = torch.linalg.vector_norm(off, dim=1)
@@ -110,6 +112,12 @@ class DriveFigures:
         if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED and bool((asked >= 0).any()):
             figures["room"] = (rooms[apart.argmin(dim=1)] == asked)[asked >= 0].float().mean()
         return figures
+
+
+def _pairs(query: Tensor, known: Tensor, match: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield queries with the map frames that they match (n,), some at a time, so that memory does not grow with n."""
+    for part, rows in zip(query.split(_AT_ONCE), match.split(_AT_ONCE), strict=True):
+        yield part, known[rows]
 
 
 def _turned(xy: Tensor, theta: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
-from siamloc.models.describing import as_float, identity_of, margin_of, orienting
+from siamloc.models.describing import as_float, comparing, identity_of, margin_of, orienting
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
 from siamloc.models.network_stages import FrozenStages, comparing_weights, weights_by_stage
@@ -70,8 +70,7 @@ class NetworkModule(LightningModule):
     @property
     def comparing_network(self) -> Network | None:
         """The network, if it learns to compare images; see `siamloc.models.relative`."""
-        network = orienting(self.network)
-        return network if network is not None and network.relative is not None else None
+        return orienting(self.network) if comparing(self.network) is not None else None
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -197,8 +196,7 @@ class NetworkModule(LightningModule):
             ConfigError: the descriptors are not finite.
         """
         try:
-            network = self.comparing_network
-            return self._drive.compute(None if network is None else network.relative)
+            return self._drive.compute(comparing(self.network))
         except FloatingPointError as error:
             raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 

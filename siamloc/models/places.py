@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss
-from siamloc.models.describing import as_float, comparing
+from siamloc.models.describing import as_float, required_comparing
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
 from siamloc.models.network_stages import comparing_weights
@@ -81,7 +81,7 @@ class PlaceModule(NetworkModule):
             figures["active"] = self.loss.active(seen, origins)
         if orientation is not None:
             with torch.autocast(device_type=orientation.device.type, enabled=False):  # its sums need full precision
-                more, figures["relative"] = relative_loss(comparing(self.network), orientation.float(), *mine)
+                more, figures["relative"] = relative_loss(required_comparing(self.network), orientation.float(), *mine)
             total = loss + more
         for name, figure in figures.items():  # read at the end of the epoch: no step waits for the device
             self._figures.setdefault(name, []).append(figure)

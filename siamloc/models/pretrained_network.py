@@ -13,12 +13,13 @@ from siamloc.models.weights import check_shipped
 from siamloc.models.weights_file import write_weights
 
 
-def pretrained(*, circular: bool = True) -> Network:
+def pretrained(*, circular: bool = True, relative: bool = True) -> Network:
     """Make the network that comes with siamloc, in evaluation mode on the CPU; its card lies beside its weights.
 
     Args:
         circular: False for pictures whose columns are no full turn, such as those of an ordinary camera: the same
             weights, without wrapping around and without headings.
+        relative: False leaves out what compares images, as for fine-tuning on drives without headings.
 
     Raises:
         ConfigError: the file of the weights is cut short.
@@ -34,6 +35,8 @@ def pretrained(*, circular: bool = True) -> Network:
     assert isinstance(network, Network)
     if not circular:
         network = _rebuilt(network, circular=False, canonical=False, relative=False)
+    elif not relative:
+        network = _rebuilt(network, relative=False)
     network.settings["weights"] = "siamloc"
     return network.eval()
 

@@ -210,10 +210,11 @@ def export(
     compares = refinement is not None and refinement.method == "relative"
     if known is not None and compares:
         check_compares(known)
-    if errors is not None and errors.of_poses and not compares:
+    method = "none" if refinement is None else refinement.method
+    if errors is not None and errors.refine != method:
         raise ConfigError(
-            "the error model expects errors of refined poses: give refinement=result.refinement of the evaluation that "
-            "it comes from as well, or learn it without refine"
+            f"the error model expects errors of poses with refine={errors.refine}, and the robot makes them with "
+            f"refine={method}: give errors and refinement of one evaluation"
         )
     image_size = (parameters["height"], parameters["width"])
     with storage_errors(folder):

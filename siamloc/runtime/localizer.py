@@ -131,8 +131,12 @@ class Localizer:
                 f"{bundle_path} says that poses are refined by comparison, and holds nothing to compare by: export "
                 "again"
             )
-        if self._errors is not None and self._errors.of_poses and self._relative is None:
-            raise FormatError(f"{bundle_path} expects errors of refined poses, and refines none: export again")
+        method = "none" if self._refinement is None else self._refinement.method
+        if self._errors is not None and self._errors.refine != method:
+            raise FormatError(
+                f"{bundle_path} expects errors of poses with refine={self._errors.refine}, and makes them with "
+                f"refine={method}: export again"
+            )
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
         self._wanted = max(top, *looked_at, 1)
 

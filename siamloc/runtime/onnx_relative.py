@@ -13,7 +13,7 @@ from torch import nn
 from siamloc.errors import SiamlocError
 from siamloc.files import atomic_path
 from siamloc.maps.refinement import OUTPUTS
-from siamloc.models.describing import comparing, evaluating, identity_of
+from siamloc.models.describing import evaluating, identity_of, required_comparing
 from siamloc.models.orientation import VALUES
 from siamloc.models.relative import RelativePose
 from siamloc.runtime.onnx_file import label, quiet, session_of, traced
@@ -43,7 +43,7 @@ def export_relative(network: nn.Module, path: str | Path) -> dict[str, Any]:
         StorageError: the disk refuses.
     """
     network = on_cpu(network)
-    relative = comparing(network)
+    relative = required_comparing(network)
     example = tuple(torch.zeros(2, relative.columns, VALUES) for _ in INPUTS)
     program = traced(_Compared(relative), example, INPUTS, OUTPUTS, free_batch=True)
     label(program, FORMAT, identity_of(network))
@@ -75,7 +75,7 @@ def relative_parity(
     """
     import onnxruntime
 
-    relative, session = comparing(on_cpu(network)), session_of(path)
+    relative, session = required_comparing(on_cpu(network)), session_of(path)
     generator, largest = np.random.default_rng(seed), 0.0
     for batch in batches:
         known = generator.standard_normal((batch, relative.columns, VALUES), dtype=np.float32)

@@ -17,7 +17,7 @@ from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.models.batch_losses import SoftContrastiveLoss
-from siamloc.models.describing import describe
+from siamloc.models.describing import comparing, describe
 from siamloc.models.module import name_of
 from siamloc.models.origins import Origins
 from siamloc.models.places import BatchLoss
@@ -138,7 +138,7 @@ def check_headings(network: nn.Module, train: FrameTable, settings: Training) ->
         ConfigError: pairs, or places by their order, from which it is not learned.
         DataError: headings that are missing, or that look like degrees.
     """
-    if getattr(network, "relative", None) is None:
+    if comparing(network) is None:
         return
     pairs = settings.pairs
     if not isinstance(pairs, PlaceSettings) or pairs.by != "position":
@@ -149,7 +149,8 @@ def check_headings(network: nn.Module, train: FrameTable, settings: Training) ->
     if np.isfinite(train.theta).sum() < 2:
         raise DataError(
             "model.relative=true (from Python relative=True) is learned from headings, and the training frames have "
-            "none: give the column theta, in rad, or set model.relative to false"
+            "none: give the column theta, in rad, or set model.relative to false (from Python take "
+            "siamloc.models.pretrained(relative=False), or build without relative)"
         )
     for finding in wrong_headings(train):
         raise DataError(f"model.relative=true (from Python relative=True) is learned from headings: {finding}")
@@ -216,15 +217,17 @@ def monitored(
             f"monitor=room needs rooms, {_ROOMS} or more in training, and training and validation frames do not both "
             "have them: give them, or choose monitor=auto"
         )
-    compares = getattr(network, "relative", None) is not None
-    if monitor == "refined" and not (placed and compares):
+    turned = _buildings(train.take(np.isfinite(train.theta))) & _buildings(validated)
+    compares = comparing(network) is not None and bool(turned)
+    if monitor == "refined" and not compares:
         raise ConfigError(
             "monitor=refined is the error of poses by comparison: it needs model.relative=true (from Python "
-            "relative=True), and training and validation frames with positions in one building; or choose monitor=auto"
+            "relative=True), training frames with positions and headings, and validation frames with positions in one "
+            "of their buildings; or choose monitor=auto"
         )
     if monitor != "auto":
         return monitor
-    if placed and compares:
+    if compares:
         return "refined"
     if not isinstance(settings.pairs, PlaceSettings):
         return "error" if placed and _another_drive(train, validated) else "loss"

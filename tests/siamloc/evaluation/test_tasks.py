@@ -107,7 +107,10 @@ def test_filter_interpolation_and_expected_errors(world):
     near = np.hypot(result.columns["tracked_est_x"] - result.columns["filtered_est_x"], 0)
     assert 0 < near.max() <= 1, "the mean between frames stays within place_radius of the most probable one"
     assert result.refinement == maps.Refinement("interpolate", 3, 1.0, map_digest=known.digest)
-    assert result.error_model == evaluation.error_model(known, images, sunday)
+    assert result.error_model == evaluation.error_model(known, images, sunday, refine="interpolate")
+    assert result.error_model != evaluation.error_model(known, images, sunday)
+    between = result.parts["calibration"]["overall"]["observed"]
+    assert between == pytest.approx(result.columns["interpolated_error"].mean())
     with pytest.raises(ConfigError, match="give validation=FRAMES"):
         evaluation.localization(known, images, tuesday, error_model=True)
     own = maps.build(Reads(), images, sunday, progress=False)
@@ -133,6 +136,8 @@ def test_poses_by_comparison_with_map_frames(world, tmp_path):
     assert result.refinement == maps.Refinement("relative", 2, widening=wider, map_digest=known.digest)
     result.save(tmp_path / "result", pictures=False)
     assert evaluation.Result.load(tmp_path / "result").refinement == result.refinement
+    evaluation.localization(known, images, tuesday).save(tmp_path / "result", pictures=False)
+    assert evaluation.Result.load(tmp_path / "result").refinement is None
     finer, name = finest(result.columns)
     assert name == "refined"
     np.testing.assert_array_equal(finer["error"], result.columns["refined_error"])
@@ -144,9 +149,12 @@ def test_poses_by_comparison_with_map_frames(world, tmp_path):
     judged = expecting.parts["calibration"]["overall"]
     assert judged["observed"] == pytest.approx(expecting.columns["refined_error"].mean())
     bare = tuesday.with_columns(x=np.full(len(tuesday), np.nan), y=np.full(len(tuesday), np.nan))
-    located = evaluation.localization(
+    unscored = evaluation.localization(
         known, images, bare, validation=sunday, refine="relative", neighbours=2, error_model=True
-    ).tables["located"]
+    )
+    assert unscored.refinement == result.refinement
+    assert unscored.error_model == expecting.error_model
+    located = unscored.tables["located"]
     np.testing.assert_allclose(located["refined_est_x"], poses.xy[:, 0], rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(located["error_m"], expecting.columns["error_m"], rtol=1e-2)
     followed = evaluation.localization(known, images, tuesday, refine="relative", neighbours=2, filter=True)

@@ -139,8 +139,8 @@ def test_the_prediction_needs_numpy_only() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"format": "other"}, "this is not an error model"),
-        ([], "this is not an error model"),
+        ({"format": "other"}, "this is not a siamloc error model"),
+        ([], "this is not a siamloc error model"),
         ({**MODEL.as_dict(), "version": 3}, "format version 3, this siamloc reads up to 2"),
         ({**MODEL.as_dict(), "version": "1"}, "format version 1"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),

@@ -43,9 +43,12 @@ def test_a_single_wrong_pose_is_passed_over(agreement):
     xy = drive()
     poses = told(xy, agreement=agreement)
     poses.xy[30] += [3.0, -2.0]
+    poses.theta[30] = 2.0
     found = PoseFilter(STEP).run(poses, ["a"] * len(xy))
     assert errors(found, xy).max() < 0.25
     assert found.agreement[30] < 0.05
+    assert (found.theta[30], found.frame[30]) == (0, 29), "the wrong pose gives no heading either"
+    assert found.frame[31] == 31
     assert np.linalg.det(found.information[30]) < np.linalg.det(found.information[29]), "it is less sure there"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -150,3 +152,20 @@ def test_what_cannot_be_refined_is_refused():
     np.testing.assert_allclose(refine(own, asked(), found(0)).xy[0], TRUE, atol=1e-9)
     with pytest.raises(ConfigError, match=r"hog does not tell .*model\.relative=true"):
         refine(thumbnails, asked(), found(0))
+
+
+def test_map_frames_of_another_building_do_not_count():
+    known = map_of()
+    elsewhere = replace(known, frames=known.frames.with_columns(building=["here", "there", "here", "here"]))
+    assert refine(known, asked(), found(0, 1), exact).agreement[0] > 0.9
+    alone = refine(elsewhere, asked(), found(0, 1), exact)
+    assert alone.agreement[0] == pytest.approx(refine(known, asked(), found(0), exact, k=1).agreement[0] / 2)
+    np.testing.assert_allclose(alone.xy[0], TRUE, atol=1e-9)
+
+
+def test_one_answer_knows_what_it_says():
+    """Its information is that of the answer, turned into the map's axes, as far as it is no stray one."""
+    poses = refine(map_of(), asked(), found(0), exact, k=1)
+    cosine, sine = np.cos(THETA[0]), np.sin(THETA[0])
+    turned = np.array([[cosine, -sine], [sine, cosine]])
+    np.testing.assert_allclose(poses.information[0], poses.agreement[0] * turned @ np.diag([100, 400]) @ turned.T)

@@ -212,3 +212,11 @@ def test_a_network_of_another_precision_turns_as_before(cast):
         precision = next(kept.parameters()).dtype
         there = kept(images.to(precision).roll(5, dims=3))
         torch.testing.assert_close(kept(images.to(precision)), there, atol=1e-6, rtol=0)
+
+
+def test_without_what_compares_it_describes_alike():
+    whole, alone = pretrained(), pretrained(relative=False)
+    assert alone.relative is None
+    assert not as_descriptor(alone).compares
+    image = torch.rand(1, 3, 64, 256, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(alone(image), whole(image))

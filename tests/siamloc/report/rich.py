@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from siamloc.data.frames import FrameTable
-from siamloc.evaluation import calibration, disturbed, estimates
+from siamloc.evaluation import calibration, disturbed
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
 from siamloc.evaluation.disturbed import Disturbance
+from siamloc.evaluation.estimate_columns import estimate_columns, measures_of
 from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
@@ -52,11 +53,11 @@ def write_localization(folder: Path, known: VisualMap, queries: FrameTable) -> N
     }
     columns = dict(result.columns)
     for name, xy in found.items():
-        columns |= estimates.estimate_columns(name, xy, queries)
+        columns |= estimate_columns(name, xy, queries)
     columns |= {"error_m": 0.1 + 0.8 * columns["error"], "lost": columns["error"] > 0.8}
     parts = dict(result.parts)
     for name in found:
-        parts[f"absolute_{name}"] = estimates.measures_of(columns, name, (0.5, 1.0), len(known), known.unit)
+        parts[f"absolute_{name}"] = measures_of(columns, name, (0.5, 1.0), len(known), known.unit)
     parts["calibration"] = calibration.measures_of(columns, 1.0)
     result = replace(result, parts=parts, tables={**result.tables, "queries": columns})
     result = result.joined(evaluate_rooms(known, descriptors, queries)).joined(pairs(queries))

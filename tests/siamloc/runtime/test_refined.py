@@ -111,8 +111,11 @@ def test_expected_errors_are_those_of_the_refined_poses(network, known, tmp_path
     errors = replace(
         ErrorModel.fit_poses(poses, np.hypot(*(poses.xy - frames.xy).T)), lost_above=1.0, map_digest=known.digest
     )
-    with pytest.raises(ConfigError, match=r"give refinement=result\.refinement"):
+    with pytest.raises(ConfigError, match="give errors and refinement of one evaluation"):
         export(network, known, tmp_path / "bundle", errors=errors)
+    nearest = replace(errors, score="ratio", refine="none")
+    with pytest.raises(ConfigError, match="refine=none, and the robot makes them with refine=relative"):
+        export(network, known, tmp_path / "bundle", errors=nearest, refinement=refinement(known, "relative"))
     with pytest.raises(ConfigError, match="give it those, by predict_poses"):
         errors.predict(match(known, seen, 3), known.frames.xy)
     export(network, known, tmp_path / "bundle", errors=errors, refinement=refinement(known, "relative", widening=3.0))
@@ -154,13 +157,13 @@ def test_how_poses_are_refined_is_saved(tmp_path):
     made.save(path)
     assert Refinement.load(path) == made
     for changed, says in (
-        ({"format": "other"}, "does not say how poses are refined"),
+        ({"format": "other"}, "is not a siamloc refinement of poses"),
         ({"version": 2}, "has format version 2"),
         ({"neighbours": 0}, "neighbours from 1, got 0"),
         ({"neighbours": "3"}, "neighbours from 1, got '3'"),
         ({"method": "guess"}, "unknown way of refining 'guess'"),
         ({"widening": -1}, "widening > 0"),
-        ({"more": 1}, "in full"),
+        ({"more": 1}, "is not a whole refinement of poses"),
     ):
         write_json(path, {**json.loads(path.read_text()), **changed})
         with pytest.raises((FormatError, ConfigError), match=says):
@@ -179,5 +182,5 @@ def test_altered_files_are_found(bundle, tmp_path):
     about = read_json(copy / "bundle.json")
     about["sha256"]["refinement.json"] = file_hash(copy / "refinement.json")
     write_json(copy / "bundle.json", about)
-    with pytest.raises(FormatError, match="does not say how poses are refined"):
+    with pytest.raises(FormatError, match="is not a siamloc refinement of poses"):
         Localizer(copy)

@@ -142,6 +142,16 @@ def test_pairs_are_judged_by_another_drive_only(frames, day, changed, expected):
     assert monitored(Training(), day, validation, nn.Identity()) == expected
 
 
+def test_a_network_that_compares_is_judged_by_its_poses_where_headings_tell_them(frames, day):
+    network = build("panoresnet", "magnitudes", (32, 128), circular=True, relative=True)
+    night = frames.select(sequence="night1")
+    turned, bare = day.with_columns(theta=np.zeros(len(day))), day.with_columns(theta=np.full(len(day), np.nan))
+    assert monitored(Training(), turned, night, network) == "refined"
+    assert monitored(Training(), bare, night, network) == "error"
+    with pytest.raises(ConfigError, match="training frames with positions and headings"):
+        monitored(Training(monitor="refined"), bare, night, network)
+
+
 def test_a_run_goes_on_with_what_its_checkpoint_was_chosen_by(train, frames):
     """Also where that was not written down yet."""
     night = frames.select(sequence="night1")

@@ -1,0 +1,87 @@
+"""`Learned`: plain values that were learned on a map, in a JSON file beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from siamloc.errors import FormatError
+from siamloc.files import read_json, write_json
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from siamloc.maps.visual_map import VisualMap
+
+
+class Learned:
+    """Base of data classes of plain values with a field `map_digest`."""
+
+    FORMAT: ClassVar[str]
+    VERSION: ClassVar[int]
+    NOUN: ClassVar[str]
+    """What a file of it is called in messages, such as "error model"."""
+    map_digest: str
+
+    def learned_on(self, known: VisualMap) -> bool:
+        """Find out whether this was learned on the frames of a map that have a position."""
+        return bool(known.frames.has_position.any()) and self.map_digest == known.placed().digest
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {"format": self.FORMAT, "version": self.VERSION, **asdict(self)}  # type: ignore[call-overload]
+
+    @classmethod
+    def from_dict(cls, values: Any, source: str | None = None) -> Self:
+        """Return what `as_dict` gave.
+
+        Args:
+            values: plain values, as JSON gives them back.
+            source: what to call them in an error message.
+
+        Raises:
+            FormatError: something else, or of a newer version.
+        """
+        source = f"the {cls.NOUN}" if source is None else source
+        if not isinstance(values, Mapping) or values.get("format") != cls.FORMAT:
+            raise FormatError(f"{source} is not a siamloc {cls.NOUN}: make it with `siamloc evaluate`")
+        if not isinstance(values.get("version"), int) or values["version"] > cls.VERSION:
+            raise FormatError(
+                f"{source} has format version {values.get('version')}, this siamloc reads up to {cls.VERSION}: "
+                "update siamloc"
+            )
+        try:
+            return cls(**{key: value for key, value in values.items() if key not in ("format", "version")})
+        except (TypeError, ValueError) as error:
+            raise FormatError(f"{source} is not a whole {cls.NOUN} ({error}): make it again") from error
+
+    def save(self, path: str | Path) -> None:
+        """Write it as JSON, atomically.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        write_json(path, self.as_dict())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read what `save` wrote.
+
+        Raises:
+            FormatError: the file is missing, cut short, something else, or of a newer version.
+        """
+        return cls.from_dict(read_json(path), str(path))
+
+    @classmethod
+    def saved(cls, path: str | Path, known: VisualMap | None = None) -> Self | None:
+        """Read what `save` wrote if it is there and, where a map is given, was learned on it; None if not.
+
+        Raises:
+            FormatError: the file is cut short, something else, or of a newer version.
+        """
+        if not Path(path).is_file():
+            return None
+        found = cls.load(path)
+        return found if known is None or found.learned_on(known) else None
