@@ -156,11 +156,27 @@ def read_json(path: str | Path) -> Any:
     """
     path = Path(path)
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        if not path.is_file() and path.exists():
+            raise FormatError(f"{path} is no regular file")
+        return parsed_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise FormatError(f"{path} does not exist") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read ({error.strerror})") from error
+    except ValueError as error:
         raise FormatError(f"{path} is not whole JSON ({error}): write it again") from error
+
+
+def parsed_json(text: str) -> Any:
+    """Return the values of a JSON text that nobody vouches for.
+
+    Raises:
+        ValueError: it is not JSON, or nested deeper than can be read.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
 
 
 def plain(value: Any) -> Any:

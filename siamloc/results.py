@@ -156,7 +156,7 @@ def read_rows(folder: str | Path, table: str = "queries") -> Columns:
             raise ValueError(f"{len(rows)} rows of {len(names)} columns for {described['rows']} of {len(kinds)}")
         cells = list(zip(*rows, strict=True)) if rows else [()] * len(names)
         parsed = {name: _parse(kinds[name], column) for name, column in zip(names, cells, strict=True)}
-    except (ValueError, KeyError, csv.Error, UnicodeDecodeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, csv.Error) as error:
         raise FormatError(f"{path} is not what results.json describes ({error}): evaluate again") from error
     return parsed
 

@@ -60,7 +60,13 @@ Positive = Annotated[float, Rule("a number above 0", lambda value: value > 0)]
 NotNegative = Annotated[float, Rule("a number from 0", lambda value: value >= 0)]
 Share = Annotated[float, Rule("a number from 0 to 1", lambda value: 0 <= value <= 1)]
 Probability = Annotated[float, Rule("a number between 0 and 1", lambda value: 0 < value < 1)]
-Size = Annotated[tuple[Count, Count], Rule("[rows, columns] in pixels", lambda value: True)]
+Size = Annotated[
+    tuple[Count, Count],
+    Rule("[rows, columns], each from 1 to 16,384 pixels", lambda value: max(value) <= 16_384),
+]
+Workers = Annotated[int, Rule("a whole number from 0 to 1,024", lambda value: 0 <= value <= 1024)]
+Many = Annotated[int, Rule("a whole number from 1 to 10 million", lambda value: 1 <= value <= 10_000_000)]
+"""How many of something are kept in memory."""
 
 
 class Settings:
@@ -258,7 +264,9 @@ def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
     if kind is float:
         return isinstance(value, int | float) and math.isfinite(value), value
     if kind is Path:
-        return isinstance(value, str | Path), Path(value).expanduser() if isinstance(value, str) else value
+        if isinstance(value, str):
+            return bool(value.strip()), Path(value).expanduser()
+        return isinstance(value, Path), value
     return not isinstance(kind, type) or isinstance(value, kind), value
 
 

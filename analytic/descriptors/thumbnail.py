@@ -36,8 +36,9 @@ class Thumbnail(Descriptor):
     default_distance = "correlation"
 
     def __init__(self, rows: int = 8, columns: int = 32) -> None:
-        if rows < 1 or columns < 1:
-            raise AnalyticError(f"a thumbnail needs at least 1 x 1 pixels, got {rows} x {columns}")
+        whole = all(isinstance(size, int | np.integer) and not isinstance(size, bool) for size in (rows, columns))
+        if not whole or rows < 1 or columns < 1:
+            raise AnalyticError(f"rows and columns of a thumbnail must be whole numbers from 1, got {rows} x {columns}")
         self.rows = int(rows)
         self.columns = int(columns)
 

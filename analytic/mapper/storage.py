@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic.arrays_file import DAMAGE, read_arrays
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.errors import AnalyticError
@@ -27,21 +25,6 @@ from analytic.mapper.statistics import Model, Moments
 
 FORMAT = "analytic.mapper"
 VERSION = 1
-
-# A changed byte may also claim an encryption or compression that does not exist, or break the header of an array.
-_DAMAGE = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    IndexError,
-    EOFError,
-    RuntimeError,
-    SyntaxError,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -99,9 +82,7 @@ def load(path: str | Path) -> Stored:
         AnalyticError: a path that cannot be read, or a file that is cut short, not a map, or of a newer version.
     """
     try:
-        # Opened here, since numpy does not close a file that turns out to be incomplete.
-        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_arrays(path)
         head = json.loads(_string(arrays["header"]))
         if head["format"] != FORMAT:
             raise ValueError(f"format {head['format']!r}")
@@ -117,7 +98,7 @@ def load(path: str | Path) -> Stored:
         raise AnalyticError(
             f"the map {path} cannot be read ({error.strerror}): give a file that `save` wrote"
         ) from error
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise AnalyticError(
             f"{path} is not a map, or it is damaged or cut short ({error!r}): give a whole file that `save` wrote"
         ) from error

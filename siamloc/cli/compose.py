@@ -130,6 +130,9 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
         missing = [key for key in missing if not key.startswith("data.")]
     if missing:
         raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=VALUE")
+    from siamloc.cli.checking import check
+
+    check(COMMANDS[command].config, config)
     return config
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -32,38 +33,80 @@ from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
 from siamloc.maps import Built, VisualMap
 from siamloc.runs import Run
+from siamloc.settings import Settings, checked, fields_of
 
 TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "robustness", "buildings")
+_KINDS: dict[str, type[Settings]] = {
+    "absolute": Localization,
+    "room_retrieval": Localization,
+    "hierarchical": Hierarchical,
+    "mapping": MapMeasures,
+    "robustness": Robustness,
+}
+_FURTHER: dict[str, Any] = {
+    "names": tuple[str, ...],
+    "plots": bool,
+    "baselines": tuple[str, ...],
+    "maps": tuple[str, ...] | str | None,
+    "distance": str | None,
+}
+"""What tasks hold besides the settings of their call."""
 
 
-def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
-    """Return what the configured task measures, and what its folder is called.
+def settings_of(task: Mapping[str, Any]) -> Settings | None:
+    """Return the settings of a task: what `conf/task` holds, as the call of `siamloc.evaluation` takes it.
 
     Raises:
-        ConfigError: an unknown task, or tasks that are not measured together.
+        ConfigError: an unknown task or key, a value of another type or out of range, or tasks that are not measured
+            together.
     """
-    names = list(config.task.names)
+    names = checked(task.get("names"), tuple[str, ...], "task.names")
     for name in names:
         if name not in TASKS:
             raise ConfigError(f"unknown task {name!r}: {hint(str(name), TASKS)}")
     if len(names) != 1 and set(names) != {"absolute", "room_retrieval"}:
         raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
     own = {"hierarchical": "coarse", "mapping": "closure_radius", "robustness": "robustness", "buildings": "maps"}
-    if names[0] in own and own[names[0]] not in config.task:
+    if names[0] in own and own[names[0]] not in task:
         raise ConfigError(f"{names[0]} has settings of its own: choose it with task={names[0]}")
-    if names == ["mapping"]:
-        return _mapping(config, run)
-    if names == ["buildings"]:
-        return _buildings(config, run)
-    if names == ["hierarchical"]:
-        return _hierarchical(config, run)
-    if names == ["robustness"]:
-        return _robustness(config, run)
-    return _localization(config, run)
+    kind = _KINDS.get(names[0])
+    further = {key: value for key, value in task.items() if kind is None or key not in fields_of(kind)}
+    if kind is Robustness:
+        kind, values = Robustness, further.pop("robustness")
+    else:
+        values = {key: value for key, value in task.items() if key not in further}
+    if kind is Hierarchical:
+        values, further["names"] = _coarse_alone(values), names
+    for key, value in further.items():
+        if key not in _FURTHER:
+            known = [*_FURTHER, *(fields_of(kind) if kind is not None else ())]
+            raise ConfigError(f"unknown configuration key 'task.{key}': {hint(key, known)}")
+        checked(value, _FURTHER[key], f"task.{key}")
+    return None if kind is None else kind.of(checked(values, Mapping, "task.robustness"))
 
 
-def _localization(config: DictConfig, run: Run) -> tuple[str, Result]:
-    settings = Localization.of(_own(config, Localization))
+def _coarse_alone(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a hierarchical search without the descriptor of its nodes, which is opened here."""
+    coarse = dict(checked(values["coarse"], Mapping, "task.coarse"))
+    checked(coarse.pop("descriptor", None), str | None, "task.coarse.descriptor")
+    return {**values, "coarse": coarse}
+
+
+def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
+    """Return what the configured task measures, and what its folder is called."""
+    settings = settings_of(plain(config.task))
+    if isinstance(settings, MapMeasures):
+        return _mapping(config, run, settings)
+    if isinstance(settings, Hierarchical):
+        return _hierarchical(config, run, settings)
+    if isinstance(settings, Robustness):
+        return _robustness(config, run, settings)
+    if isinstance(settings, Localization):
+        return _localization(config, run, settings)
+    return _buildings(config, run)
+
+
+def _localization(config: DictConfig, run: Run, settings: Localization) -> tuple[str, Result]:
     learned = settings.error_model or settings.filter_tune
     learned |= settings.refine == "relative" and _protocol(config).validation != Role()
     known, images, roles = _known(config, run, "query", *(["validation"] if learned else []))
@@ -82,7 +125,7 @@ def _localization(config: DictConfig, run: Run) -> tuple[str, Result]:
     return label, result
 
 
-def _robustness(config: DictConfig, run: Run) -> tuple[str, Result]:
+def _robustness(config: DictConfig, run: Run, settings: Robustness) -> tuple[str, Result]:
     known, images, roles = _known(config, run, "query")
     label = label_of(config.descriptor)
     result = evaluation.robustness(
@@ -93,12 +136,12 @@ def _robustness(config: DictConfig, run: Run) -> tuple[str, Result]:
         baselines=baselines_of(config, run, label),
         name=label,
         seed=config.seed,
-        settings=Robustness.of(plain(config.task.robustness)),
+        settings=settings,
     )
     return f"robustness-{label}", result
 
 
-def _hierarchical(config: DictConfig, run: Run) -> tuple[str, Result]:
+def _hierarchical(config: DictConfig, run: Run, settings: Hierarchical) -> tuple[str, Result]:
     known, images, roles = _known(config, run, "query")
     known = known.placed()
     label, other = label_of(config.descriptor), config.task.coarse.descriptor
@@ -107,15 +150,13 @@ def _hierarchical(config: DictConfig, run: Run) -> tuple[str, Result]:
         options = {"name": "network", "run": other} if (Path(other) / "run.json").is_file() else options_of(other)
         coarse_label = f"network-{Path(other).resolve().name}" if "run" in options else label_of(options)
         coarse = maps.build(descriptor_of(config, run, options), images, known.frames)
-    if (known if coarse is None else coarse).aligned and config.task.coarse.by == "representatives":
+    if (known if coarse is None else coarse).aligned and settings.coarse.by == "representatives":
         raise ConfigError(
             f"descriptors of {coarse_label} are compared after turning, so that their means have no meaning: use "
             "task.coarse.by=vote, or another task.coarse.descriptor"
         )
     built, _ = _layer(config, run, known if coarse is None else coarse, coarse_label)
-    settings = _own(config, Hierarchical)
-    settings["coarse"] = {key: value for key, value in settings["coarse"].items() if key != "descriptor"}
-    vote = ["vote"] if settings["coarse"]["by"] == "vote" else []
+    vote = ["vote"] if settings.coarse.by == "vote" else []
     name = "-".join(dict.fromkeys([label, coarse_label, label_of(config.build), *vote]))
     result = evaluation.hierarchical(
         known,
@@ -125,17 +166,17 @@ def _hierarchical(config: DictConfig, run: Run) -> tuple[str, Result]:
         coarse_map=coarse,
         protocol=_protocol(config),
         name=name,
-        settings=Hierarchical.of(settings),
+        settings=settings,
     )
     return f"hierarchical-{name}", result
 
 
-def _mapping(config: DictConfig, run: Run) -> tuple[str, Result]:
+def _mapping(config: DictConfig, run: Run, settings: MapMeasures) -> tuple[str, Result]:
     known, _, _ = _known(config, run)
     label = label_of(config.descriptor)
     built, folder = _layer(config, run, known, label)
     name = f"{label_of(config.build)} over {label}"
-    result = evaluation.mapping(known, built, name=name, settings=MapMeasures.of(_own(config, MapMeasures)))
+    result = evaluation.mapping(known, built, name=name, settings=settings)
     return f"mapping-{label}-{label_of(config.build)}", replace(result, layer=folder)
 
 
@@ -254,12 +295,6 @@ def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[
 def _changed(path: Path) -> int | None:
     """Return when a file was written last; None where there is none."""
     return path.stat().st_mtime_ns if path.is_file() else None
-
-
-def _own(config: DictConfig, kind: type) -> dict[str, Any]:
-    """Return the part of the task's configuration that a settings class knows."""
-    task = plain(config.task)
-    return {field.name: task[field.name] for field in fields(kind) if field.name in task}
 
 
 def _protocol(config: DictConfig) -> Protocol:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.settings import Count, Positive, Settings, Share, checked
+from siamloc.settings import Many, Positive, Settings, Share, checked
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PairSettings(Settings):
 
     label: Literal["auto", "room", "distance"] = "auto"
     same_room_share: Share | None = None
-    epoch_pairs: Count | None = None
+    epoch_pairs: Many | None = None
     balance: Literal["frames", "rooms"] = "frames"
     scale: Positive | Mapping[str, Any] | None = None
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.settings import NotNegative, Positive, Settings
+from siamloc.settings import NotNegative, Positive, Settings, checked
 
 Array = NDArray[Any]
 
@@ -60,6 +60,8 @@ class PanoramaView:
     bottom: float = -45.0
 
     def __post_init__(self) -> None:
+        for name, kind in (("height", int), ("width", int), ("top", float), ("bottom", float)):
+            checked(getattr(self, name), kind, f"the panorama's {name}")
         if self.height < 1 or self.width < 2:
             raise ConfigError(f"a panorama needs at least 1 x 2 pixels, got {self.height} x {self.width}")
         if not -90 < self.bottom < self.top < 90:
@@ -270,11 +272,13 @@ def camera_from_config(
         ConfigError: an unknown kind or parameter, with the nearest valid one.
     """
     parameters = dict(options)
-    kind = parameters.pop("kind", "none")
+    kind = checked(parameters.pop("kind", "none"), str, "unwrap.kind")
     if kind not in CAMERAS:
         raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, CAMERAS)}")
     view = PanoramaView(*image_size, **{key: parameters.pop(key) for key in ("top", "bottom") if key in parameters})
     camera = CAMERAS[kind]
+    if camera is None and parameters:
+        raise ConfigError(f"unwrap.kind={kind} has no parameters, got {next(iter(parameters))!r}: leave it out")
     return (camera.of(parameters) if camera is not None else None), view
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.settings import Count, NotNegative, Positive, Settings, Share, checked
+from siamloc.settings import Many, NotNegative, Positive, Settings, Share, checked
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class PlaceSettings(Settings):
     )
 
     by: Literal["position", "sequence"] = "position"
-    places: Count = 16
-    images: Count = 4
+    places: Many = 16
+    images: Many = 4
     radius: NotNegative = 0.3
     near: Share = 0.0
     reach: NotNegative = 2.0
     same_room_share: Share | None = None
     lightings: Mapping[str, float] | None = None
-    epoch_batches: Count | None = None
+    epoch_batches: Many | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import shutil
 from collections import deque
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError, StorageError, leave_out, logger
-from siamloc.files import atomic_folder, content_key, storage_errors, write_json
+from siamloc.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
 from siamloc.progress import track
 
 VERSION = 1
@@ -106,7 +105,7 @@ def _load(folder: Path, total: int) -> Store | None:
         FormatError: the store was written by a newer version.
     """
     try:
-        record = json.loads((folder / "store.json").read_text(encoding="utf-8"))
+        record = parsed_json((folder / "store.json").read_text(encoding="utf-8"))
         version = record["version"]
         if isinstance(version, int) and version > VERSION:
             raise FormatError(

@@ -35,7 +35,7 @@ from siamloc.evaluation.session import Baselines, Search, Session
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
 from siamloc.results import FURTHER
-from siamloc.settings import Count, NotNegative, Settings, Share, takes
+from siamloc.settings import Count, Many, NotNegative, Settings, Share, takes
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class JudgedPairs(Settings):
 
     WHERE = "task.pairs"
 
-    count: Count = 7000
+    count: Many = 7000
     same_room_share: Share = 0.5
 
 

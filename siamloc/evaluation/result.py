@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from siamloc.errors import DataError
+from siamloc.errors import DataError, FormatError
 from siamloc.files import plain
 from siamloc.results import Columns, read_results, read_rows, write_results
 
@@ -100,12 +100,19 @@ class Result:
         return f'{shown}<img src="data:image/png;base64,{b64encode(picture.getvalue()).decode()}">'
 
     def table(self) -> str:
-        """Return the measures as text: a table by method and lighting, and what they rest on."""
+        """Return the measures as text: a table by method and lighting, and what they rest on.
+
+        Raises:
+            FormatError: measures that are not whole, as of a file that was altered.
+        """
         from siamloc.evaluation.tables import text_of
 
         baselines = {method: other.parts for method, other in self.baselines.items()}
         located = len(self.tables["located"]["path"]) if "located" in self.tables else 0
-        return text_of(self.name, self.parts, baselines, self.skipped, located)
+        try:
+            return text_of(self.name, self.parts, baselines, self.skipped, located)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise FormatError(f"the measures of {self.name} are not whole ({error!r}): evaluate again") from error
 
     def plot(self, name: str | None = None) -> Figure:
         """Return a picture of the result: the first that suits it, or the one of this name, such as "error_curve".

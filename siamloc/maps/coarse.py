@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from analytic.arrays_file import DAMAGE, read_arrays
 from siamloc.errors import DataError, FormatError
-from siamloc.files import atomic_path, plain
+from siamloc.files import atomic_path, parsed_json, plain
 from siamloc.maps.visual_map import VisualMap
 
 _FORMAT = "siamloc-coarse-layer"
@@ -154,10 +154,10 @@ class CoarseLayer:
         if not path.is_file():
             raise FormatError(f"{path} does not exist: build the layer first with `siamloc map build=...`")
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                header = json.loads(str(archive["header"][()]))
-                arrays = {name: archive[name] for name in _ARRAYS}
-        except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            held = read_arrays(path)
+            header = parsed_json(str(held["header"][()]))
+            arrays = {name: held[name] for name in _ARRAYS}
+        except DAMAGE as error:
             raise FormatError(f"{path} is not a coarse layer, or not a whole one: build it again") from error
         own = isinstance(header, dict) and header.get("format") == _FORMAT and isinstance(header.get("version"), int)
         if not own:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,10 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail
+from analytic.arrays_file import DAMAGE, read_arrays
 from analytic.distances import DISTANCES
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import atomic_path, plain
+from siamloc.files import atomic_path, parsed_json, plain
 from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of
 from siamloc.maps.search import Retrieval, VectorIndex
 
@@ -335,13 +335,13 @@ class VisualMap:
         if not path.is_file():
             raise FormatError(f"{path} does not exist: build the map first")
         try:
-            with path.open("rb") as file:
-                archive = np.load(file, allow_pickle=False)
-                arrays = {name: archive[name] for name in archive.files} if hasattr(archive, "files") else {}
-        except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+            arrays = read_arrays(path)
+        except DAMAGE as error:
             raise FormatError(f"{path} is not a siamloc map, or not a whole one: build it again") from error
         header = _read_header(path, arrays)
-        columns = {name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")}
+        columns: dict[str, Any] = {
+            name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")
+        }
         columns.pop("index", None)  # of maps by version 0.1
         try:
             loaded = cls(
@@ -397,7 +397,7 @@ def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
 
 def _read_header(path: Path, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
     try:
-        header = json.loads(str(arrays["header"][()]))
+        header = parsed_json(str(arrays["header"][()]))
         known = header["format"] == _FORMAT and isinstance(header["version"], int)
     except (KeyError, TypeError, ValueError):
         known = False

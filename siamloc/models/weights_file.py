@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import atomic_path
+from siamloc.files import atomic_path, parsed_json
 
 VERSION = 1
 _KEY = "siamloc"
@@ -76,7 +76,7 @@ def read_weights_file(path: Path) -> tuple[dict[str, Tensor], dict[str, Any] | N
     if text is None:
         return state, None
     try:
-        about = json.loads(text)
+        about = parsed_json(text)
         version, digest = about["version"], about.pop("sha256")
     except (ValueError, TypeError, KeyError) as error:
         raise FormatError(f"the weights file {path} was altered since it was written: get it again") from error

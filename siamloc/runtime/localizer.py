@@ -118,7 +118,10 @@ class Localizer:
             options.intra_op_num_threads = threads
 
         def session(path: Path) -> Any:
-            return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            try:
+                return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            except Exception as error:  # onnxruntime's exceptions have no common base
+                raise FormatError(f"onnxruntime cannot run {path} ({type(error).__name__}): export again") from error
 
         self._session = session(self.bundle.model)
         self._heading = None if self.bundle.heading is None else session(self.bundle.heading)

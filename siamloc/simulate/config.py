@@ -16,6 +16,7 @@ from siamloc.simulate.run import Run
 #: The standard benchmark: path 2 under three lightings.
 STANDARD_RUNS = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
 
+_CLOSEST = 0.005  # metres between frames
 _LOCATION = must_be("the name of a file or folder", lambda value: isinstance(value, (str, Path)) and str(value) != "")
 _RULES: dict[str, Rule] = {
     "out": _LOCATION,
@@ -26,11 +27,13 @@ _RULES: dict[str, Rule] = {
         "a list of runs, such as [cloudy1, night1]",
         lambda value: isinstance(value, (list, tuple)) and all(isinstance(run, str) for run in value),
     ),
-    "spacing": must_be("a positive number of metres", lambda value: not number(above=0)(value)),
+    "spacing": must_be(
+        f"a number of metres from {_CLOSEST:g}", lambda value: not number(above=0)(value) and value >= _CLOSEST
+    ),
     "camera": one_of(CAMERAS),
     "trajectory": optional(_LOCATION),
     "frames": optional(whole(1)),
-    "workers": optional(whole(1)),
+    "workers": optional(whole(1, 1024)),
     "quality": whole(1, 100),
     "preview": FLAG,
     "overwrite": FLAG,

@@ -90,6 +90,8 @@ def read_building_file(path: FilePath, seed: int) -> Building:
         content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"the building file {path} cannot be read: {error}") from error
+    except RecursionError as error:
+        raise DataError(f"{path} is nested too deeply to be a building") from error
     except (yaml.YAMLError, ValueError) as error:
         raise DataError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     return parse_building(content, seed, str(path))

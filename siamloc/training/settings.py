@@ -9,7 +9,7 @@ from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.models.registry import Optimizer
-from siamloc.settings import Count, Natural, Positive, Probability, Settings
+from siamloc.settings import Count, Many, Natural, Positive, Probability, Settings, Workers
 
 Monitor = Literal["auto", "error", "recall", "room", "refined", "loss"]
 
@@ -53,9 +53,9 @@ class Training(Settings):
     """
 
     epochs: Count = 30
-    batch_size: Count = 16
+    batch_size: Many = 16
     seed: Natural = 0
-    workers: Natural = 0
+    workers: Workers = 0
     pairs: PairSettings | PlaceSettings = field(default_factory=PairSettings)
     optimizer: Optimizer = field(default_factory=Optimizer)
     margin: Positive = 2.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -28,10 +29,11 @@ ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 from lightning.pytorch.plugins import LayerSync  # noqa: E402
-from lightning.pytorch.utilities.exceptions import MisconfigurationException  # noqa: E402
 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
 """Arguments of `lightning.Trainer` that `fit` begins with."""
+_LAUNCHED = {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID", "TORCHELASTIC_RUN_ID", "OMPI_COMM_WORLD_SIZE"}
+"""Variables by which the launchers of several machines make themselves known."""
 OF_STEPS = ("accumulate_grad_batches", "limit_train_batches", "max_steps")
 
 
@@ -90,13 +92,35 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
         ConfigError: arguments that Lightning refuses.
     """
     options = {**TRAINER, **options}
+    _check_processes(options)
     if options.get("precision") == "auto":
         options["precision"] = _fast_precision(on_gpu(options))
     try:
         return Trainer(**options, **own)
-    except (MisconfigurationException, TypeError, ValueError, RuntimeError) as error:
+    except Exception as error:  # Lightning, and what it asks for a device, may raise anything
         first_line = str(error).strip().splitlines()[0]
         raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
+
+
+def _check_processes(options: Mapping[str, Any]) -> None:
+    """Make sure that nobody waits for processes that nobody can start.
+
+    Raises:
+        ConfigError: more processes than processors without a GPU, or machines that no launcher has told of.
+    """
+    devices, nodes = options.get("devices", 1), options.get("num_nodes", 1)
+    processors = os.cpu_count() or 1
+    if isinstance(devices, int) and devices > max(8, 2 * processors) and not on_gpu(options):
+        raise ConfigError(
+            f"trainer.devices={devices} starts as many processes, and this machine has {processors} processors and no "
+            "GPU: ask for fewer"
+        )
+    if isinstance(nodes, int) and nodes > 1 and not _LAUNCHED & set(os.environ):
+        raise ConfigError(
+            f"trainer.num_nodes={nodes} waits for processes on other machines, and no launcher has started any "
+            f"(none of {', '.join(sorted(_LAUNCHED))} is set): start it by torchrun or a cluster's launcher, or leave "
+            "trainer.num_nodes out"
+        )
 
 
 def on_gpu(options: Mapping[str, Any] | None) -> bool:

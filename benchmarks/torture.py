@@ -1,0 +1,267 @@
+"""What comes of nonsense: every key of every command with values that it cannot have, and files with damaged bytes.
+
+Settings: for each leaf of each command's configuration, as several starting points make it, values of another type,
+negative, zero, infinite, huge, empty, lists and mappings. What is nonsense follows from the type of the default alone,
+not from what the code accepts. Files: bytes of each kind of file that siamloc reads are flipped, cut, swapped, repeated
+and replaced by those of another kind, and it is read again.
+
+Each case ends in a sentence (an error of siamloc's), in acceptance, in a traceback, or takes too long. Targets: no
+traceback, nothing above 10 s, and no nonsense accepted.
+
+    python -m benchmarks.torture
+"""
+
+from __future__ import annotations
+
+import random
+import signal
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from analytic.errors import AnalyticError
+from augment.errors import AugmentError
+from benchmarks.report import Report, parser
+from benchmarks.torture_files import FILES, damaged
+from siamloc.cli.checking import check
+from siamloc.cli.compose import composed, plain
+from siamloc.cli.help import COMMANDS
+from siamloc.data.decoding import UnreadableImageError
+from siamloc.errors import SiamlocError
+
+LONGEST = 10.0
+SENTENCES = (SiamlocError, AnalyticError, AugmentError, UnreadableImageError)
+_COLD = ("data=cold", "data.root=x")
+_LEARNS = ("train", *_COLD, "protocol.train.sequences=[a]")
+STARTS: tuple[tuple[str, ...], ...] = (
+    _LEARNS,
+    (*_LEARNS, "experiment=modern", "unwrap=polar"),
+    (*_LEARNS, "pairs=in_batch", "loss=triplet", "augment=thesis", "unwrap=hyperbolic"),
+    *((*_LEARNS, "pairs=in_batch", "model/head=flat", f"loss={loss}") for loss in ("circle", "multi_similarity")),
+    (*_LEARNS, "pairs=in_batch", "model/head=flat", "loss=metric_calibrated"),
+    ("pretrain",),
+    ("simulate",),
+    ("report",),
+    ("compare", "runs=x"),
+    ("augment expand", *_COLD, "out=y"),
+    ("augment preview",),
+    ("demo",),
+    ("localize", "bundle=x"),
+    ("prepare", "data=folder", "data.root=x"),
+    ("evaluate", *_COLD, "task=hierarchical", "descriptor=hog", "build=som", "heading=hog"),
+    *(("evaluate", *_COLD, "descriptor=hog", f"task={task}") for task in ("robustness", "mapping", "buildings")),
+    *(("map", *_COLD, "descriptor=hog", f"build={way}") for way in ("spectral", "incremental", "sample", "rooms")),
+    *(
+        ("map", *_COLD, f"descriptor={name}")
+        for name in ("gist", "wisurf", "briefgist", "fs", "hsv", "radon_fourier", "radon_poc", "thumbnail")
+    ),
+)
+"""Commands, with words that give every group of keys its turn."""
+
+NOTHING: Any = None
+_STRANGE: dict[str, Any] = {
+    "a text": "abc",
+    "an empty text": "",
+    "true": True,
+    "minus one": -1,
+    "zero": 0,
+    "a half": 0.5,
+    "three halves": 1.5,
+    "below zero": -0.5,
+    "not a number": float("nan"),
+    "infinity": float("inf"),
+    "minus infinity": float("-inf"),
+    "huge": 1e30,
+    "a huge whole number": 10**12,
+    "nothing": NOTHING,
+    "an empty list": [],
+    "a list": [1, 2],
+    "a list of other things": ["abc", None],
+    "a list of lists": [[1]],
+    "a mapping": {"a": 1},
+    "an empty mapping": {},
+}
+_NEVER_A_NUMBER = {
+    *("a text", "an empty text", "true", "not a number", "infinity", "minus infinity"),
+    *("an empty list", "a list", "a list of other things", "a list of lists", "a mapping", "an empty mapping"),
+}
+_NEVER_A_TEXT = (_NEVER_A_NUMBER - {"a text"}) | {"huge", "three halves"}
+_MAY_BE = {
+    ("pairs.lightings", "a mapping"),  # weights by lighting
+    ("pairs.lightings", "an empty mapping"),
+    ("pairs.scale", "a mapping"),  # by building
+    ("pairs.scale", "an empty mapping"),
+    ("compile", "true"),  # true, false or auto
+    ("trainer.devices", "a list"),  # numbers of GPUs
+    ("trainer.accelerator", "huge"),
+    ("data.name", "an empty text"),  # that of the file
+    ("data.unit", "an empty text"),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a case: "refused", "accepted", "nonsense accepted", "traceback" or "too long", and a remark."""
+
+    kind: str
+    remark: str = ""
+
+
+def main() -> None:
+    """Try all settings and many files, print what came of it, and write the file."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--files", type=int, default=600, help="damaged versions of each kind of file")
+    arguments.add_argument("--seed", type=int, default=0)
+    options = arguments.parse_args()
+    report = Report("torture", options.out)
+    found: dict[str, Counter[str]] = {}
+    wrong: list[str] = []
+    parts = {
+        "settings": setting_cases(),
+        "unknown keys": unknown_cases(),
+        "files": file_cases(options.files, options.seed),
+    }
+    for part, cases in parts.items():
+        counts = found[part] = Counter()
+        for name, case, nonsense in cases:
+            outcome = outcome_of(case, nonsense)
+            counts[outcome.kind] += 1
+            if outcome.kind not in ("refused", "accepted"):
+                wrong.append(f"{part}: {name}: {outcome.kind} {outcome.remark}")
+        print(f"{part}: {', '.join(f'{count} {kind}' for kind, count in counts.most_common())}", flush=True)
+    print(*wrong, sep="\n")
+    total: Counter[str] = sum(found.values(), Counter())
+    report.target(f"10,000 cases or more ({total.total()})", total.total() >= 10_000)
+    for kind in ("traceback", "too long", "nonsense accepted"):
+        report.target(f"no {kind} ({total[kind]})", total[kind] == 0)
+    report.write({"rows": {part: dict(counts) for part, counts in found.items()}, "wrong": wrong})
+
+
+def outcome_of(case: Callable[[], Any], nonsense: bool) -> Outcome:
+    """Run a case and say what came of it."""
+    try:
+        with limited(LONGEST):
+            case()
+    except SENTENCES as error:
+        return Outcome("refused", str(error))
+    except TimeoutError:
+        return Outcome("too long")
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        return Outcome("traceback", f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})")
+    return Outcome("nonsense accepted" if nonsense else "accepted")
+
+
+class limited:
+    """End what takes longer than so many seconds, by a TimeoutError."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+
+    def __enter__(self) -> None:
+        def end(*_: Any) -> None:
+            raise TimeoutError
+
+        self.before = signal.signal(signal.SIGALRM, end)
+        signal.setitimer(signal.ITIMER_REAL, self.seconds)
+
+    def __exit__(self, *_: object) -> None:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, self.before)
+
+
+def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
+    """Yield each leaf of each starting point with each strange value, once; and whether that is nonsense."""
+    seen: set[tuple[str, str, str]] = set()
+    for command, *words in STARTS:
+        config = composed(command, words)
+        for key, default in leaves(plain(config)):
+            for called, value in _STRANGE.items():
+                case = (COMMANDS[command].config, key, f"{default!r} {called}")
+                if case in seen:
+                    continue
+                seen.add(case)
+
+                def changed(key: str = key, value: Any = value, config: Any = config, command: str = command) -> None:
+                    strange = config.copy()
+                    OmegaConf.update(strange, key, value, merge=False)
+                    check(COMMANDS[command].config, strange)
+
+                yield f"{command} {key}={value!r}", changed, is_nonsense(key, default, called)
+
+
+def unknown_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
+    """Yield each group of each starting point with a key more than it has."""
+    seen: set[tuple[str, str]] = set()
+    for command, *words in STARTS:
+        config = composed(command, words)
+        held = plain(config)
+        groups = ["", *(key for key, value in held.items() if isinstance(value, Mapping) and value)]
+        for group in groups:
+            if (command, f"{group} {held.get(group)}") in seen:
+                continue
+            seen.add((command, f"{group} {held.get(group)}"))
+
+            def added(group: str = group, config: Any = config, command: str = command) -> None:
+                strange = config.copy()
+                OmegaConf.set_struct(strange, False)
+                OmegaConf.update(strange, f"{group}.zzz" if group else "zzz", 1)
+                check(COMMANDS[command].config, strange)
+
+            yield f"{command} +{group}.zzz=1", added, True
+
+
+def file_cases(count: int, seed: int) -> Iterator[tuple[str, Callable[[], Any], bool]]:
+    """Yield damaged versions of each kind of file; a change that does no harm is no nonsense."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        whole = {kind: one.write(folder / kind) for kind, one in FILES.items()}
+        for kind, path in whole.items():
+            original = path.read_bytes()
+            others = [other.read_bytes() for other in whole.values() if other != path]
+            for number in range(count):
+                how, content = damaged(original, others, random.Random(f"{seed} {kind} {number}"))
+
+                def read(kind: str = kind, path: Path = path, content: bytes = content) -> None:
+                    path.write_bytes(content)
+                    FILES[kind].read(path)
+
+                yield f"{kind} {number}, {how}", read, False
+            path.write_bytes(original)
+
+
+def is_nonsense(key: str, default: Any, called: str) -> bool:
+    """Say whether a strange value cannot be meant, by the type of the default."""
+    if (key, called) in _MAY_BE:
+        return False
+    if isinstance(default, bool):
+        return called != "true"
+    if isinstance(default, int | float):
+        return called in _NEVER_A_NUMBER
+    if isinstance(default, str):
+        return called in _NEVER_A_TEXT
+    if isinstance(default, list):
+        return called in {"a mapping", "not a number", "infinity", "true", "a list of other things", "a list of lists"}
+    return called in {"a mapping", "a list of other things", "a list of lists", "not a number", "infinity"}
+
+
+def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the keys, with dots, and the values of a configuration that are no groups."""
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+if __name__ == "__main__":
+    begin = time.perf_counter()
+    main()
+    print(f"{time.perf_counter() - begin:.0f} s")

@@ -1,0 +1,365 @@
+"""Every value of a configuration, checked before a command does anything: its type, its range, and that it is known.
+
+The settings classes of the library say what their values may be (`siamloc.settings`). Here are those that only the
+command line has, and which class each part of a configuration belongs to.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from omegaconf import DictConfig, OmegaConf
+
+from siamloc.cli.schema import OF_TRAINING
+from siamloc.errors import ConfigError, hint
+from siamloc.settings import Count, Natural, Rule, Settings, Share, Size, Workers, checked, fields_of
+
+Text = Annotated[str, Rule("a text that is not empty", lambda value: bool(value.strip()))]
+Folder = Annotated[
+    str,
+    Rule("a folder of its own", lambda value: bool(value.strip()) and Path(value).absolute() != Path.cwd()),
+]
+Device = Annotated[str, Rule("auto, cpu or cuda", lambda value: re.fullmatch(r"auto|cpu|cuda(:\d+)?", value))]
+Images = tuple[Text, ...] | Text | None
+Positives = Annotated[int, Rule("a whole number from 1 to 1,024", lambda value: 1 <= value <= 1024)]
+Depth = Annotated[int, Rule("a whole number from 1 to 10,000", lambda value: 1 <= value <= 10_000)]
+Several = Annotated[tuple[Text, ...], Rule("a list of one name or more", lambda value: len(value) > 0)]
+Devices = Annotated[tuple[Natural, ...], Rule("a list of one number or more", lambda value: len(value) > 0)]
+
+
+@dataclass(frozen=True)
+class Loader(Settings):
+    """Who reads the images."""
+
+    WHERE = "loader"
+
+    workers: Workers = 0
+
+
+@dataclass(frozen=True)
+class Branch(Settings):
+    """The branch of a network."""
+
+    WHERE = "model.branch"
+
+    name: Text
+    weights: Text | None = None
+
+
+@dataclass(frozen=True)
+class Head(Settings):
+    """The head of a network."""
+
+    WHERE = "model.head"
+
+    name: Text
+    outputs: Count | None = None
+
+
+@dataclass(frozen=True)
+class Model(Settings):
+    """A network."""
+
+    WHERE = "model"
+
+    branch: Branch
+    head: Head
+    circular: bool = False
+    normalize: Text | None = None
+    canonical: bool = False
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class TrainerKeys(Settings):
+    """What `conf/trainer` holds; other arguments of Lightning's Trainer are Lightning's to check."""
+
+    WHERE = "trainer"
+
+    accelerator: Text = "auto"
+    devices: Count | Literal["auto"] | Devices = 1
+    num_nodes: Count = 1
+    strategy: Text = "auto"
+    precision: Text | Literal[16, 32, 64] = "32-true"
+    log_every_n_steps: Count = 10
+
+
+@dataclass(frozen=True)
+class Main(Settings):
+    """The keys of `conf/config.yaml` that belong to no group."""
+
+    run: Folder | None = None
+    resume: bool = False
+    overwrite: bool = False
+    debug: Literal["one_batch", "overfit", "profile"] | None = None
+    checkpoint: Literal["best", "last"] = "best"
+    device: Device = "auto"
+    projector: bool = False
+    images: Images = ()
+    bundle: Folder | None = None
+    top: Count = 3
+    loader: Loader = field(default_factory=Loader)
+
+
+@dataclass(frozen=True)
+class Pretrain(Settings):
+    """The keys of `conf/pretrain.yaml` that belong to no group."""
+
+    run: Folder = "runs/pretrained"
+    resume: bool = False
+    overwrite: bool = False
+    image_size: Size = (64, 256)
+    loader: Loader = field(default_factory=Loader)
+
+
+@dataclass(frozen=True)
+class Report(Settings):
+    """The keys of `conf/report.yaml`."""
+
+    run: Text | None = None
+    runs: tuple[Text, ...] | Text | None = ()
+    out: Text | None = None
+
+
+@dataclass(frozen=True)
+class Compare(Settings):
+    """The keys of `conf/compare.yaml`."""
+
+    runs: Several | Text
+    by: Text | None = None
+    out: Text | None = None
+
+
+@dataclass(frozen=True)
+class Expand(Settings):
+    """The keys of `conf/expand.yaml` that belong to no group."""
+
+    out: Folder
+    depth: Depth = 16
+    sequences: tuple[Text, ...] | Text | None = ()
+    seed: Natural = 0
+    workers: Positives = 2
+    resume: bool = False
+
+
+@dataclass(frozen=True)
+class Preview(Settings):
+    """The keys of `conf/preview.yaml` that belong to no group."""
+
+    out: Text = "augmentation.png"
+    images: Images = ()
+    count: Count = 6
+
+
+@dataclass(frozen=True)
+class Demo(Settings):
+    """The keys of `conf/demo.yaml`."""
+
+    run: Folder = "runs/demo"
+    data: Text = "data"
+    seed: Natural = 0
+    overwrite: bool = False
+
+
+_OWN: dict[str, type[Settings]] = {
+    "config": Main,
+    "pretrain": Pretrain,
+    "report": Report,
+    "compare": Compare,
+    "expand": Expand,
+    "preview": Preview,
+    "demo": Demo,
+}
+
+
+def check(name: str, config: DictConfig) -> None:
+    """Check every value of a configuration.
+
+    Args:
+        name: of the configuration file that it began with.
+        config: whole, but for values that are missing because the command does not need them.
+
+    Raises:
+        ConfigError: an unknown key, or a value of another type or out of range.
+        AnalyticError: a parameter of a descriptor.
+        AugmentError: one of an augmentation.
+    """
+    values = OmegaConf.to_container(config, resolve=True)
+    assert isinstance(values, dict)
+    if name == "simulate":
+        from siamloc.simulate import SimulateConfig
+
+        SimulateConfig.of(values)  # type: ignore[arg-type]
+        return
+    groups = {group: of_group for group, of_group in _GROUPS.items() if group in values and _is_group(name, group)}
+    training = [key for key in OF_TRAINING if key in values] if name in ("config", "pretrain") else []
+    own = {str(key): value for key, value in values.items() if key not in groups and key not in training}
+    _known(own, [*fields_of(_OWN[name]), *groups, *training], "")
+    _OWN[name].of(own)
+    for group, of_group in groups.items():
+        if not isinstance(values[group], Mapping):
+            raise ConfigError(f"{group} is a group of keys: set them one by one, such as {group}.KEY=VALUE")
+        of_group(config, values[group])
+    if training:
+        from siamloc.cli.objects import training_of
+
+        training_of(config)
+
+
+def _is_group(name: str, group: str) -> bool:
+    """Say whether a key is a group of a configuration: `siamloc demo` has a key `data` of its own."""
+    return name != "demo" and group not in fields_of(_OWN[name])
+
+
+def _known(values: Mapping[str, Any], names: Any, where: str) -> None:
+    """Refuse a key that is not among the names."""
+    for key in values:
+        if key not in names:
+            full = f"{where}.{key}" if where else key
+            raise ConfigError(f"unknown configuration key {full!r}: {hint(str(key), list(names))}")
+
+
+def _data(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from siamloc.data import DataSettings
+
+    DataSettings.of(values)
+
+
+def _unwrap(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from siamloc.data.decoding import Preprocessing
+
+    Preprocessing.checked(checked(OmegaConf.to_object(config.data.image_size), Size, "data.image_size"), values)
+
+
+def _protocol(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from siamloc.data import Protocol
+
+    Protocol.of(values)
+
+
+def _model(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from siamloc.models.registry import NORMALIZATIONS, branch_spec, head_widths
+
+    model = Model.of(values)
+    branch_spec(model.branch.name)
+    head_widths(model.head.name, model.head.outputs)
+    if model.normalize is not None and model.normalize not in NORMALIZATIONS:
+        raise ConfigError(f"unknown normalization {model.normalize!r}: {hint(model.normalize, NORMALIZATIONS)}")
+
+
+def _loss(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from siamloc.models.registry import LOSS_SETTINGS
+
+    options = dict(values)
+    name = checked(options.pop("name", None), Text, "loss.name")
+    if name == "contrastive":
+        _known(options, ["name", "margin"], "loss")
+    elif name in LOSS_SETTINGS:
+        LOSS_SETTINGS[name].of(options)
+    else:
+        raise ConfigError(f"unknown loss {name!r}: {hint(name, ['contrastive', *LOSS_SETTINGS])}")
+
+
+def _augment(config: DictConfig, values: Mapping[str, Any]) -> None:
+    checked(values.get("where", "auto"), Literal["auto", "cpu", "gpu"], "augment.where")
+    checked(values.get("name"), Text, "augment.name")
+    if values.get("name") == "none":
+        _known(values, ["name", "where"], "augment")
+        return
+    checked(values.get("rotate"), Share | None, "augment.rotate")
+    from siamloc.training.fitting import effect_of
+
+    effect_of({key: value for key, value in values.items() if key != "where"}, circular=True)
+
+
+def _trainer(config: DictConfig, values: Mapping[str, Any]) -> None:
+    own = fields_of(TrainerKeys)
+    TrainerKeys.of({key: value for key, value in values.items() if key in own})
+    if further := [key for key in values if key not in own]:
+        from augment.torchvision_compat import ensure_torchvision
+
+        ensure_torchvision()
+        from lightning.pytorch import Trainer
+
+        _known(dict.fromkeys(further), inspect.signature(Trainer).parameters, "trainer")
+
+
+def _descriptor(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from analytic import DESCRIPTORS, Thumbnail, descriptor
+
+    options = dict(values)
+    name = checked(options.pop("name", None), Text, "descriptor.name")
+    checked(options.pop("label", None), Text | None, "descriptor.label")
+    if name in ("network", "untrained", "pretrained"):
+        _known(options, ["run"] if name == "network" else [], "descriptor")
+        checked(options.get("run"), Text | None, "descriptor.run")
+    elif name == "thumbnail":
+        _known(options, ["rows", "columns"], "descriptor")
+        Thumbnail(**options)
+    elif name in DESCRIPTORS:
+        descriptor(name, **options)
+    else:
+        known = ("network", "pretrained", "untrained", "thumbnail", *DESCRIPTORS)
+        raise ConfigError(f"unknown descriptor {name!r}: {hint(name, known)}")
+
+
+def _heading(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from analytic import DESCRIPTORS, descriptor
+
+    options = dict(values)
+    name = checked(options.pop("name", None), Text, "heading.name")
+    if name == "none":
+        _known(options, ["name"], "heading")
+    elif name in DESCRIPTORS:
+        descriptor(name, **options)
+    else:
+        raise ConfigError(f"unknown heading {name!r}: {hint(name, ['none', *DESCRIPTORS])}")
+
+
+def _build(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from siamloc.maps.grouping import WAYS
+
+    options = {key: value for key, value in values.items() if key not in ("name", "label")}
+    checked(values.get("label"), Text | None, "build.label")
+    name = checked(values.get("name"), Text, "build.name")
+    if name == "none":
+        _known(options, ["name", "label"], "build")
+    elif name in WAYS:
+        WAYS[name].of(options)
+    else:
+        raise ConfigError(f"unknown build {name!r}: {hint(name, ['none', *WAYS])}")
+
+
+def _task(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from siamloc.cli.tasks import settings_of
+
+    settings_of(values)
+
+
+def _views(config: DictConfig, values: Mapping[str, Any]) -> None:
+    from siamloc.pretraining.settings import ViewSettings
+
+    ViewSettings.of(values)
+
+
+_GROUPS: dict[str, Callable[[DictConfig, Mapping[str, Any]], None]] = {
+    "data": _data,
+    "unwrap": _unwrap,
+    "protocol": _protocol,
+    "model": _model,
+    "loss": _loss,
+    "augment": _augment,
+    "trainer": _trainer,
+    "descriptor": _descriptor,
+    "heading": _heading,
+    "build": _build,
+    "task": _task,
+    "views": _views,
+    "pairs": lambda config, values: None,  # with the training
+    "optimizer": lambda config, values: None,
+}

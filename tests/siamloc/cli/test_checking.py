@@ -1,0 +1,64 @@
+"""Nonsense on the command line and in files: some of the cases of `benchmarks.torture`, and what limits there are."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from benchmarks.torture import FILES, file_cases, outcome_of, setting_cases, unknown_cases
+from siamloc.cli.compose import composed
+from siamloc.errors import ConfigError
+
+COLD = ["data=cold", "data.root=x"]
+
+
+def test_every_key_refuses_nonsense():
+    """Every 23rd case: with the seven kinds of defaults and twenty strange values, each of both has its turn."""
+    wrong = []
+    for name, case, nonsense in itertools.islice(setting_cases(), 0, None, 23):
+        outcome = outcome_of(case, nonsense)
+        if outcome.kind not in ("refused", "accepted"):
+            wrong.append(f"{name}: {outcome}")
+    assert not wrong
+
+
+def test_no_group_takes_a_key_that_it_does_not_know():
+    outcomes = {name: outcome_of(case, True) for name, case, _ in unknown_cases()}
+    assert {name: one for name, one in outcomes.items() if one.kind != "refused"} == {}
+    assert all("unknown" in one.remark or "no " in one.remark for one in outcomes.values())
+
+
+def test_damaged_files_are_told_in_a_sentence():
+    wrong = [
+        f"{name}: {outcome}"
+        for name, case, nonsense in file_cases(25, seed=1)
+        if (outcome := outcome_of(case, nonsense)).kind not in ("refused", "accepted")
+    ]
+    assert not wrong
+    assert len(FILES) >= 16
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["epochs=abc"], r"epochs must be a whole number from 1, got 'abc'"),
+        (["+foo=1"], "unknown configuration key 'foo'"),
+        (["+pairs.foo=1"], "unknown key pairs.foo"),
+        (["pairs.scale=nan"], "pairs.scale must be"),
+        (["run=[a,b]"], "run must be a folder of its own, or null, got"),
+        (["run=."], "run must be a folder of its own"),
+        (["augment.where=foo"], "augment.where must be auto or cpu or gpu, got 'foo'"),
+        (["trainer.devices=0"], "trainer.devices must be"),
+        (["+trainer.foo=1"], "unknown configuration key 'trainer.foo'"),
+        (["device=tpu"], "device must be auto, cpu or cuda, got 'tpu'"),
+        (["data.image_size=[1000000,1000000]"], "data.image_size must be"),
+        (["loader.workers=100000"], "loader.workers must be"),
+        (["task.plots=maybe"], "task.plots must be true or false, got 'maybe'"),
+        (["task.baselines=hog"], "task.baselines must be a list"),
+        (["model.head.outputs=1.5"], "model.head.outputs must be"),
+    ],
+)
+def test_what_the_sentence_is(words, says):
+    with pytest.raises(ConfigError, match=says):
+        composed("train", [*COLD, *words])
