@@ -56,7 +56,7 @@ def test_damaged_files_are_told_in_a_sentence():
         (["loader.workers=100000"], "loader.workers must be"),
         (["task.plots=maybe"], "task.plots must be true or false, got 'maybe'"),
         (["task.baselines=hog"], "task.baselines must be a list"),
-        (["model.head.outputs=1.5"], "model.head.outputs must be"),
+        (["model/head=flat", "model.head.outputs=1.5"], "model.head.outputs must be"),
     ],
 )
 def test_what_the_sentence_is(words, says):
