@@ -113,8 +113,12 @@ def storage_errors(path: str | Path) -> Iterator[None]:
             message = f"writing {path} is not permitted: write elsewhere or change the permissions"
         elif error.errno in (errno.ENOTDIR, errno.EEXIST):
             message = f"{path} cannot be written: a file stands where a folder is needed"
+        elif error.errno == errno.EISDIR:
+            message = f"{path} cannot be written: a folder stands where the file is to be"
+        elif error.errno == errno.ENOENT:
+            message = f"{path} cannot be written: its folder is gone, or cannot be made there"
         else:
-            raise
+            message = f"{path} cannot be written ({error.strerror or error}): write elsewhere"
         raise StorageError(message) from error
 
 

@@ -86,6 +86,10 @@ def _sentence(error: Exception) -> str | None:
     """Return the one line to print, or None for an error that is a bug of ours and needs its traceback."""
     if isinstance(error, SiamlocError):
         return str(error)
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename} cannot be used: {error.strerror.lower()}"
+    if isinstance(error, MemoryError):
+        return f"there is not enough memory for this ({error}): ask for less at once"
     for module, name in (("analytic.errors", "AnalyticError"), ("augment.errors", "AugmentError")):
         kind = getattr(sys.modules.get(module), name, None)
         if kind is not None and isinstance(error, kind):

@@ -207,7 +207,9 @@ def _check_words(words: list[str]) -> None:
     for before, word in zip(["", *words], words, strict=False):
         if word.startswith("-") or before.startswith("-"):
             continue
-        if "=" not in word and not word.startswith("~"):
+        if word.startswith("~"):
+            raise ConfigError(f"{word} takes away a key that is needed: leave the word out, or set another value")
+        if "=" not in word:
             raise ConfigError(f"{word!r} is not of the form key=value, such as images=[photo.jpeg] or epochs=5")
         try:
             parser.parse_override(word)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,15 @@ from siamloc.evaluation.session import Baselines, Session
 from siamloc.maps import Retrieval, VisualMap, match
 from siamloc.progress import track
 from siamloc.results import Columns
-from siamloc.settings import Count, NotNegative, Settings, takes
+from siamloc.settings import Count, NotNegative, Rule, Settings, takes
 
 Images = NDArray[np.uint8]
 Locate = Callable[[Images], Retrieval]
 _NAMES = {"noise": "variance", "occlusion": "share of the columns", "turn": "degrees"}
 _KINDS = ("noise", "occlusion", "turn", "effect")
+
+
+_STRENGTHS = (0, 0.25, 0.5, 0.75, 1)
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Robustness(Settings):
     occlusion: tuple[float, ...] | None = None
     turn: tuple[float, ...] = (0, 1, 5, 15, 45, 90, 180)
     effects: tuple[str, ...] = ()
-    strengths: tuple[float, ...] = (0, 0.25, 0.5, 0.75, 1)
+    strengths: tuple[Annotated[float, Rule("a number from -1 to 1", lambda value: -1 <= value <= 1)], ...] = _STRENGTHS
 
     def disturbances(self, circular: bool) -> list[Disturbance]:
         """Return what the settings ask for.
