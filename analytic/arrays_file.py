@@ -28,6 +28,7 @@ DAMAGE = (
 """What reading a damaged file raises: a changed byte may also claim an encryption or a compression that does not exist,
 or break the description of an array."""
 
+_AT_ONCE = 2**20  # bytes
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that arrays may have anyway, and for each byte of the file
 
 
@@ -66,8 +67,15 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArr
         there, claimed = member.file_size - held.tell(), prod(shape) * dtype.itemsize
         if claimed != there or any(size < 0 for size in shape):
             raise ValueError(f"{name} claims {claimed} bytes, and there are {there}")
-        content = bytearray(held.read())  # which makes sure that the bytes are those that were written
-        if len(content) != claimed:
-            raise EOFError(f"{name} is cut short")
+        content = bytearray(claimed)
+        with memoryview(content) as view:
+            at = 0
+            while at < claimed:
+                part = held.read(min(_AT_ONCE, claimed - at))
+                if not part:
+                    raise EOFError(f"{name} is cut short")
+                view[at : at + len(part)] = part
+                at += len(part)
+        held.read(1)  # at the end it is made sure that the bytes are those that were written
     values = np.frombuffer(content, dtype=dtype) if claimed else np.empty(0, dtype=dtype)
     return values.reshape(shape, order="F" if in_columns else "C")

@@ -107,6 +107,8 @@ def storage_errors(path: str | Path) -> Iterator[None]:
     except StorageError:
         raise
     except OSError as error:
+        if error.errno is None:  # such as that of a time limit
+            raise
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = f"no space left on the disk while writing {path}: free some space or write elsewhere"
         elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
@@ -159,9 +161,9 @@ def read_json(path: str | Path) -> Any:
         FormatError: the file is missing, cut short, or not JSON.
     """
     path = Path(path)
+    if not path.is_file() and path.exists():
+        raise FormatError(f"{path} is no regular file: give a JSON file")
     try:
-        if not path.is_file() and path.exists():
-            raise FormatError(f"{path} is no regular file")
         return parsed_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise FormatError(f"{path} does not exist") from error

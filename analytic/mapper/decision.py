@@ -210,7 +210,7 @@ def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
             labels += [NONE if event["node"] is None else int(event["node"])] * len(frames)
             for change in event["changes"]:
                 _apply(labels, change)
-        except (ValueError, KeyError, TypeError, IndexError) as error:
+        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
             if isinstance(error, AnalyticError):
                 raise
             raise AnalyticError(

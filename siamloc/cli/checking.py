@@ -8,25 +8,23 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
 from siamloc.cli.schema import OF_TRAINING
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import Count, Natural, Rule, Settings, Share, Size, Workers, checked, fields_of
+from siamloc.settings import Count, Many, Natural, Rule, Settings, Share, Size, Workers, checked, fields_of
+from siamloc.training.settings import Training
 
 Text = Annotated[str, Rule("a text that is not empty", lambda value: bool(value.strip()))]
-Folder = Annotated[
-    str,
-    Rule("a folder of its own", lambda value: bool(value.strip()) and Path(value).absolute() != Path.cwd()),
-]
+Folder = Annotated[str, Rule("the name of a folder", lambda value: bool(value.strip()))]
 Device = Annotated[str, Rule("auto, cpu or cuda", lambda value: re.fullmatch(r"auto|cpu|cuda(:\d+)?", value))]
 Images = tuple[Text, ...] | Text | None
-Positives = Annotated[int, Rule("a whole number from 1 to 1,024", lambda value: 1 <= value <= 1024)]
+Thousand = Annotated[int, Rule("a whole number from 1 to 1,000", lambda value: 1 <= value <= 1000)]
+Listed = Annotated[str, Rule("numbers between commas", lambda value: bool(re.fullmatch(r"\d+(,\d+)*,?", value)))]
 Depth = Annotated[int, Rule("a whole number from 1 to 10,000", lambda value: 1 <= value <= 10_000)]
 Several = Annotated[tuple[Text, ...], Rule("a list of one name or more", lambda value: len(value) > 0)]
 Devices = Annotated[tuple[Natural, ...], Rule("a list of one number or more", lambda value: len(value) > 0)]
@@ -82,11 +80,11 @@ class TrainerKeys(Settings):
     WHERE = "trainer"
 
     accelerator: Text = "auto"
-    devices: Count | Literal["auto"] | Devices = 1
+    devices: Count | Literal["auto", -1] | Devices | Listed = 1
     num_nodes: Count = 1
-    strategy: Text = "auto"
-    precision: Text | Literal[16, 32, 64] = "32-true"
-    log_every_n_steps: Count = 10
+    strategy: Text | None = "auto"
+    precision: Text | Literal[16, 32, 64] | None = "32-true"
+    log_every_n_steps: Natural = 10
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ class Main(Settings):
     projector: bool = False
     images: Images = ()
     bundle: Folder | None = None
-    top: Count = 3
+    top: Many = 3
     loader: Loader = field(default_factory=Loader)
 
 
@@ -143,7 +141,7 @@ class Expand(Settings):
     depth: Depth = 16
     sequences: tuple[Text, ...] | Text | None = ()
     seed: Natural = 0
-    workers: Positives = 2
+    workers: Thousand = 2
     resume: bool = False
 
 
@@ -153,12 +151,12 @@ class Preview(Settings):
 
     out: Text = "augmentation.png"
     images: Images = ()
-    count: Count = 6
+    count: Thousand = 6
 
 
 @dataclass(frozen=True)
 class Demo(Settings):
-    """The keys of `conf/demo.yaml`."""
+    """The keys of `conf/demo/demo.yaml`."""
 
     run: Folder = "runs/demo"
     data: Text = "data"
@@ -206,9 +204,90 @@ def check(name: str, config: DictConfig) -> None:
             raise ConfigError(f"{group} is a group of keys: set them one by one, such as {group}.KEY=VALUE")
         of_group(config, values[group])
     if training:
-        from siamloc.cli.objects import training_of
-
         training_of(config)
+
+
+def training_of(config: DictConfig) -> Training:
+    """Return the settings of a training; those that the command line calls otherwise are checked by its names."""
+    held: Any = OmegaConf.to_container(config, resolve=True)
+    values = {key: held[key] for key in (*OF_TRAINING, "pairs", "optimizer")}
+    others = {"workers": "loader.workers", "augment_where": "augment.where"}
+    if held["loss"].get("name") == "contrastive":  # others have their own margins
+        others["margin"] = "loss.margin"
+    for name, key in others.items():
+        value = OmegaConf.select(config, key)
+        if value is not None:
+            values[name] = checked(value, fields_of(Training)[name], key)
+    return Training.of(values)
+
+
+TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "robustness", "buildings")
+_BASELINES: dict[str, Any] = {"plots": bool, "baselines": tuple[str, ...]}
+_MORE: dict[str, dict[str, Any]] = {
+    "absolute": _BASELINES,
+    "room_retrieval": _BASELINES,
+    "robustness": {"names": tuple[str, ...], **_BASELINES},
+    "hierarchical": {"names": tuple[str, ...], "plots": bool},
+    "mapping": {"names": tuple[str, ...], "plots": bool},
+    "buildings": {
+        "names": tuple[str, ...],
+        "plots": bool,
+        "maps": tuple[str, ...] | str | None,
+        "distance": str | None,
+    },
+}
+"""What tasks hold besides the settings of their call."""
+
+
+def settings_of(task: Mapping[str, Any]) -> Settings | None:
+    """Return the settings of a task: what `conf/task` holds, as the call of `siamloc.evaluation` takes it.
+
+    Raises:
+        ConfigError: an unknown task or key, a value of another type or out of range, or tasks that are not measured
+            together.
+    """
+    from siamloc.evaluation.disturbed import Robustness
+    from siamloc.evaluation.hierarchy import Hierarchical
+    from siamloc.evaluation.layers import MapMeasures
+    from siamloc.evaluation.localize import Localization
+
+    names = checked(task.get("names"), tuple[str, ...], "task.names")
+    for name in names:
+        if name not in TASKS:
+            raise ConfigError(f"unknown task {name!r}: {hint(str(name), TASKS)}")
+    if len(names) != 1 and set(names) != {"absolute", "room_retrieval"}:
+        raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
+    name = names[0]
+    own = {"hierarchical": "coarse", "mapping": "closure_radius", "robustness": "robustness", "buildings": "maps"}
+    if name in own and own[name] not in task:
+        raise ConfigError(f"{name} has settings of its own: choose it with task={name}")
+    kinds = {"hierarchical": Hierarchical, "mapping": MapMeasures, "robustness": Robustness, "buildings": None}
+    kind: type[Settings] | None = kinds.get(name, Localization)
+    values: dict[str, Any] = dict(task)
+    more = {key: values.pop(key) for key in _MORE[name] if key in values}
+    for key, value in more.items():
+        checked(value, _MORE[name][key], f"task.{key}")
+    _baselines(more.get("baselines", ()))
+    if kind is Robustness:
+        values = dict(checked(values["robustness"], Mapping, "task.robustness"))
+    if kind is Hierarchical:
+        coarse = dict(checked(values["coarse"], Mapping, "task.coarse"))
+        checked(coarse.pop("descriptor", None), str | None, "task.coarse.descriptor")
+        values["coarse"] = coarse
+    if kind is None:
+        _known(values, [], "task", _MORE[name])
+        return None
+    return kind.of(values)
+
+
+def _baselines(names: Any) -> None:
+    """Refuse a baseline that is no descriptor of `conf/descriptor`."""
+    from analytic import DESCRIPTORS
+
+    known = ("network", "pretrained", "untrained", "thumbnail", "gist_mapping", "hog_mapping", *DESCRIPTORS)
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"unknown descriptor {name!r} in task.baselines: {hint(name, known)}")
 
 
 def _is_group(name: str, group: str) -> bool:
@@ -216,12 +295,13 @@ def _is_group(name: str, group: str) -> bool:
     return name != "demo" and group not in fields_of(_OWN[name])
 
 
-def _known(values: Mapping[str, Any], names: Any, where: str) -> None:
-    """Refuse a key that is not among the names."""
+def _known(values: Mapping[str, Any], names: Iterable[str], where: str, others: Iterable[str] = ()) -> None:
+    """Refuse a key that is not among the names of a group; `others` are shown as well."""
+    names, before = set(names), f"{where}." if where else ""
     for key in values:
         if key not in names:
-            full = f"{where}.{key}" if where else key
-            raise ConfigError(f"unknown configuration key {full!r}: {hint(str(key), list(names))}")
+            valid = sorted(f"{before}{name}" for name in {*names, *others})
+            raise ConfigError(f"unknown configuration key {f'{before}{key}'!r}: {hint(f'{before}{key}', valid)}")
 
 
 def _data(config: DictConfig, values: Mapping[str, Any]) -> None:
@@ -290,7 +370,7 @@ def _trainer(config: DictConfig, values: Mapping[str, Any]) -> None:
 
 
 def _descriptor(config: DictConfig, values: Mapping[str, Any]) -> None:
-    from analytic import DESCRIPTORS, Thumbnail, descriptor
+    from analytic import DESCRIPTORS, Thumbnail
 
     options = dict(values)
     name = checked(options.pop("name", None), Text, "descriptor.name")
@@ -302,21 +382,30 @@ def _descriptor(config: DictConfig, values: Mapping[str, Any]) -> None:
         _known(options, ["rows", "columns"], "descriptor")
         Thumbnail(**options)
     elif name in DESCRIPTORS:
-        descriptor(name, **options)
+        _analytic(name, options, "descriptor")
     else:
         known = ("network", "pretrained", "untrained", "thumbnail", *DESCRIPTORS)
         raise ConfigError(f"unknown descriptor {name!r}: {hint(name, known)}")
 
 
+def _analytic(name: str, options: Mapping[str, Any], where: str) -> None:
+    """Check the parameters of an analytic descriptor; those that follow from data and device cannot be set."""
+    from analytic import descriptor
+    from analytic.descriptors.registry import parameters
+
+    _known(options, set(parameters(name)) - {"circular", "device"}, where)
+    descriptor(name, **options)
+
+
 def _heading(config: DictConfig, values: Mapping[str, Any]) -> None:
-    from analytic import DESCRIPTORS, descriptor
+    from analytic import DESCRIPTORS
 
     options = dict(values)
     name = checked(options.pop("name", None), Text, "heading.name")
     if name == "none":
         _known(options, ["name"], "heading")
     elif name in DESCRIPTORS:
-        descriptor(name, **options)
+        _analytic(name, options, "heading")
     else:
         raise ConfigError(f"unknown heading {name!r}: {hint(name, ['none', *DESCRIPTORS])}")
 
@@ -336,8 +425,6 @@ def _build(config: DictConfig, values: Mapping[str, Any]) -> None:
 
 
 def _task(config: DictConfig, values: Mapping[str, Any]) -> None:
-    from siamloc.cli.tasks import settings_of
-
     settings_of(values)
 
 

@@ -253,6 +253,12 @@ def _explained(error: Exception, words: list[str], name: str) -> Exception:
     text = " ".join(str(error).split())
     if found := re.search(r"Could not override '([^']+)'", text):
         key = found[1].lstrip("+~").partition("@")[0]
+        if (config_folder() / key).is_dir() and "=" in " ".join(words):
+            inside = sorted(path.name for path in (config_folder() / key).iterdir() if path.is_dir())
+            if inside:
+                return ConfigError(
+                    f"{key} is a group of groups: choose {' or '.join(f'{key}/{one}=NAME' for one in inside)}"
+                )
         added = f"; what else Lightning's Trainer takes is added with a plus: +{key}=..."
         more = added if key.startswith("trainer.") else ""
         return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, name, words)}{more}")
@@ -265,8 +271,13 @@ def _explained(error: Exception, words: list[str], name: str) -> Exception:
 
 
 def _nearest_key(key: str, name: str, words: list[str]) -> str:
+    from hydra.errors import HydraException
+
     groups = [word for word in words if (config_folder() / word.partition("=")[0]).is_dir() and "," not in word]
-    config = _hydra_compose(name, groups)
+    try:
+        config = _hydra_compose(name, groups)
+    except HydraException:  # a group has no such choice
+        config = _hydra_compose(name, [])
     node, parents = config, []
     for part in key.split(".")[:-1]:
         if not isinstance(node, DictConfig) or not isinstance(node.get(part), DictConfig):

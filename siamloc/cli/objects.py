@@ -10,9 +10,9 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
+from siamloc.cli.checking import training_of
 from siamloc.cli.compose import config_folder, plain, sweep_suffix
 from siamloc.cli.inherit import check_named, label_of, suggestion
-from siamloc.cli.schema import OF_TRAINING
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
@@ -20,8 +20,7 @@ from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps import ErrorModel, Refinement, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run
-from siamloc.settings import checked, fields_of
-from siamloc.training.settings import Training
+from siamloc.settings import checked
 
 
 def data_of(config: DictConfig) -> DataSettings:
@@ -98,19 +97,6 @@ def bundle_of(config: DictConfig) -> Path:
     if config.bundle is None and config.run is None:
         raise ConfigError(f"no bundle and no run are named: give bundle=FOLDER, or {suggestion()}")
     return Path(config.bundle) if config.bundle is not None else run_of(config).bundle
-
-
-def training_of(config: DictConfig) -> Training:
-    """Return the settings of a training; those that the command line calls otherwise are checked by its names."""
-    values = {key: plain(config)[key] for key in (*OF_TRAINING, "pairs", "optimizer")}
-    others = {"workers": "loader.workers", "augment_where": "augment.where"}
-    if OmegaConf.select(config, "loss.name") == "contrastive":  # others have their own margins
-        others["margin"] = "loss.margin"
-    for name, key in others.items():
-        value = OmegaConf.select(config, key)
-        if value is not None:
-            values[name] = checked(value, fields_of(Training)[name], key)
-    return Training.of(values)
 
 
 def loss_of(config: DictConfig) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from omegaconf import DictConfig
 
 from analytic import Descriptor
 from siamloc import evaluation, maps
+from siamloc.cli.checking import settings_of
 from siamloc.cli.compose import plain
 from siamloc.cli.inherit import label_of, map_file
 from siamloc.cli.objects import (
@@ -25,7 +25,7 @@ from siamloc.cli.objects import (
     way_of,
 )
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError
 from siamloc.evaluation import Result
 from siamloc.evaluation.disturbed import Robustness
 from siamloc.evaluation.hierarchy import Hierarchical
@@ -33,63 +33,6 @@ from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
 from siamloc.maps import Built, VisualMap
 from siamloc.runs import Run
-from siamloc.settings import Settings, checked, fields_of
-
-TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "robustness", "buildings")
-_KINDS: dict[str, type[Settings]] = {
-    "absolute": Localization,
-    "room_retrieval": Localization,
-    "hierarchical": Hierarchical,
-    "mapping": MapMeasures,
-    "robustness": Robustness,
-}
-_FURTHER: dict[str, Any] = {
-    "names": tuple[str, ...],
-    "plots": bool,
-    "baselines": tuple[str, ...],
-    "maps": tuple[str, ...] | str | None,
-    "distance": str | None,
-}
-"""What tasks hold besides the settings of their call."""
-
-
-def settings_of(task: Mapping[str, Any]) -> Settings | None:
-    """Return the settings of a task: what `conf/task` holds, as the call of `siamloc.evaluation` takes it.
-
-    Raises:
-        ConfigError: an unknown task or key, a value of another type or out of range, or tasks that are not measured
-            together.
-    """
-    names = checked(task.get("names"), tuple[str, ...], "task.names")
-    for name in names:
-        if name not in TASKS:
-            raise ConfigError(f"unknown task {name!r}: {hint(str(name), TASKS)}")
-    if len(names) != 1 and set(names) != {"absolute", "room_retrieval"}:
-        raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
-    own = {"hierarchical": "coarse", "mapping": "closure_radius", "robustness": "robustness", "buildings": "maps"}
-    if names[0] in own and own[names[0]] not in task:
-        raise ConfigError(f"{names[0]} has settings of its own: choose it with task={names[0]}")
-    kind = _KINDS.get(names[0])
-    further = {key: value for key, value in task.items() if kind is None or key not in fields_of(kind)}
-    if kind is Robustness:
-        kind, values = Robustness, further.pop("robustness")
-    else:
-        values = {key: value for key, value in task.items() if key not in further}
-    if kind is Hierarchical:
-        values, further["names"] = _coarse_alone(values), names
-    for key, value in further.items():
-        if key not in _FURTHER:
-            known = [*_FURTHER, *(fields_of(kind) if kind is not None else ())]
-            raise ConfigError(f"unknown configuration key 'task.{key}': {hint(key, known)}")
-        checked(value, _FURTHER[key], f"task.{key}")
-    return None if kind is None else kind.of(checked(values, Mapping, "task.robustness"))
-
-
-def _coarse_alone(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a hierarchical search without the descriptor of its nodes, which is opened here."""
-    coarse = dict(checked(values["coarse"], Mapping, "task.coarse"))
-    checked(coarse.pop("descriptor", None), str | None, "task.coarse.descriptor")
-    return {**values, "coarse": coarse}
 
 
 def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -88,7 +88,7 @@ class ErrorModel(Learned):
     """
 
     FORMAT = "siamloc-error-model"
-    VERSION = 2
+    VERSION = 3
     NOUN = "error model"
 
     score: str
@@ -193,6 +193,11 @@ class ErrorModel(Learned):
         if self.score != _POSE:
             raise ConfigError("the error model was not learned from refined poses: learn it with refine='relative'")
         return np.interp(pose_score(poses), self.knots, self.errors)
+
+    @classmethod
+    def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
+        """Add of which poses the errors of a model before version 3 are: it did not know those between frames."""
+        return {"refine": "relative" if held.get("score") == _POSE else "none", **held} if version < 3 else held
 
     @property
     def of_poses(self) -> bool:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
 
 from siamloc.errors import FormatError
 from siamloc.files import read_json, write_json
+from siamloc.settings import checked
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -47,15 +48,23 @@ class Learned:
         source = f"the {cls.NOUN}" if source is None else source
         if not isinstance(values, Mapping) or values.get("format") != cls.FORMAT:
             raise FormatError(f"{source} is not a siamloc {cls.NOUN}: make it with `siamloc evaluate`")
-        if not isinstance(values.get("version"), int) or values["version"] > cls.VERSION:
+        version = values.get("version")
+        if type(version) is not int or not 1 <= version <= cls.VERSION:
             raise FormatError(
-                f"{source} has format version {values.get('version')}, this siamloc reads up to {cls.VERSION}: "
-                "update siamloc"
+                f"{source} has format version {version}, this siamloc reads up to {cls.VERSION}: update siamloc"
             )
+        held = {key: value for key, value in values.items() if key not in ("format", "version")}
         try:
-            return cls(**{key: value for key, value in values.items() if key not in ("format", "version")})
+            kinds = get_type_hints(cls)
+            held = {key: checked(value, kinds[key], key) if key in kinds else value for key, value in held.items()}
+            return cls(**cls._renewed(held, version))
         except (TypeError, ValueError) as error:
             raise FormatError(f"{source} is not a whole {cls.NOUN} ({error}): make it again") from error
+
+    @classmethod
+    def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
+        """Return the values of an older version as those of this one."""
+        return held
 
     def save(self, path: str | Path) -> None:
         """Write it as JSON, atomically.

@@ -126,7 +126,7 @@ class Refinement(Learned):
     """
 
     FORMAT = "siamloc-refinement"
-    VERSION = 1
+    VERSION = 2
     NOUN = "refinement of poses"
 
     method: str
@@ -142,6 +142,13 @@ class Refinement(Learned):
             raise ConfigError(f"refining needs a whole number of neighbours from 1, got {self.neighbours!r}")
         if not 0 <= self.radius < math.inf or not 0 < self.widening < math.inf:
             raise ConfigError(f"refining needs radius >= 0 and widening > 0, got {self.radius} and {self.widening}")
+
+    @classmethod
+    def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
+        """Adjust the widening of version 1, which counted an answer's information (f + 2) / f times, f the freedom."""
+        if version == 1 and "widening" in held:
+            held = {**held, "widening": held["widening"] * FREEDOM / (FREEDOM + 2)}
+        return held
 
     def poses(
         self, known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None
@@ -251,12 +258,14 @@ def _most_likely(
     A robot asks for one query at a time, and then numpy's calls cost more than what they compute: so matrices of 2 x 2
     are spelled out by their entries.
     """
+    n, k = probability.shape
     middle = at[:, :1]
     x, y = (at - middle)[..., 0], (at - middle)[..., 1]
     xx, xy, yy = about[..., 0, 0], about[..., 0, 1], about[..., 1, 1]
     answers = _Answers(x, y, xx, xy, yy, probability * np.sqrt(xx * yy - xy * xy) / (2 * np.pi))
     summed = np.stack([xx, xy, yy, xx * x + xy * y, xy * x + yy * y], axis=2)
     points = at - middle  # (n, k, 2): where the search from each answer has come to
+    arrived = np.zeros((n, k, 1), dtype=bool)
     for _ in range(_ROUNDS):
         weight, _, _ = _weighed(points, answers)
         sums = weight @ summed
@@ -264,9 +273,10 @@ def _most_likely(
         size = a * c - b * b
         moved = np.stack([c * right - b * up, a * up - b * right], axis=2) / np.maximum(size, _NOTHING)[..., None]
         moved = np.where((size > _NOTHING)[..., None], moved, points)
-        still = np.abs(moved - points).max(initial=0.0) < _STILL
-        points = moved
-        if still:
+        moving = np.abs(moved - points).max(axis=2, keepdims=True) >= _STILL
+        points = np.where(arrived, points, moved)  # so that a query alone has the answer that it has among others
+        arrived |= ~moving
+        if arrived.all():
             break
     weight, share, density = _weighed(points, answers)
     likely = np.log(density + STRAY).sum(axis=2)

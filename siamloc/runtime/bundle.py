@@ -214,7 +214,7 @@ def export(
     if errors is not None and errors.refine != method:
         raise ConfigError(
             f"the error model expects errors of poses with refine={errors.refine}, and the robot makes them with "
-            f"refine={method}: give errors and refinement of one evaluation"
+            f"refine={method}: give errors and refinement of one evaluation, made anew where it is older"
         )
     image_size = (parameters["height"], parameters["width"])
     with storage_errors(folder):

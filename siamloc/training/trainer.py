@@ -98,7 +98,7 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
     try:
         return Trainer(**options, **own)
     except Exception as error:  # Lightning, and what it asks for a device, may raise anything
-        first_line = str(error).strip().splitlines()[0]
+        first_line = next(iter(str(error).strip().splitlines()), type(error).__name__)
         raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from bisect import bisect_right
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from siamloc.errors import FormatError
-from siamloc.files import atomic_path
+from siamloc.files import atomic_path, parsed_json
 from siamloc.report.draw.look import INK, style
 from siamloc.report.draw.node_colours import NO_NODE, POOL, ink, neighbouring, node_colours
 from siamloc.report.draw.nodes import NodePlan, counted, dress, plan_size, spread_out
@@ -81,7 +80,7 @@ def read_story(log: str | Path, plan: NodePlan) -> Story:
 
     log = Path(log)
     try:
-        header, *events = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines() if line]
+        header, *events = [parsed_json(line) for line in log.read_text(encoding="utf-8").splitlines() if line]
         story = Story(plan, tuple(events), dict(header["parameters"]), dict(header["descriptor"]), (), {})
         final = story.labels(len(events))
     except (OSError, ValueError, KeyError, TypeError, AnalyticError) as error:
