@@ -94,7 +94,7 @@ class Main(Settings):
     run: Folder | None = None
     resume: bool = False
     overwrite: bool = False
-    debug: Literal["one_batch", "overfit", "profile"] | None = None
+    debug: Literal["overfit", "one_batch", "profile"] | None = None
     checkpoint: Literal["best", "last"] = "best"
     device: Device = "auto"
     projector: bool = False

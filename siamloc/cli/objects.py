@@ -140,8 +140,6 @@ def training_folder(config: DictConfig) -> Path:
     data = config.data.name or "data" if "data" in config else "pretrained"
     names = [data, config.model.branch.name, config.model.head.name, f"seed{config.seed}"]
     folder = Path("runs") / "-".join(names) if config.run is None else Path(config.run)
-    if config.run is not None and not str(config.run).strip():
-        raise ConfigError("run= is empty: name a folder, such as run=runs/robot")
     return folder / sweep_suffix() if sweep_suffix() else folder
 
 

@@ -84,7 +84,7 @@ def test_one_unreadable_image_is_left_out_and_said(manifest, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("word", "sentence"),
     [
-        ("depth=0", "depth must be a whole number of variants per frame, at least 1, got 0"),
+        ("depth=0", "depth must be a whole number from 1 to 10,000, got 0"),
         ("sequences=[evening]", "no frame has sequence 'evening'"),
         ("dept=3", "did you mean 'depth'"),
         ("out={folder}", "holds images that are to be expanded"),

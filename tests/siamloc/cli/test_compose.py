@@ -20,7 +20,7 @@ def options(group):
     [
         f"{group}={option}"
         for group in sorted(set(GROUPS))
-        if group not in ("building", "simulate")
+        if group not in ("building", "simulate", "demo")
         for option in options(group)
     ],
 )

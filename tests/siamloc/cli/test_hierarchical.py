@@ -184,7 +184,7 @@ def test_estimates_beside_the_single_frame_one(manifest, tmp_path, capsys):
         "absolute_filtered": estimates.measures_of(columns, "filtered", radii, frames, "m"),
         "absolute_tracked": estimates.measures_of(columns, "tracked", radii, frames, "m"),
         "absolute_interpolated": estimates.measures_of(columns, "interpolated", radii, frames, "m"),
-        "calibration": calibration.measures_of(columns, 0.5),
+        "calibration": calibration.measures_of({**columns, "error": columns["interpolated_error"]}, 0.5),
     }
     assert json.dumps(plain(again)) == json.dumps(measures)
     known = read_rows(folder, "map")

@@ -85,7 +85,9 @@ def test_people_s_files_are_never_removed(manifest, tmp_path, capsys, monkeypatc
             said = capsys.readouterr().err.splitlines()
             error = said[-1]  # before it, images may have been decoded
             assert [line for line in said if line.startswith("siamloc: ")] == [error]
-            assert ("run= is empty" if run == "run=" else "is not a run and holds other files") in error
+            assert (
+                "run must be the name of a folder" if run == "run=" else "is not a run and holds other files"
+            ) in error
     assert mine.read_text() == "years of work"
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["checkpoints", "thesis.txt"]
 

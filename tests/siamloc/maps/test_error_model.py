@@ -141,7 +141,7 @@ def test_the_prediction_needs_numpy_only() -> None:
     [
         ({"format": "other"}, "this is not a siamloc error model"),
         ([], "this is not a siamloc error model"),
-        ({**MODEL.as_dict(), "version": 3}, "format version 3, this siamloc reads up to 2"),
+        ({**MODEL.as_dict(), "version": 4}, "format version 4, this siamloc reads up to 3"),
         ({**MODEL.as_dict(), "version": "1"}, "format version 1"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),
         ({**MODEL.as_dict(), "errors": [3, 2, 1]}, "not a whole error model"),

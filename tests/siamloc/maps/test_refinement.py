@@ -11,6 +11,7 @@ from analytic import Description, Thumbnail
 from siamloc.data import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import HeadingPart, RefinedPoses, Retrieval, VisualMap, refine
+from siamloc.maps.refinement import _most_likely as most_likely
 
 THETA = np.array([0.3, -2.0, 3.0, 1.0])
 XY = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [8.0, 8.0]])
@@ -169,3 +170,13 @@ def test_one_answer_knows_what_it_says():
     cosine, sine = np.cos(THETA[0]), np.sin(THETA[0])
     turned = np.array([[cosine, -sine], [sine, cosine]])
     np.testing.assert_allclose(poses.information[0], poses.agreement[0] * turned @ np.diag([100, 400]) @ turned.T)
+
+
+def test_a_query_alone_has_the_answer_that_it_has_among_others():
+    rng = np.random.default_rng(0)
+    at, factor = rng.normal(0, 0.5, (60, 4, 2)), rng.normal(0, 4, (60, 4, 2, 2))
+    about, probability = factor @ factor.swapaxes(-1, -2) + np.eye(2), rng.random((60, 4))
+    together = most_likely(at, about, probability)
+    alone = [most_likely(at[row : row + 1], about[row : row + 1], probability[row : row + 1]) for row in range(60)]
+    for found, one_by_one in zip(together, zip(*alone, strict=True), strict=True):
+        np.testing.assert_allclose(found, np.concatenate(one_by_one), atol=1e-9)
