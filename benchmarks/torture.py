@@ -35,6 +35,7 @@ from siamloc.cli.compose import composed, plain
 from siamloc.cli.help import COMMANDS
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import SiamlocError
+from siamloc.training import fitting  # noqa: F401 (its packages take seconds to load, which is no fault of a case)
 
 LONGEST = 10.0
 SENTENCES = (SiamlocError, AnalyticError, AugmentError, UnreadableImageError)
@@ -144,10 +145,10 @@ def main() -> None:
     report.write({"rows": {part: dict(counts) for part, counts in found.items()}, "wrong": wrong})
 
 
-def outcome_of(case: Callable[[], Any], nonsense: bool) -> Outcome:
+def outcome_of(case: Callable[[], Any], nonsense: bool, longest: float = LONGEST) -> Outcome:
     """Run a case and say what came of it."""
     try:
-        with limited(LONGEST):
+        with limited(longest):
             case()
     except SENTENCES as error:
         return Outcome("refused", str(error))

@@ -269,6 +269,7 @@ def settings_of(task: Mapping[str, Any]) -> Settings | None:
         checked(value, _MORE[name][key], f"task.{key}")
     _baselines(more.get("baselines", ()))
     if kind is Robustness:
+        _known(values, ["robustness"], "task", _MORE[name])
         values = dict(checked(values["robustness"], Mapping, "task.robustness"))
     if kind is Hierarchical:
         coarse = dict(checked(values["coarse"], Mapping, "task.coarse"))

@@ -95,7 +95,7 @@ class DataSettings(Settings):
     manifest: Path | None = None
     root: Path | None = None
     places: Path | None = None
-    camera: str | None = None
+    camera: Literal["omni_cam", "std_cam"] | None = None
     unit: str = "m"
     image_size: Size = (128, 512)
     circular: bool = True

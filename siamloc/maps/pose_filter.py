@@ -19,7 +19,7 @@ from siamloc.maps.refinement import FREEDOM, RefinedPoses
 
 _STORIES = 5
 _STRAY = 0.15  # density of poses that are wrong, per square unit of the positions
-_TRUSTED = 0.5  # probability from which on a pose is taken for no stray one
+_TRUSTED = 0.05  # probability below which a pose is taken for a stray one
 _NEAR = 0.05  # share of a step: stories that have come this near to each other are one
 _ACCELERATION = 0.5  # deviation of how much the step between two queries changes, as a share of the usual step
 _MOVES = np.block([[np.eye(2), np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
@@ -34,7 +34,7 @@ class _Story:
     covariance: NDArray[np.float64]
     evidence: float
     share: float  # probability that the last pose is no stray one
-    trusted: RefinedPoses  # the last one that probably is none: it gives the heading and the map frame
+    trusted: RefinedPoses  # the last one that may be none: it gives the heading and the map frame
 
 
 class PoseFilter:
@@ -76,7 +76,7 @@ class PoseFilter:
         """Take in the pose of one query and return the filtered one.
 
         A pose without information, see `RefinedPoses`, moves the robot on as it went. Heading and map frame are those
-        of the last pose that is probably no stray one.
+        of the last pose that may be no stray one.
 
         Raises:
             DataError: not one pose.
