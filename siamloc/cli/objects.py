@@ -20,7 +20,6 @@ from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps import ErrorModel, Refinement, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run
-from siamloc.settings import checked
 
 
 def data_of(config: DictConfig) -> DataSettings:
@@ -128,10 +127,10 @@ def network_of(config: DictConfig) -> dict[str, Any]:
         "weights": model["branch"]["weights"],
         "head": model["head"]["name"],
         "outputs": model["head"].get("outputs"),
-        "circular": checked(model["circular"], bool, "model.circular"),
+        "circular": model["circular"],
         "normalize": model["normalize"],
-        "canonical": checked(model["canonical"], bool, "model.canonical"),
-        "relative": checked(model["relative"], bool, "model.relative"),
+        "canonical": model["canonical"],
+        "relative": model["relative"],
     }
 
 
