@@ -8,10 +8,10 @@ import json
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, FormatError, StorageError
+from siamloc.locks import held, is_at, lock, release
+
+_FILE = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
+_NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL
+_FOLDER = os.O_RDONLY
 
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder that becomes `path` when the block ends without an error.
 
-    The parent folders are made. After an error nothing is left behind and an older file stays as it was.
+    The parent folders are made. After an error nothing is left behind and an older file stays as it was. What is left
+    after a kill is taken over when the file is written again.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -33,29 +39,100 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=f".tmp{path.suffix}", dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
+        temporary, handle = _taken(path)
         try:
             yield temporary
             with temporary.open("rb") as file:
                 os.fsync(file.fileno())
-            temporary.chmod(0o666 & ~_umask())
             temporary.replace(path)
-        finally:
+        except BaseException:
             with suppress(FileNotFoundError):
                 temporary.unlink()
+            raise
+        finally:
+            release(handle)
+
+
+@contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """Yield an empty temporary folder next to `path` that becomes `path` when the block ends without an error.
+
+    What was there before is replaced as a whole. After an error nothing is left behind and the older folder stays as
+    it was.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    path = Path(path)
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary, handle = _taken(path, folder=True)
+        try:
+            yield temporary
+            if path.exists():
+                _exchange(path, temporary)
+            else:
+                temporary.replace(path)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+        finally:
+            release(handle)
+        clear_temporaries([path])
+
+
+def _exchange(path: Path, temporary: Path) -> None:
+    """Put a temporary folder in the place of `path`, or leave `path` as it was."""
+    older, handle = _taken(path, folder=True)
+    try:
+        path.replace(older)  # which is empty
+        try:
+            temporary.replace(path)
+        except BaseException:
+            older.replace(path)
+            raise
+    finally:
+        release(handle)
+
+
+def _taken(path: Path, *, folder: bool = False) -> tuple[Path, int]:
+    """Make an empty temporary file or folder for `path`, or take over what a killed process left; hold it, too.
+
+    The names have the numbers 0, 1, ...: the first is taken that no living process holds. So what a killed process
+    left is gone as soon as the same is written again, and two processes that write the same do not meet.
+    """
+    for number in count():
+        temporary = path.with_name(f".{path.name}.{number}.tmp{path.suffix}")
+        fresh = True
+        try:
+            if folder:
+                temporary.mkdir()
+            handle = os.open(temporary, _FOLDER if folder else _NEW_FILE, 0o666)
+        except FileExistsError:
+            fresh = False
+            try:
+                handle = os.open(temporary, _FOLDER if folder else _FILE)
+            except OSError:  # gone meanwhile, or somebody else's
+                continue
+        got = lock(handle)
+        if got is False or not is_at(handle, temporary) or (got is None and not fresh):
+            release(handle)
+        else:
+            if not folder:
+                os.ftruncate(handle, 0)
+            for item in temporary.iterdir() if folder else ():
+                _remove(item)
+            return temporary, handle
+    raise AssertionError("there are always more numbers")
 
 
 def temporary_of(path: str | Path) -> str:
-    """Return the name of the file that a temporary one of `atomic_path` was to become, "" for any other file.
+    """Return the name of what a temporary file or folder of this module was to become, "" for any other one.
 
-    A killed process leaves its temporary files behind; this is how to recognize them.
-
-    >>> temporary_of("data/.camera.json.k3x_0a9z.tmp.json"), temporary_of("data/camera.json")
+    >>> temporary_of("data/.camera.json.0.tmp.json"), temporary_of("data/camera.json")
     ('camera.json', '')
     """
-    match = re.fullmatch(r"\.(.+)\.[a-z0-9_]{8}\.tmp(\.[^.]+)?", Path(path).name)
+    match = re.fullmatch(r"\.(.+)\.\d+\.tmp(\.[^.]+)?", Path(path).name)
     return match[1] if match and Path(match[1]).suffix == (match[2] or "") else ""
 
 
@@ -68,35 +145,46 @@ def clear_temporaries(paths: Iterable[str | Path]) -> None:
     for path in map(Path, paths):
         for leftover in path.parent.glob(f".{escape(path.name)}.*"):
             if temporary_of(leftover) == path.name:
-                with storage_errors(leftover):
-                    leftover.unlink(missing_ok=True)
+                remove_leftover(leftover)
+
+
+def remove_leftover(temporary: Path) -> None:
+    """Remove a temporary file or folder unless a living process is writing it.
+
+    Raises:
+        StorageError: removing is not permitted.
+    """
+    with storage_errors(temporary), suppress(FileNotFoundError), held(temporary) as free:
+        if free:
+            _remove(temporary)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
 
 
 @contextmanager
-def atomic_folder(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder next to `path` that becomes `path` when the block ends without an error.
-
-    What was there before is replaced as a whole. After an error nothing is left behind and the older folder stays as
-    it was; after a kill a folder `.<name>.<letters>.tmp` is left.
+def alone(folder: Path) -> Iterator[None]:
+    """Keep other processes that ask for this out of a folder; it is made, and goes if an error leaves it empty.
 
     Raises:
-        StorageError: the disk is full or refuses.
+        ConfigError: another process works there.
+        StorageError: the disk refuses.
     """
-    path = Path(path)
-    with storage_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with held(folder) as free:
+        if not free:
+            raise ConfigError(f"another process is writing into {folder}: wait for its end, or choose another folder")
         try:
-            temporary.chmod(0o777 & ~_umask())
-            yield temporary
-            if path.exists():
-                with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent) as old:
-                    path.rename(Path(old, "old"))
-                    temporary.rename(path)
-            else:
-                temporary.rename(path)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+            yield
+        except BaseException:
+            with suppress(OSError):  # it holds something
+                folder.rmdir()
+            raise
 
 
 @contextmanager
@@ -215,9 +303,3 @@ def file_hash(path: str | Path) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, FormatError
 from siamloc.files import clear_temporaries, plain, read_json, storage_errors, write_json
+from siamloc.locks import held
 from siamloc.results import versions
 
 if TYPE_CHECKING:
@@ -212,10 +213,11 @@ class Run:
         """
         if not self.record.is_file():
             return
-        record = self.load_record()
-        written = {*record["written"], *(self._inside(name) for name in names)}
-        if written != set(record["written"]):
-            write_json(self.record, {**record, "written": sorted(written)})
+        with held(self.record, wait=True):  # several commands may work on a run at once
+            record = self.load_record()
+            written = {*record["written"], *(self._inside(name) for name in names)}
+            if written != set(record["written"]):
+                write_json(self.record, {**record, "written": sorted(written)})
 
     def clear(self) -> None:
         """Remove what siamloc wrote into the run and noted; the record and all other files stay.

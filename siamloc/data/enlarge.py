@@ -18,7 +18,7 @@ from siamloc.data.expansion import outputs, write_lists
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, DataError
-from siamloc.files import storage_errors
+from siamloc.files import alone, storage_errors
 from siamloc.progress import track
 
 
@@ -93,7 +93,7 @@ def expand(
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
 
     Raises:
-        ConfigError: frames that no reader gave, or a folder inside the data.
+        ConfigError: frames that no reader gave, a folder inside the data, or another process that writes there.
         DataError: no image can be read.
         AugmentError: a depth below 1, a folder in use, or another expansion to resume.
         StorageError: the disk is full or refuses.
@@ -113,7 +113,7 @@ def expand(
         except UnreadableImageError as error:
             raise AugmentError(f"{path}: {error}") from error
 
-    with storage_errors(folder):
+    with alone(folder), storage_errors(folder):
         done = write_variants(
             frames.path.tolist(),
             pictures,

@@ -19,7 +19,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import COLUMNS
 from siamloc.data.names import NamedPose, format_name, name_sequence, parse_name
 from siamloc.errors import DataError
-from siamloc.files import clear_temporaries, write_json, write_text
+from siamloc.files import write_json, write_text
 
 MANIFEST = "manifest.csv"
 _TICK = 1e-6  # s, between the times of two variants in names that carry the time
@@ -159,7 +159,6 @@ def _write_places(frames: FrameTable, pictures: list[list[Path]]) -> list[Path]:
     written = []
     for rows in frames.rows_by("sequence").values():
         sequence = pictures[rows[0]][0].parents[1]
-        clear_temporaries([sequence / "camera.json", sequence / "localization" / "places.lst"])
         # Without it the reader of COLD would take panoramas for what the mirror shows, and unwrap them again.
         write_json(sequence / "camera.json", {"images": "panorama"})
         if not any(frames.room[rows].tolist()):
@@ -182,6 +181,5 @@ def _write_manifest(
         for picture, theta in zip(pictures[row], headings[row].tolist(), strict=True):
             values = {**frame, "theta": theta, "image": picture.relative_to(folder).as_posix()}
             writer.writerow("" if values[column] != values[column] else values[column] for column in COLUMNS)
-    clear_temporaries([folder / MANIFEST])
     write_text(folder / MANIFEST, text.getvalue())
     return folder / MANIFEST

@@ -112,7 +112,18 @@ def pretrain(
         "frames": {"train": None, "validation": None},
     }
     what = f"random buildings, a new one every {views.batches} batches, {places.epoch_batches} batches per epoch"
-    learn(module, data, run, used, settings, trainer, monitor=settings.monitor, what=what, resume=resume)
+    learn(
+        module,
+        data,
+        run,
+        used,
+        settings,
+        trainer,
+        monitor=settings.monitor,
+        what=what,
+        resume=resume,
+        overwrite=overwrite,
+    )
     if process_rank() == 0:
         save_weights(without_layer(network), run.weights)
         run.record_written([run.weights])

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from inspect import Signature, signature
 from pathlib import Path
@@ -17,7 +16,16 @@ import cv2
 
 from siamloc.data.names import parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import atomic_path, content_key, read_json, storage_errors, temporary_of, write_json, write_text
+from siamloc.files import (
+    atomic_path,
+    content_key,
+    read_json,
+    remove_leftover,
+    storage_errors,
+    temporary_of,
+    write_json,
+    write_text,
+)
 from siamloc.progress import track
 from siamloc.simulate.camera import HEIGHT, Exposure, OmnidirectionalCamera, PanoramaCamera, make_camera
 from siamloc.simulate.config import SimulateConfig
@@ -33,8 +41,6 @@ from siamloc.simulate.trajectory import Track
 
 _SCHEMA = 1
 _BATCH = 16
-#: Seconds after which nobody is still writing a temporary file.
-_OLD = 3600.0
 
 
 @dataclass(frozen=True)
@@ -98,7 +104,7 @@ def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summar
     begin = time.monotonic()
     building = load_building(config.building, config.seed)
     folder = config.out / building.name
-    _remove_leftovers(folder, [_sequence(folder, building, run) for run in config.drives()])
+    _remove_leftovers(folder)
     if config.preview:
         pictures = write_preview(building, config, folder / "preview")
         return Summary(folder, {}, {}, 0, time.monotonic() - begin, pictures)
@@ -165,16 +171,13 @@ def _without_lines(value: Any) -> Any:
     return value
 
 
-def _remove_leftovers(folder: Path, sequences: list[Path]) -> None:
-    """Remove what killed commands left behind; outside `sequences`, where others may be working, only old files."""
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what killed commands left behind."""
     written = {"camera.json", "places.lst", *PICTURES}
     for path in folder.rglob(".*.tmp.*"):
         name = temporary_of(path)
         if name in written or parse_name(name):
-            mine = any(sequence in path.parents for sequence in sequences)
-            with suppress(FileNotFoundError):
-                if mine or time.time() - path.stat().st_mtime > _OLD:
-                    path.unlink()
+            remove_leftover(path)
 
 
 def _is_whole(path: Path) -> bool:

@@ -20,7 +20,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.files import plain
+from siamloc.files import alone, plain
 from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.checkpoint import check_architecture, load
 from siamloc.models.losses import ContrastiveLoss
@@ -185,6 +185,7 @@ def fit(
         monitor=monitor,
         what=f"{len(train)} frames, {data.sampler.summary()} per epoch",
         resume=resume,
+        overwrite=overwrite,
         note=lambda: _note(settings, train, loss, data.notes()),
     )
     return run
@@ -201,6 +202,7 @@ def learn(
     monitor: str | None,
     what: str,
     resume: bool,
+    overwrite: bool = False,
     note: Callable[[], None] = lambda: None,
 ) -> None:
     """Train a module, from the start or from the last checkpoint of its run; afterwards it holds the best weights.
@@ -215,13 +217,16 @@ def learn(
         monitor: figure of the validation by which the checkpoint is chosen; None where nothing is validated.
         what: is learned from, in words.
         resume: go on.
+        overwrite: a run that is there.
         note: says what the user should know, once everything is checked.
     """
     network, first = module.network, process_rank() == 0
     faster = compiles(settings.compile, on_gpu(trainer), network)
     layout = fast_layout(network, used["trainer"]["precision"] == "auto")
     last = run.checkpoints / "last.ckpt"
-    with quiet():
+    with quiet(), alone(run.folder) if first else nullcontext():
+        if first:
+            check_folder(run, resume, overwrite)  # once more: another process may have trained here by now
         lightning = run_trainer(run, settings, trainer, monitor and f"val/{monitor}")
         check_batches(data, module.loss, lightning.world_size)
         used["trainer"] |= steps_of(lightning)

@@ -30,7 +30,7 @@ def test_what_a_killed_run_left_of_the_list_goes_and_foreign_files_stay(frames, 
     out = tmp_path / "out"
     data.expand(frames, out, depth=2, image_size=(16, 64))
     (out / "manifest.csv").unlink()
-    (out / ".manifest.csv.ab12_x9z.tmp.csv").write_text("cut")
+    (out / ".manifest.csv.0.tmp.csv").write_text("cut")
     (out / ".notes.tmp").write_text("mine")
     expanded = data.expand(frames, out, depth=2, image_size=(16, 64), resume=True)
     assert expanded.kept == 8

@@ -1,0 +1,86 @@
+"""Keeping other processes away from a file or a folder, for as long as this process lives.
+
+The operating system's locks end with the process that holds them, however it ends, so that none has to be removed
+after a kill. Where a file system or an operating system has no such locks, everything counts as free.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+_BUSY = (errno.EACCES, errno.EAGAIN)
+_handles: set[int] = set()
+
+
+@contextmanager
+def held(path: str | Path, *, wait: bool = False) -> Iterator[bool]:
+    """Hold a file or a folder that is there against others who ask for it in this way; yield whether it could be had.
+
+    Args:
+        path: what to hold; it may be replaced or removed meanwhile.
+        wait: until it is free, instead of yielding False at once.
+
+    Raises:
+        OSError: it is not there, or must not be opened.
+    """
+    while True:
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            free = lock(handle, wait=wait) is not False
+            current = not free or is_at(handle, path)
+        except BaseException:
+            release(handle)
+            raise
+        if current:
+            break
+        release(handle)  # it was replaced while this process waited for it
+    try:
+        yield free
+    finally:
+        release(handle)
+
+
+def lock(handle: int, *, wait: bool = False) -> bool | None:
+    """Lock an open file or folder, and say whether it could be had; None where there are no locks."""
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return False if error.errno in _BUSY else None
+    _handles.add(handle)
+    return True
+
+
+def is_at(handle: int, path: str | Path) -> bool:
+    """Say whether an open file or folder is the one that has this name now."""
+    try:
+        return os.path.samestat(os.fstat(handle), Path(path).lstat())
+    except FileNotFoundError:
+        return False
+
+
+def release(handle: int) -> None:
+    """Close an open file or folder, which frees it."""
+    _handles.discard(handle)
+    with suppress(OSError):
+        os.close(handle)
+
+
+def _leave_to_parent() -> None:
+    """Close in a forked process what its parent holds: else it would hold on to it after the parent's death."""
+    for handle in list(_handles):
+        release(handle)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_to_parent)
