@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -114,28 +114,26 @@ def coordinates(pose: Any) -> tuple[float, float] | None:
 
 
 def write(path: str | Path, data: bytes) -> None:
-    """Write a file under a temporary name and rename it.
+    """Write a file under a temporary name and rename it; one process at a time.
+
+    The name is always the same, so that what a killed process left is gone when the file is written again.
 
     Raises:
         AnalyticError: a path that cannot be written.
     """
     path = Path(path)
+    temporary = path.with_name(f".{path.name}.tmp")
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
+        with temporary.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        temporary.chmod(0o644)
         temporary.replace(path)
     except OSError as error:
         raise _unwritable(path, error) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def _unwritable(path: Path, error: OSError) -> AnalyticError:

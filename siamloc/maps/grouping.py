@@ -15,6 +15,7 @@ from analytic import clustering
 from analytic.mapper import IncrementalMapper, Parameters
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import read_json, storage_errors, write_json, write_text
+from siamloc.locks import held
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
@@ -138,17 +139,18 @@ class Built:
         folder = Path(folder)
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
+        with storage_errors(folder), held(folder, wait=True):
             # Removed first and written last: if this is interrupted, no layer lies next to what explains another.
             (folder / "layer.npz").unlink(missing_ok=True)
-        placing = {"seconds": self.seconds.tolist(), "reasons": list(self.reasons), "map": self.map_digest}
-        write_json(folder / "placing.json", placing)
-        if self.mapper is not None:
-            self.mapper.save(folder / "mapper.npz")
-            write_text(folder / "events.jsonl", "".join(f"{line}\n" for line in self.mapper.events))
-            graph = self.mapper.graph()
-            graph.to_json(folder / "graph.json")
-            graph.to_graphml(folder / "graph.graphml")
-        self.layer.save(folder / "layer.npz")
+            placing = {"seconds": self.seconds.tolist(), "reasons": list(self.reasons), "map": self.map_digest}
+            write_json(folder / "placing.json", placing)
+            if self.mapper is not None:
+                self.mapper.save(folder / "mapper.npz")
+                write_text(folder / "events.jsonl", "".join(f"{line}\n" for line in self.mapper.events))
+                graph = self.mapper.graph()
+                graph.to_json(folder / "graph.json")
+                graph.to_graphml(folder / "graph.graphml")
+            self.layer.save(folder / "layer.npz")
 
     def summary(self, folder: str | Path | None = None) -> str:
         """Say in one line what was built, and where it lies."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import file_hash, plain, read_json, storage_errors, write_json
+from siamloc.files import atomic_folder, file_hash, plain, read_json, write_json
 
 if TYPE_CHECKING:
     from torch import nn
@@ -217,55 +216,42 @@ def export(
             f"refine={method}: give errors and refinement of one evaluation, made anew where it is older"
         )
     image_size = (parameters["height"], parameters["width"])
-    with storage_errors(folder):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as name:
-            fresh = Path(name) / "bundle"
-            fresh.mkdir()
-            exported = export_onnx(module, fresh / _MODEL, image_size)
-            files, heading = list(exported["files"]), None
-            if known is not None:
-                known.save(fresh / _MAP)
-                files.append(_MAP)
-            if known is not None and known.heading is not None and known.heading.own:
-                heading = {"identity": known.heading.identity, "parity": exported["parity"]["orientation"]}
-            elif known is not None and known.heading is not None:
-                parity = export_heading(known.heading.descriptor, fresh / _HEADING, image_size)
-                heading = {"identity": known.heading.identity, "parity": parity}
-                files.append(_HEADING)
-            if errors is not None:
-                errors.save(fresh / _ERRORS)
-                files.append(_ERRORS)
-            finer: dict[str, Any] | None = None
-            if refinement is not None:
-                refinement.save(fresh / _REFINEMENT)
-                files.append(_REFINEMENT)
-                finer = {"method": refinement.method, "neighbours": refinement.neighbours}
-            if finer is not None and finer["method"] == "relative":
-                finer["parity"] = export_relative(module, fresh / _RELATIVE)
-                files.append(_RELATIVE)
-            about = {
-                "format": FORMAT,
-                "version": VERSION,
-                "preprocessing": parameters,
-                "identity": identity,
-                "unit": None if known is None else known.unit,
-                "parity": exported["parity"],
-                "heading": heading,
-                "errors": None if errors is None else errors.as_dict(),
-                "refinement": finer,
-                "sha256": {file: file_hash(fresh / file) for file in files},
-            }
-            write_json(fresh / _DESCRIPTION, about)
-            older = Path(name) / "older"
-            if folder.exists():
-                folder.rename(older)
-            try:
-                fresh.rename(folder)
-            except OSError:
-                if older.exists():
-                    older.rename(folder)
-                raise
+    with atomic_folder(folder) as fresh:
+        exported = export_onnx(module, fresh / _MODEL, image_size)
+        files, heading = list(exported["files"]), None
+        if known is not None:
+            known.save(fresh / _MAP)
+            files.append(_MAP)
+        if known is not None and known.heading is not None and known.heading.own:
+            heading = {"identity": known.heading.identity, "parity": exported["parity"]["orientation"]}
+        elif known is not None and known.heading is not None:
+            parity = export_heading(known.heading.descriptor, fresh / _HEADING, image_size)
+            heading = {"identity": known.heading.identity, "parity": parity}
+            files.append(_HEADING)
+        if errors is not None:
+            errors.save(fresh / _ERRORS)
+            files.append(_ERRORS)
+        finer: dict[str, Any] | None = None
+        if refinement is not None:
+            refinement.save(fresh / _REFINEMENT)
+            files.append(_REFINEMENT)
+            finer = {"method": refinement.method, "neighbours": refinement.neighbours}
+        if finer is not None and finer["method"] == "relative":
+            finer["parity"] = export_relative(module, fresh / _RELATIVE)
+            files.append(_RELATIVE)
+        about = {
+            "format": FORMAT,
+            "version": VERSION,
+            "preprocessing": parameters,
+            "identity": identity,
+            "unit": None if known is None else known.unit,
+            "parity": exported["parity"],
+            "heading": heading,
+            "errors": None if errors is None else errors.as_dict(),
+            "refinement": finer,
+            "sha256": {file: file_hash(fresh / file) for file in files},
+        }
+        write_json(fresh / _DESCRIPTION, about)
     return Bundle.open(folder)
 
 

@@ -1,0 +1,339 @@
+"""What comes of killed commands: each is killed 100 times, started again, and ends in what it ends in undisturbed.
+
+A process is killed (SIGKILL) at a random moment, or right before a random change of the files: when it opens one to
+write, renames, removes, or makes a folder. Then the command is started again as one would type it, with resume=true
+where that goes on, and killed again; after some kills in a row it may end. The files that are there by then are
+compared with those of an undisturbed run, and no temporary file may be left.
+
+Files are compared by their bytes; JSON, tables and checkpoints by their values. What already differs between two
+undisturbed runs (times, dates) is left out, and the file of figures names it.
+
+    python -m benchmarks.kills
+    python -m benchmarks.kills --only train map --kills 20
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.report import Report, parser
+from siamloc.cli import main as siamloc
+from siamloc.cli.compose import composed
+from siamloc.models import build
+from siamloc.training import fitting  # noqa: F401 (a child takes over what is loaded, which would take it seconds)
+
+IN_A_ROW = 5
+"""Kills after which a command may end."""
+_CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
+_WRITES = os.O_WRONLY | os.O_RDWR
+
+
+@dataclass(frozen=True)
+class Work:
+    """A long command.
+
+    Attributes:
+        words: of the command; {out} is its own folder, {data} the building, {run} a copy of a trained run.
+        resume: the word that goes on where it was killed, and the file that says whether there is something to go on
+            with; None where the same words do.
+        needs: what lies in its folder before, of `Stage`.
+    """
+
+    words: tuple[str, ...]
+    resume: tuple[str, str] | None = None
+    needs: str = ""
+
+
+_DATA = ("data=cold", "data.root={data}/mini", "unwrap=none", "data.image_size=[32,128]")
+_FEW = ("protocol.map.sequences=[mini_a_seq2_cloudy1]", "protocol.query.sequences=[mini_a_seq2_night1]")
+_TRAINING = (
+    *("train", *_DATA, "model/branch=simple1", "model/head=fc500_500_5", "batch_size=16", "epochs=4"),
+    *("protocol.train.sequences=[mini_a_seq2_cloudy1]", "protocol.validation.sequences=[mini_a_seq2_cloudy2]"),
+    *(*_FEW, "trainer.accelerator=cpu", "run={out}/run"),
+)
+WORKS: dict[str, Work] = {
+    "simulate": Work(
+        ("simulate", "building=mini", "camera=panorama", "runs=[cloudy1,night1]", "frames=40", "workers=1", "out={out}")
+    ),
+    "expand": Work(
+        ("augment expand", *_DATA, "sequences=[mini_a_seq2_cloudy1]", "depth=6", "workers=1", "out={out}/expanded"),
+        ("resume=true", "expanded/augmentation.json"),
+    ),
+    "prepare": Work(("prepare", *_DATA, "data.cache={out}")),
+    "train": Work((*_TRAINING, "pairs.epoch_pairs=400"), ("resume=true", "run/run.json")),
+    "train, batches of places": Work(
+        (
+            *(*_TRAINING, "pairs=in_batch", "model/head=flat", "loss=multi_similarity", "pairs.places=6"),
+            *("pairs.epoch_batches=12", "checkpoint_every=5"),
+        ),
+        ("resume=true", "run/run.json"),
+    ),
+    "pretrain": Work(
+        (
+            *(
+                "pretrain",
+                "epochs=3",
+                "model/branch=simple1",
+                "model/head=flat",
+                "model.canonical=false",
+                "image_size=[32,128]",
+            ),
+            *("pairs.epoch_batches=6", "pairs.places=6", "pairs.images=2", "views.batches=6", "views.held=1"),
+            *("views.together=1", "views.drives=2", "views.lights=2", "views.poses=8", "views.processes=0"),
+            *("trainer.accelerator=cpu", "run={out}/run"),
+        ),
+        ("resume=true", "run/run.json"),
+    ),
+    "map": Work(("map", "run={out}/run", "build=incremental", "protocol.map.every=1"), needs="trained"),
+    "evaluate": Work(
+        ("evaluate", "run={out}/run", "task.baselines=[thumbnail]", "task.error_model=true"), needs="mapped"
+    ),
+    "export": Work(("export", "run={out}/run"), needs="mapped"),
+}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When to kill: after so many seconds, or right before so many changes of files."""
+
+    seconds: float | None = None
+    changes: int | None = None
+
+
+class Case:
+    """A command in its own folder.
+
+    Args:
+        name: of the work.
+        folder: where it works.
+        stage: folders `data`, `trained` and `mapped`, of which copies are taken.
+    """
+
+    def __init__(self, name: str, folder: Path, stage: Path) -> None:
+        self.work, self.folder, self._stage = WORKS[name], folder, stage
+        self.log = folder.with_suffix(".log")
+
+    def begin(self) -> None:
+        """Make the folder as it is before the command."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir(parents=True)
+        if self.work.needs:
+            shutil.copytree(self._stage / self.work.needs, self.folder / "run")
+
+    def words(self) -> list[str]:
+        """Return what one would type now."""
+        words = [word.format(out=self.folder, data=self._stage / "data") for word in self.work.words]
+        if self.work.resume is not None and (self.folder / self.work.resume[1]).is_file():
+            words.append(self.work.resume[0])
+        return words
+
+    def run(self, moment: Moment | None = None) -> tuple[int | None, float]:
+        """Run the command in a child process; return its exit status, None if it was killed, and its seconds.
+
+        The seconds of an undisturbed run are followed in the log by the number of its changes.
+        """
+        words = self.words()
+        begin = time.monotonic()
+        child = os.fork()
+        if child == 0:
+            self._as_child(words, moment)
+        limit = None if moment is None else moment.seconds
+        while True:
+            ended, status = os.waitpid(child, os.WNOHANG)
+            if ended:
+                break
+            if limit is not None and time.monotonic() - begin > limit:
+                os.kill(child, signal.SIGKILL)
+                limit = None
+            time.sleep(0.002)
+        seconds = time.monotonic() - begin
+        return (None if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)), seconds
+
+    def changes(self) -> int:
+        """Return how many changes of files the last run made that came to its end."""
+        return int(self.log.with_suffix(".changes").read_text())
+
+    def last_line(self) -> str:
+        """Return what was printed last."""
+        return self.log.read_text().strip().rpartition("\n")[2]
+
+    def _as_child(self, words: list[str], moment: Moment | None) -> None:
+        """Run the command in this process, and leave it."""
+        status = 99
+        try:
+            log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            os.dup2(log, 1)
+            os.dup2(log, 2)
+            count = _count_changes(self.folder, None if moment is None else moment.changes)
+            print("$", *words, flush=True)
+            status = siamloc(words)
+            self.log.with_suffix(".changes").write_text(str(count()))
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(status)
+
+
+def _count_changes(folder: Path, last: int | None) -> Callable[[], int]:
+    """Count from now on what this process changes among the files of a folder, and kill it right before a change."""
+    inside, done = str(folder), 0
+
+    def watch(event: str, arguments: tuple[Any, ...]) -> None:
+        nonlocal done
+        writes = event == "open" and isinstance(arguments[2], int) and arguments[2] & _WRITES
+        if (writes or event in _CHANGES) and str(arguments[0]).startswith(inside):
+            done += 1
+            if done == last:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(watch)
+    return lambda: done
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Return what lies in a folder: for each file a hash of its bytes, or of each of its values."""
+    found: dict[str, str] = {}
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        name = path.relative_to(folder).as_posix()
+        if path.suffix == ".json":
+            values = json.loads(path.read_text())
+            if path.name == "run.json":  # a training that goes on opens another file of events
+                values["written"] = [item for item in values["written"] if "/events." not in item]
+            found.update({f"{name}:{key}": value for key, value in _leaves(values)})
+        elif path.suffix == ".csv":
+            with path.open(newline="") as file:
+                rows = list(csv.DictReader(file))
+            names = list(rows[0]) if rows else []
+            found.update({f"{name}:{key}": _hashed([row[key] for row in rows]) for key in names})
+            found[name] = f"{len(rows)} rows of {names}"
+        elif path.suffix == ".ckpt":
+            state = torch.load(path, map_location="cpu", weights_only=True)
+            for key, value in {**state["state_dict"], "step": state["global_step"], "epoch": state["epoch"]}.items():
+                found[f"{name}:{key}"] = _hashed(value.tolist() if isinstance(value, torch.Tensor) else value)
+        elif path.name.startswith("events."):
+            found["events"] = "there"
+        else:
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    items: Any = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else None
+    if not items:
+        yield key, json.dumps(value)
+        return
+    for name, item in items:
+        yield from _leaves(item, f"{key}.{name}")
+
+
+def _hashed(value: Any) -> str:
+    return hashlib.sha256(repr(value).encode()).hexdigest()
+
+
+@contextmanager
+def stages(folder: Path) -> Iterator[Path]:
+    """Make the building, a trained run, and the run with its map."""
+    data, out = folder / "data", folder / "whole"
+    simulated = [word.format(out=data) for word in WORKS["simulate"].words if not word.startswith(("runs", "frames"))]
+    _done([*simulated, "runs=[cloudy1,cloudy2,night1]", "frames=60"])
+    train = [word.format(out=out, data=data) for word in WORKS["train"].words]
+    _done([*train, "pairs.epoch_pairs=200"])
+    (out / "run").rename(folder / "trained")
+    shutil.copytree(folder / "trained", folder / "mapped")
+    _done(["map", f"run={folder / 'mapped'}"])
+    yield folder
+
+
+def _done(words: Sequence[str]) -> None:
+    """Run a command in a child process, so that this one stays without threads."""
+    child = os.fork()
+    if child == 0:
+        status = 99
+        try:
+            status = siamloc(list(words))
+        finally:
+            os._exit(status)
+    if os.waitpid(child, 0)[1]:
+        raise SystemExit(f"siamloc {' '.join(words)} failed")
+
+
+def killed(case: Case, kills: int, draw: random.Random) -> dict[str, Any]:
+    """Kill a command so many times, and return what came of it."""
+    undisturbed = []
+    for _ in range(2):
+        case.begin()
+        status, seconds = case.run()
+        if status != 0:
+            raise SystemExit(f"{' '.join(case.words())} failed: {case.last_line()}")
+        undisturbed.append(contents(case.folder))
+    changes = case.changes()
+    wanted, other = undisturbed
+    varying = sorted(key for key in wanted.keys() | other.keys() if wanted.get(key) != other.get(key))
+    if any(wanted.keys() ^ other.keys()):
+        raise SystemExit(f"two runs leave other files: {sorted(wanted.keys() ^ other.keys())}")
+    done, ended, wrong = 0, 0, list[str]()
+    while done < kills:
+        case.begin()
+        for number in range(IN_A_ROW):
+            by_time = (done + number) % 2
+            moment = Moment(draw.uniform(0, seconds)) if by_time else Moment(changes=draw.randint(1, changes))
+            status, _ = case.run(moment)
+            if status is not None:
+                break
+            done += 1
+        if status is None:
+            status, _ = case.run()
+        ended += 1
+        found = contents(case.folder) if status == 0 else {}
+        differing = sorted(
+            key for key in wanted.keys() | found.keys() if key not in varying and wanted.get(key) != found.get(key)
+        )
+        if status != 0:
+            wrong.append(f"ended with status {status}: {case.last_line()}")
+        elif differing:
+            wrong.append(f"differs in {', '.join(differing[:5])}")
+        if wrong:
+            print(wrong[-1], flush=True)
+    return {"kills": done, "ends": ended, "seconds": seconds, "changes": changes, "wrong": wrong, "varying": varying}
+
+
+def main() -> None:
+    """Kill each command, print what came of it, and write the file."""
+    arguments = parser(__doc__, keeps=True)
+    arguments.add_argument("--kills", type=int, default=100, help="of each command")
+    arguments.add_argument("--only", nargs="+", choices=WORKS, default=list(WORKS), help="commands")
+    arguments.add_argument("--seed", type=int, default=0)
+    options = arguments.parse_args()
+    composed("train", ["data=cold", "data.root=x", "protocol.train.sequences=[a]"])
+    build("simple1", "fc500_500_5")
+    report = Report("kills", options.out)
+    rows: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as name, stages(Path(name, "stages")) as stage:
+        for number, work in enumerate(options.only):
+            case = Case(work, Path(name, f"work{number}"), stage)
+            rows[work] = row = killed(case, options.kills, random.Random(options.seed))
+            kept = {**row, "varying": len(row["varying"])}
+            print(f"{work}: {kept}", flush=True)
+    for work, row in rows.items():
+        report.target(f"{work}: {row['kills']} kills end as undisturbed ({len(row['wrong'])} do not)", not row["wrong"])
+    report.write({"rows": report.kept(rows, list(WORKS)) if options.keep else rows})
+
+
+if __name__ == "__main__":
+    main()
