@@ -5,6 +5,9 @@ write, renames, removes, or makes a folder. Then the command is started again as
 where that goes on, and killed again; after some kills in a row it may end. The files that are there by then are
 compared with those of an undisturbed run, and no temporary file may be left.
 
+Then each is interrupted at random moments, as by Ctrl-C once or twice: it must stop within seconds and without a
+traceback, and go on to the same end.
+
 Files are compared by their bytes; JSON, tables and checkpoints by their values. What already differs between two
 undisturbed runs (times, dates) is left out, and the file of figures names it.
 
@@ -21,11 +24,12 @@ import os
 import random
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +45,8 @@ from siamloc.training import fitting  # noqa: F401 (a child takes over what is l
 IN_A_ROW = 5
 """Kills after which a command may end."""
 _CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
+_STARTED = 0.2
+"""Seconds after which Python itself has started, which answers Ctrl-C by a traceback until then."""
 _WRITES = os.O_WRONLY | os.O_RDWR
 
 
@@ -169,6 +175,10 @@ class Case:
         """Return how many changes of files the last run made that came to its end."""
         return int(self.log.with_suffix(".changes").read_text())
 
+    def contents(self) -> dict[str, str]:
+        """Return what lies in the folder now."""
+        return contents(self.folder)
+
     def last_line(self) -> str:
         """Return what was printed last."""
         return self.log.read_text().strip().rpartition("\n")[2]
@@ -281,7 +291,7 @@ def killed(case: Case, kills: int, draw: random.Random) -> dict[str, Any]:
         status, seconds = case.run()
         if status != 0:
             raise SystemExit(f"{' '.join(case.words())} failed: {case.last_line()}")
-        undisturbed.append(contents(case.folder))
+        undisturbed.append(case.contents())
     changes = case.changes()
     wanted, other = undisturbed
     varying = sorted(key for key in wanted.keys() | other.keys() if wanted.get(key) != other.get(key))
@@ -300,7 +310,7 @@ def killed(case: Case, kills: int, draw: random.Random) -> dict[str, Any]:
         if status is None:
             status, _ = case.run()
         ended += 1
-        found = contents(case.folder) if status == 0 else {}
+        found = case.contents() if status == 0 else {}
         differing = sorted(
             key for key in wanted.keys() | found.keys() if key not in varying and wanted.get(key) != found.get(key)
         )
@@ -313,10 +323,42 @@ def killed(case: Case, kills: int, draw: random.Random) -> dict[str, Any]:
     return {"kills": done, "ends": ended, "seconds": seconds, "changes": changes, "wrong": wrong, "varying": varying}
 
 
+def interrupted(case: Case, times: int, draw: random.Random) -> dict[str, Any]:
+    """Interrupt a command so many times, every other time twice, and return what came of it."""
+    case.begin()
+    begin = time.monotonic()
+    command = [sys.executable, "-m", "siamloc"]
+    subprocess.run([*command, *case.words()], capture_output=True, check=True)
+    seconds, longest, wrong = time.monotonic() - begin, 0.0, list[str]()
+    wanted = case.contents()
+    for number in range(times):
+        case.begin()
+        pipes: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+        with subprocess.Popen([*command, *case.words()], start_new_session=True, **pipes) as process:
+            time.sleep(draw.uniform(_STARTED, seconds))
+            pressed = time.monotonic()
+            for pause in (0.0, *(draw.choice([0.001, 0.02, 0.1, 0.4]) for _ in range(number % 2))):
+                time.sleep(pause)
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGINT)
+            said = process.communicate()[1]
+        longest = max(longest, time.monotonic() - pressed)
+        if "Traceback" in said or "Exception ignored" in said or process.returncode not in (0, 130, -signal.SIGINT):
+            wrong.append(f"status {process.returncode}: {said.strip()[-300:]}")
+            print(wrong[-1], flush=True)
+        subprocess.run([*command, *case.words()], capture_output=True, check=True)
+        files = case.contents()
+        if differing := sorted(key for key in wanted.keys() ^ files.keys()):
+            wrong.append(f"leaves {differing[:5]}")
+            print(wrong[-1], flush=True)
+    return {"interrupts": times, "longest_seconds": longest, "interrupts_wrong": wrong}
+
+
 def main() -> None:
     """Kill each command, print what came of it, and write the file."""
     arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--kills", type=int, default=100, help="of each command")
+    arguments.add_argument("--interrupts", type=int, default=20, help="of each command")
     arguments.add_argument("--only", nargs="+", choices=WORKS, default=list(WORKS), help="commands")
     arguments.add_argument("--seed", type=int, default=0)
     options = arguments.parse_args()
@@ -327,11 +369,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, stages(Path(name, "stages")) as stage:
         for number, work in enumerate(options.only):
             case = Case(work, Path(name, f"work{number}"), stage)
-            rows[work] = row = killed(case, options.kills, random.Random(options.seed))
-            kept = {**row, "varying": len(row["varying"])}
-            print(f"{work}: {kept}", flush=True)
+            draw = random.Random(options.seed)
+            row = killed(case, options.kills, draw) | interrupted(case, options.interrupts, draw)
+            rows[work] = row
+            print(f"{work}: { {**row, 'varying': len(row['varying'])} }", flush=True)
     for work, row in rows.items():
         report.target(f"{work}: {row['kills']} kills end as undisturbed ({len(row['wrong'])} do not)", not row["wrong"])
+        wrong, times = row["interrupts_wrong"], row["interrupts"]
+        report.target(f"{work}: {times} interrupts end without a traceback ({len(wrong)} do not)", not wrong)
     report.write({"rows": report.kept(rows, list(WORKS)) if options.keep else rows})
 
 

@@ -81,6 +81,29 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
         clear_temporaries([path])
 
 
+@contextmanager
+def atomic_files(folder: str | Path) -> Iterator[Path]:
+    """Yield an empty temporary folder whose files move into `folder` together when the block ends without an error.
+
+    They take the place of older ones of their names; all other files of the folder stay. After an error the folder is
+    as it was.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    folder = Path(folder)
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary, handle = _taken(folder / "files", folder=True)
+        try:
+            yield temporary
+            for path in sorted(temporary.iterdir()):
+                path.replace(folder / path.name)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+            release(handle)
+
+
 def _exchange(path: Path, temporary: Path) -> None:
     """Put a temporary folder in the place of `path`, or leave `path` as it was."""
     older, handle = _taken(path, folder=True)

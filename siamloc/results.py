@@ -108,7 +108,7 @@ def write_results(
         for name, columns in checked.items()
     }
     path = folder / "results.json"
-    older = _tables_of(path)
+    older = tables_of(folder)
     write_json(path, {**header, **results, "tables": described})
     for name in older - {table["file"] for table in described.values()}:
         (folder / name).unlink(missing_ok=True)  # of the result that was replaced; nothing else is ever removed
@@ -188,10 +188,10 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _tables_of(path: Path) -> set[str]:
-    """Return the files of the tables that an older result names; nothing where there is none."""
+def tables_of(folder: str | Path) -> set[str]:
+    """Return the files of the tables that a result names; nothing where there is none."""
     try:
-        tables = read_results(path.parent).get("tables", {})
+        tables = read_results(folder).get("tables", {})
     except FormatError:
         return set()
     files = {str(table.get("file", "")) for table in tables.values() if isinstance(table, Mapping)}

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from siamloc import __version__
 from siamloc.cli.help import COMMANDS, overview
 from siamloc.errors import ConfigError, SiamlocError, hint
+from siamloc.interrupts import follows_from
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,6 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 141
     except Exception as error:
         sentence = _sentence(error)
+        if sentence is None and follows_from(error) and not debug:
+            print("siamloc: interrupted", file=sys.stderr)
+            return 130
         if debug or sentence is None:
             raise
         print(f"siamloc: {sentence}", file=sys.stderr)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from siamloc.errors import DataError, FormatError
-from siamloc.files import plain
-from siamloc.results import Columns, read_results, read_rows, write_results
+from siamloc.files import atomic_files, plain, storage_errors
+from siamloc.results import Columns, read_results, read_rows, tables_of, write_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,23 +134,30 @@ class Result:
             StorageError: the disk refuses.
         """
         folder = Path(folder)
+        older = tables_of(folder)
         extra = {
             f"{name}_{method}": table
             for method, other in self.baselines.items()
             for name, table in other.tables.items()
             if name in ("queries", "rooms", "pairs")
         }
-        for name, learned in (("error_model.json", self.error_model), ("refinement.json", self.refinement)):
-            if learned is not None:
-                learned.save(folder / name)
-            else:
-                (folder / name).unlink(missing_ok=True)  # of an evaluation that this one replaces
-        write_results(folder, self.as_dict(), tables={**self.tables, **extra})
-        if not pictures:
-            return []
-        from siamloc.report.draw import save_all
+        learned = {"error_model.json": self.error_model, "refinement.json": self.refinement}
+        drawn: list[Path] = []
+        with atomic_files(folder) as fresh:
+            for name, model in learned.items():
+                if model is not None:
+                    model.save(fresh / name)
+            write_results(fresh, self.as_dict(), tables={**self.tables, **extra})
+            if pictures:
+                from siamloc.report.draw import save_all
 
-        return save_all(folder, self.layer)
+                drawn = save_all(fresh, self.layer)
+        # What only the result had that was replaced; nothing else is ever removed.
+        gone = (older - tables_of(folder)) | {name for name, model in learned.items() if model is None}
+        with storage_errors(folder):
+            for name in gone:
+                (folder / name).unlink(missing_ok=True)
+        return [folder / path.name for path in drawn]
 
     def as_dict(self) -> dict[str, Any]:
         """Return what `results.json` holds, without the tables."""

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
+from siamloc.interrupts import stop_once
 from siamloc.models.module import NetworkModule
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.run_folder import EPOCH_SUMS
@@ -24,6 +25,8 @@ ensure_torchvision()
 from lightning.pytorch import LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.callbacks import Checkpoint  # noqa: E402
 from lightning.pytorch.utilities.exceptions import SIGTERMException  # noqa: E402
+
+_USUAL = (signal.default_int_handler, stop_once)
 
 
 class StepCheckpoints(Checkpoint):
@@ -136,7 +139,7 @@ class StepCheckpoints(Checkpoint):
 def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
     """Let the first Ctrl-C end the training after its step, with a checkpoint, and a second one at once."""
     before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or before is not signal.default_int_handler:
+    if threading.current_thread() is not threading.main_thread() or before not in _USUAL:
         yield
         return
 

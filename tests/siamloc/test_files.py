@@ -1,14 +1,29 @@
 import errno
 import json
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from siamloc.errors import FormatError, StorageError, hint
-from siamloc.files import atomic_folder, atomic_path, content_key, file_hash, plain, read_json, write_json, write_text
+from siamloc import files
+from siamloc.errors import ConfigError, FormatError, StorageError, hint
+from siamloc.files import (
+    alone,
+    atomic_files,
+    atomic_folder,
+    atomic_path,
+    content_key,
+    file_hash,
+    plain,
+    read_json,
+    write_json,
+    write_text,
+)
 
 
 def write_half(path):
@@ -120,3 +135,83 @@ def umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def test_files_appear_together_or_not_at_all(tmp_path):
+    folder = tmp_path / "results"
+    folder.mkdir()
+    for name in ("a", "kept"):
+        (folder / name).write_text("old")
+    with pytest.raises(ZeroDivisionError), atomic_files(folder) as fresh:
+        (fresh / "a").write_text("new")
+        raise ZeroDivisionError
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {"a": "old", "kept": "old"}
+    with atomic_files(folder) as fresh:
+        (fresh / "a").write_text("new")
+        (fresh / "b").write_text("new")
+        assert (folder / "a").read_text() == "old"
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {"a": "new", "b": "new", "kept": "old"}
+
+
+KILLED = """
+import os, sys
+from siamloc import files
+with getattr(files, sys.argv[1])(sys.argv[2]) as temporary:
+    os.system(f"touch {temporary}/half" if temporary.is_dir() else f"echo half > {temporary}")
+    os._exit(9)
+"""
+
+
+@pytest.mark.parametrize("kind", ["atomic_path", "atomic_folder", "atomic_files"])
+def test_what_a_killed_process_left_is_taken_over(tmp_path, kind):
+    path = tmp_path / "target"
+    subprocess.run([sys.executable, "-c", KILLED, kind, str(path)], check=False)
+    assert [path for path in tmp_path.rglob("*") if "tmp" in path.name], "nothing was left to be taken over"
+    with getattr(files, kind)(path) as temporary:
+        left = list(temporary.iterdir()) if temporary.is_dir() else temporary.read_bytes()
+        assert not left
+        if temporary.is_dir():
+            (temporary / "whole").touch()
+    assert [item.name for item in tmp_path.iterdir()] == ["target"]
+    assert path.is_file() or [item.name for item in path.iterdir()] == ["whole"]
+
+
+def test_two_writers_of_one_file_do_not_meet(tmp_path):
+    path = tmp_path / "file"
+    with atomic_path(path) as one, atomic_path(path) as other:
+        assert one != other
+        one.write_text("one")
+        other.write_text("other")
+    assert path.read_text() == "one", "that of the writer that ends last"
+    assert [item.name for item in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_folder_is_replaced_as_a_whole_or_stays(tmp_path, monkeypatch):
+    path = tmp_path / "folder"
+    path.mkdir()
+    (path / "old").touch()
+    real, calls = Path.replace, []
+
+    def refusing(self, target):
+        calls.append(target)
+        if len(calls) == 2:
+            raise OSError(errno.EACCES, "no")
+        return real(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", refusing)
+        with pytest.raises(StorageError), atomic_folder(path) as fresh:
+            (fresh / "new").touch()
+    assert [item.name for item in path.iterdir()] == ["old"]
+    with atomic_folder(path) as fresh:
+        (fresh / "new").touch()
+    assert [item.name for item in path.iterdir()] == ["new"]
+    assert [item.name for item in tmp_path.iterdir()] == ["folder"]
+
+
+def test_one_process_at_a_time_works_in_a_folder(tmp_path):
+    with alone(tmp_path / "run"), pytest.raises(ConfigError, match="another process"), alone(tmp_path / "run"):
+        pass
+    with pytest.raises(ZeroDivisionError), alone(tmp_path / "other"):
+        raise ZeroDivisionError
+    assert not (tmp_path / "other").exists()

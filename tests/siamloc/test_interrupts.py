@@ -1,0 +1,81 @@
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from siamloc.cli import main
+from siamloc.interrupts import follows_from
+
+WAITS = """
+import sys, time
+import siamloc.cli
+from siamloc.__main__ import entry
+
+def wait(words):
+    try:
+        print("ready", flush=True)
+        time.sleep(60)
+    finally:
+        print("cleaning", flush=True)
+        time.sleep(float(sys.argv[1]))
+        print("clean", flush=True)
+
+siamloc.cli._dispatch = wait
+entry()
+"""
+
+
+def started(seconds):
+    process = subprocess.Popen(
+        [sys.executable, "-c", WAITS, str(seconds)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(signal.SIGINT)
+    assert process.stdout.readline() == "cleaning\n"
+    return process
+
+
+def test_once_stops_and_cleans_up():
+    said = started(0).communicate(timeout=60)
+    assert said == ("clean\n", "siamloc: interrupted\n")
+
+
+def test_twice_ends_at_once_and_says_nothing():
+    begin, process = time.monotonic(), started(50)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=40) == ("", "")
+    assert process.returncode == -signal.SIGINT
+    assert time.monotonic() - begin < 40
+
+
+def test_an_interrupt_that_another_error_hides_is_one_still(monkeypatch, capsys):
+    def hides(words):
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise AttributeError("half made")
+
+    monkeypatch.setattr("siamloc.cli._dispatch", hides)
+    assert main(["train"]) == 130
+    assert capsys.readouterr().err == "siamloc: interrupted\n"
+
+
+def test_other_errors_do_not_follow_from_one():
+    error = ValueError("a")
+    error.__cause__ = KeyError("b")
+    error.__cause__.__context__ = error
+    assert not follows_from(error)
+    assert not follows_from(None)
+    error.__cause__.__cause__ = KeyboardInterrupt()
+    assert follows_from(error)
+
+
+@pytest.mark.parametrize("status", [0, 2])
+def test_the_process_has_the_status_of_the_command(status):
+    words = ["--version"] if status == 0 else ["tain"]
+    assert (
+        subprocess.run([sys.executable, "-m", "siamloc", *words], capture_output=True, check=False).returncode == status
+    )
