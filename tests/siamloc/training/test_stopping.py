@@ -133,6 +133,20 @@ def test_sigterm_leaves_a_checkpoint_too(train, tmp_path):
     same(whole, train("cut", "pairs", resume=True))
 
 
+def test_a_second_training_in_the_same_folder_is_refused(train):
+    refused = []
+
+    def second():
+        for option in ("overwrite", "resume"):
+            with pytest.raises(ConfigError, match="another process is writing into"):
+                train("cut", "pairs", **{option: True})
+            refused.append(option)
+
+    whole = train("whole", "pairs")
+    same(whole, train("cut", "pairs", Stop(2, second)))
+    assert refused == ["overwrite", "resume"]
+
+
 def test_an_exit_of_the_users_own_goes_through(train):
     with pytest.raises(SystemExit) as raised:
         train("cut", "pairs", Stop(2, lambda: sys.exit(3)))
