@@ -63,8 +63,11 @@ def train(config: DictConfig) -> None:
     """Train a siamese network."""
     from siamloc import models, training
     from siamloc.training.fitting import process_rank
+    from siamloc.training.trainer import check_trainer
 
     validated = config.protocol.validation.sequences is not None
+    loss, further = loss_of(config), plain(config.trainer)
+    check_trainer(further)  # before any image is decoded
     images, roles = open_roles(config, "train", *(["validation"] if validated else []))
     network = models.build(**network_of(config), image_size=images.image_size, seed=config.seed)
     run = training.fit(
@@ -73,9 +76,9 @@ def train(config: DictConfig) -> None:
         roles["train"],
         run=training_folder(config),
         validation=roles.get("validation"),
-        loss=loss_of(config),
+        loss=loss,
         augmentation={key: value for key, value in plain(config.augment).items() if key != "where"},
-        trainer=plain(config.trainer),
+        trainer=further,
         protocol=Protocol.of(plain(config.protocol)).plain(),
         resume=config.resume,
         overwrite=config.overwrite,

@@ -85,6 +85,16 @@ def debug_trainer(further: Mapping[str, Any] | None, **own: Any) -> Trainer:
     return _made({name: value for name, value in (further or {}).items() if name not in own}, own)
 
 
+def check_trainer(further: Mapping[str, Any] | None) -> None:
+    """Refuse what `lightning.Trainer` refuses, before any work is done for it.
+
+    Raises:
+        ConfigError: arguments that Lightning refuses.
+    """
+    with quiet():
+        debug_trainer(further)
+
+
 def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
     """Make a trainer.
 
