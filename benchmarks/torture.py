@@ -33,6 +33,7 @@ from benchmarks.torture_files import FILES, damaged
 from siamloc.cli.checking import check
 from siamloc.cli.compose import composed, plain
 from siamloc.cli.help import COMMANDS
+from siamloc.cli.robot import Localize
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import SiamlocError
 from siamloc.training import fitting  # noqa: F401 (its packages take seconds to load, which is no fault of a case)
@@ -54,7 +55,6 @@ STARTS: tuple[tuple[str, ...], ...] = (
     ("augment expand", *_COLD, "out=y"),
     ("augment preview",),
     ("demo",),
-    ("localize", "bundle=x"),
     ("prepare", "data=folder", "data.root=x"),
     ("evaluate", *_COLD, "task=hierarchical", "descriptor=hog", "build=som", "heading=hog"),
     *(("evaluate", *_COLD, "descriptor=hog", f"task={task}") for task in ("robustness", "mapping", "buildings")),
@@ -185,7 +185,7 @@ def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
         config = composed(command, words)
         for key, default in leaves(plain(config)):
             for called, value in _STRANGE.items():
-                case = (COMMANDS[command].config, key, f"{default!r} {called}")
+                case = (COMMANDS[command].begins_with, key, f"{default!r} {called}")
                 if case in seen:
                     continue
                 seen.add(case)
@@ -193,9 +193,16 @@ def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
                 def changed(key: str = key, value: Any = value, config: Any = config, command: str = command) -> None:
                     strange = config.copy()
                     OmegaConf.update(strange, key, value, merge=False)
-                    check(COMMANDS[command].config, strange)
+                    check(COMMANDS[command].begins_with, strange)
 
                 yield f"{command} {key}={value!r}", changed, is_nonsense(key, default, called)
+    for key, default in Localize().plain().items():
+        for called, value in _STRANGE.items():
+
+            def set_to(key: str = key, value: Any = value) -> None:
+                Localize.of({"images": ["a.png"], "bundle": "b", key: value})
+
+            yield f"localize {key}={value!r}", set_to, is_nonsense(key, default, called)
 
 
 def unknown_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
@@ -214,7 +221,7 @@ def unknown_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
                 strange = config.copy()
                 OmegaConf.set_struct(strange, False)
                 OmegaConf.update(strange, f"{group}.zzz" if group else "zzz", 1)
-                check(COMMANDS[command].config, strange)
+                check(COMMANDS[command].begins_with, strange)
 
             yield f"{command} +{group}.zzz=1", added, True
 

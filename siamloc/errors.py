@@ -35,6 +35,18 @@ class StorageError(SiamlocError, OSError):
     """The disk refused: full, read-only, or gone."""
 
 
+_OURS = ("siamloc", "analytic", "augment")
+_EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps"}
+
+
+def lacking(error: ModuleNotFoundError) -> str | None:
+    """Return which extra brings a package that is not installed; None for a module of ours, which no extra brings."""
+    package = (error.name or "").partition(".")[0]
+    if package in _OURS:
+        return None
+    return f"this needs {package}, which is not installed here: pip install 'siamloc[{_EXTRAS.get(package, 'train')}]'"
+
+
 def hint(name: str, valid: Iterable[str]) -> str:
     """Return a hint that names the valid spellings, the nearest one first: for the end of an error message."""
     options = [str(option) for option in valid]

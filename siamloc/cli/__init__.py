@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from siamloc import __version__
 from siamloc.cli.help import COMMANDS, overview
-from siamloc.errors import ConfigError, SiamlocError, hint
+from siamloc.errors import ConfigError, SiamlocError, hint, lacking
 from siamloc.interrupts import follows_from
 
 
@@ -59,6 +59,11 @@ def _dispatch(words: list[str]) -> int:
 
         print(command_help(command))
         return 0
+    if COMMANDS[command].config is None:
+        from siamloc.cli import robot
+
+        status: int = getattr(robot, COMMANDS[command].function)(overrides)
+        return status
     from siamloc.cli import commands
     from siamloc.cli.compose import run
 
@@ -90,6 +95,8 @@ def _sentence(error: Exception) -> str | None:
     """Return the one line to print, or None for an error that is a bug of ours and needs its traceback."""
     if isinstance(error, SiamlocError):
         return str(error)
+    if isinstance(error, ModuleNotFoundError):
+        return lacking(error)
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename} cannot be used: {error.strerror.lower()}"
     if isinstance(error, MemoryError):

@@ -16,10 +16,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from siamloc.cli.schema import OF_TRAINING
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import Count, Many, Natural, Rule, Settings, Share, Size, Workers, checked, fields_of
+from siamloc.settings import Count, Natural, Rule, Settings, Share, Size, Text, Workers, checked, fields_of
 from siamloc.training.settings import Training
 
-Text = Annotated[str, Rule("a text that is not empty", lambda value: bool(value.strip()))]
 Folder = Annotated[str, Rule("the name of a folder", lambda value: bool(value.strip()))]
 Device = Annotated[str, Rule("auto, cpu or cuda", lambda value: re.fullmatch(r"auto|cpu|cuda(:\d+)?", value))]
 Images = tuple[Text, ...] | Text | None
@@ -98,9 +97,7 @@ class Main(Settings):
     checkpoint: Literal["best", "last"] = "best"
     device: Device = "auto"
     projector: bool = False
-    images: Images = ()
     bundle: Folder | None = None
-    top: Many = 3
     loader: Loader = field(default_factory=Loader)
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from siamloc.cli import robot
 from siamloc.cli.compose import composed, plain
 from siamloc.cli.inherit import by_network, label_of, map_file, suggestion
 from siamloc.cli.objects import (
-    bundle_of,
     data_of,
     descriptor_of,
     files_in,
@@ -27,7 +27,7 @@ from siamloc.cli.objects import (
     way_of,
 )
 from siamloc.data import Protocol
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError
 
 
 def simulate(config: DictConfig) -> None:
@@ -181,32 +181,6 @@ def export(config: DictConfig) -> None:
         print(line)
 
 
-def localize(config: DictConfig) -> None:
-    """Locate image files with a bundle."""
-    from siamloc.runtime import Localizer, write_locations
-
-    images = images_named(config.images)
-    localizer = Localizer(bundle_of(config), top=config.top)
-    found, failed = {}, []
-    for path in images:
-        try:
-            found[str(path)] = location = localizer.locate(path)
-        except DataError as error:
-            if config.data.on_error == "raise":
-                raise
-            failed.append(f"left out: {error}")
-            continue
-        print(f"{path}: {location.describe(localizer.unit)}")
-    print(*failed, sep="\n", end="\n" if failed else "")
-    if not found:
-        raise DataError(f"none of the {len(images)} images could be read")
-    target = Path("locations.csv") if config.bundle is not None else run_of(config).folder / "locations.csv"
-    write_locations(target, found)
-    if config.bundle is None:
-        run_of(config).record_written([target])
-    print(f"{len(found)} of {len(images)} images located: {target}")
-
-
 def report(config: DictConfig) -> None:
     """Write one page with everything about a run, or about several side by side."""
     from siamloc.report import write_report
@@ -298,4 +272,8 @@ def _step(command: str, words: list[str]) -> None:
     from siamloc.cli.help import COMMANDS
 
     print(f"\n$ siamloc {command} {' '.join(words)}", flush=True)
-    globals()[COMMANDS[command].function](composed(command, words))
+    function = COMMANDS[command].function
+    if COMMANDS[command].config is None:
+        getattr(robot, function)(words)
+    else:
+        globals()[function](composed(command, words))

@@ -67,7 +67,12 @@ def candidates(line: str) -> list[str]:
 
 
 def _of_command(command: str, words: list[str]) -> list[str]:
-    """Return Hydra's candidates for the last of the words that follow a command."""
+    """Return the candidates for the last of the words that follow a command, which are Hydra's for most commands."""
+    if COMMANDS[command].config is None:
+        from siamloc.cli.robot import keys
+
+        given = {word.partition("=")[0] for word in words[:-1]}
+        return [f"{key}=" for key in keys() if key.startswith(words[-1]) and key not in given]
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
     from hydra.plugins.completion_plugin import DefaultCompletionPlugin
@@ -75,7 +80,7 @@ def _of_command(command: str, words: list[str]) -> list[str]:
     from siamloc.cli.compose import folder_of
     from siamloc.cli.schema import register
 
-    name = COMMANDS[command].config
+    name = COMMANDS[command].begins_with
     register(name)
     GlobalHydra.instance().clear()
     with initialize_config_dir(version_base="1.3", config_dir=str(folder_of(name))):

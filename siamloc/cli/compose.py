@@ -50,7 +50,7 @@ def run(command: str, main: Main, words: list[str]) -> int:
     words = _flags_first([*_HYDRA, *words])
     import hydra
 
-    name = COMMANDS[command].config
+    name = COMMANDS[command].begins_with
     register(name)
     failed: list[Exception] = []
 
@@ -85,7 +85,7 @@ def composed(command: str, words: list[str]) -> DictConfig:
     Raises:
         ConfigError: as `run`.
     """
-    name = COMMANDS[command].config
+    name = COMMANDS[command].begins_with
     _check_words(words)
     words = [_network_of_a_run(word) for word in words]
     try:
@@ -132,7 +132,7 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
         raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=VALUE")
     from siamloc.cli.checking import check
 
-    check(COMMANDS[command].config, config)
+    check(COMMANDS[command].begins_with, config)
     return config
 
 

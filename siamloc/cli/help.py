@@ -7,15 +7,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Command:
-    """A command's function in `siamloc.cli.commands`, and its help."""
+    """A command's function, and its help.
+
+    Commands that Hydra configures are in `siamloc.cli.commands`, the others in `siamloc.cli.robot`.
+    """
 
     function: str
     summary: str
     details: str
     example: str
     inherits: bool = False  # takes its settings from the run that is named
-    config: str = "config"  # the configuration file it begins with
+    config: str | None = "config"  # the configuration file it begins with; None where Hydra is not needed
     reads_data: bool = True  # needs to know where the data are
+
+    @property
+    def begins_with(self) -> str:
+        """The configuration file of a command that Hydra configures."""
+        assert self.config is not None
+        return self.config
 
 
 COMMANDS = {
@@ -193,17 +202,22 @@ COMMANDS = {
         "localize",
         "locate image files with an exported bundle",
         """
-        Works without torch. Prints a line per image and writes locations.csv: position and room, and heading in rad,
-        expected error and verdict where the bundle holds what gives them; covariance and agreement of refined poses.
+        Works where only numpy, OpenCV and onnxruntime are installed. Prints a line for each image as soon as it is
+        located: position and room, and heading, expected error and verdict where the bundle holds what gives them;
+        covariance and agreement of refined poses; how far off it is, where names carry poses as COLD's do. Ctrl-C
+        keeps what there is.
 
-        images=[a.jpeg,folder]   files or folders
+        images=[a.jpeg,folder]   files, folders, videos, or cameras such as camera:0
         run=FOLDER               the run whose bundle is used
         bundle=FOLDER            another bundle
         top=3                    map frames to list
+        format=table|jsonl|csv   lines to read, or for other programs
+        out=FILE                 a .csv or .jsonl file as well; locations.csv where lines to read are printed
+        on_error=skip|raise      go on after an image that cannot be read, or stop there
+        threads=2                of onnxruntime
         """,
         "siamloc localize run=runs/vgg16 images=[photo.jpeg]",
-        inherits=True,
-        reads_data=False,
+        config=None,
     ),
     "report": Command(
         "report",
@@ -294,7 +308,7 @@ def overview() -> str:
         "usage: siamloc <command> [key=value ...]\n\n"
         f"{lines}\n\n"
         "siamloc <command> --help          what a command takes, with an example\n"
-        "siamloc <command> --cfg job       the whole configuration\n"
+        "siamloc <command> --cfg job       the whole configuration, of all but localize\n"
         "siamloc completion bash|zsh|fish  the tab key completes commands, groups and keys\n"
         "siamloc --version\n\n"
         "--debug shows the traceback of an error."

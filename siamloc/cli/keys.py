@@ -7,22 +7,26 @@ from pathlib import Path
 from textwrap import dedent, fill, indent
 from typing import Any
 
-from siamloc.cli.compose import composed_defaults, config_folder, folder_of
 from siamloc.cli.help import COMMANDS
-from siamloc.cli.schema import nodes_of_config, nodes_of_data
 
 
 def command_help(name: str) -> str:
     """Return the answer to `siamloc <command> --help`: the main keys with a word on each, then all of them."""
     command = COMMANDS[name]
     groups = []
-    for group, keys in keys_of(command.config).items():
+    if command.config is None:
+        from siamloc.cli.robot import keys as keys_of_robot
+
+        every, more = {"keys": keys_of_robot()}, ""
+    else:
+        every, more = keys_of(command.config), " (`--cfg job` shows their values)"
+    for group, keys in every.items():
         listed = fill(" ".join(keys), 110, initial_indent="      ", subsequent_indent="      ", break_on_hyphens=False)
         groups.append(f"  {group}\n{listed}" if keys else f"  {group}")
     return (
         f"siamloc {name}: {command.summary}\n\n{indent(dedent(command.details).strip(), '  ')}\n\n"
         f"example:\n  {command.example}\n\n"
-        "all keys, by what chooses them (`--cfg job` shows their values):\n" + "\n".join(groups)
+        f"all keys, by what chooses them{more}:\n" + "\n".join(groups)
     )
 
 
@@ -31,6 +35,9 @@ def keys_of(name: str) -> dict[str, list[str]]:
 
     They are read from the configuration files and the settings classes, so that the list is always complete.
     """
+    from siamloc.cli.compose import composed_defaults, config_folder, folder_of
+    from siamloc.cli.schema import nodes_of_config, nodes_of_data
+
     nodes = nodes_of_config() if name == "config" else nodes_of_data()
     config = composed_defaults(name)
     found: dict[str, list[str]] = {}

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
 from siamloc.cli.checking import training_of
 from siamloc.cli.compose import config_folder, plain, sweep_suffix
-from siamloc.cli.inherit import check_named, label_of, suggestion
+from siamloc.cli.inherit import check_named, label_of
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
@@ -85,17 +85,6 @@ def run_of(config: DictConfig) -> Run:
         return Run(Path(config.run))
     check_named(config)
     return Run(Path("runs") / (config.data.name or "data") / label_of(config.descriptor))
-
-
-def bundle_of(config: DictConfig) -> Path:
-    """Return the bundle that images are located with.
-
-    Raises:
-        ConfigError: neither a bundle nor a run is named.
-    """
-    if config.bundle is None and config.run is None:
-        raise ConfigError(f"no bundle and no run are named: give bundle=FOLDER, or {suggestion()}")
-    return Path(config.bundle) if config.bundle is not None else run_of(config).bundle
 
 
 def loss_of(config: DictConfig) -> Any:

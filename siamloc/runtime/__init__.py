@@ -14,20 +14,23 @@ from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
     from siamloc.runtime.bundle import Bundle, export
-    from siamloc.runtime.localizer import Candidate, Localizer, Location, write_locations
+    from siamloc.runtime.localizer import Candidate, Localizer, Location
     from siamloc.runtime.onnx_model import export_heading, export_onnx, heading_parity, parity
+    from siamloc.runtime.stream import Located, locate_all, written
 
 __all__ = [
     "Bundle",
     "Candidate",
     "Localizer",
+    "Located",
     "Location",
     "export",
     "export_heading",
     "export_onnx",
     "heading_parity",
+    "locate_all",
     "parity",
-    "write_locations",
+    "written",
 ]
 
 _HOMES = {
@@ -36,7 +39,9 @@ _HOMES = {
     "Candidate": "localizer",
     "Localizer": "localizer",
     "Location": "localizer",
-    "write_locations": "localizer",
+    "Located": "stream",
+    "locate_all": "stream",
+    "written": "stream",
     "export_heading": "onnx_model",
     "export_onnx": "onnx_model",
     "heading_parity": "onnx_model",

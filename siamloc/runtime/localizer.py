@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +14,6 @@ from numpy.typing import NDArray
 from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import write_text
 from siamloc.maps import ErrorModel, RefinedPoses, Refinement, Retrieval, VisualMap, headings
 from siamloc.runtime.bundle import Bundle
 
@@ -237,46 +233,3 @@ def _told(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]]
     """Return the covariance of one pose; None where nothing tells it."""
     (xx, xy), (_, yy) = pose.covariance()[0].tolist()
     return None if math.isnan(xx) else ((xx, xy), (xy, yy))
-
-
-def write_locations(path: str | Path, located: Mapping[str, Location]) -> None:
-    """Write where images were taken into a CSV file, a row for each.
-
-    Args:
-        path: of the file.
-        located: by image file; one at least.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
-    rows = [_row(image, location) for image, location in located.items()]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
-
-
-def _row(image: str, location: Location) -> dict[str, object]:
-    best = location.candidates[0]
-    (xx, xy), (_, yy) = location.covariance or ((math.nan, math.nan), (math.nan, math.nan))
-    return {
-        "image": image,
-        "x": _cell(location.x),
-        "y": _cell(location.y),
-        "theta": _cell(location.theta),
-        "room": location.room,
-        "error_m": _cell(location.error_m),
-        "lost": "" if location.lost is None else location.lost,
-        "covariance_xx": _cell(xx),
-        "covariance_xy": _cell(xy),
-        "covariance_yy": _cell(yy),
-        "agreement": _cell(location.agreement),
-        "match": best.image,
-        "distance": best.distance,
-        "ms": round(location.ms, 2),
-    }
-
-
-def _cell(value: float) -> object:
-    return "" if math.isnan(value) else value

@@ -9,6 +9,7 @@ from typing import Any
 from siamloc.data.places import PlaceSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
+from siamloc.files import temporary_of
 from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import LOSS_SETTINGS, whole_model
 from siamloc.runs import Run
@@ -53,10 +54,10 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
             )
     elif resume:
         raise ConfigError(f"there is no run to resume in {run.folder}: leave out resume=true to start one")
-    elif run.folder.is_dir() and any(run.folder.iterdir()):
-        other = min(path.name for path in run.folder.iterdir())
+    elif run.folder.is_dir() and (others := _others(run)):
         raise ConfigError(
-            f"{run.folder} is not a run and holds other files, such as {other}: choose a new or empty folder as run="
+            f"{run.folder} is not a run and holds other files, such as {others[0]}: choose a new or empty folder as "
+            "run="
         )
     elif run.folder.exists() and not run.folder.is_dir():
         raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
@@ -67,6 +68,11 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
             f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "
             "or choose another run="
         )
+
+
+def _others(run: Run) -> list[str]:
+    """Return what lies in a folder, but for what was left by a process that was killed right when it began a run."""
+    return sorted(path.name for path in run.folder.iterdir() if temporary_of(path) != run.record.name)
 
 
 def check_debug(run: Run, debug: str, resume: bool) -> None:

@@ -170,7 +170,7 @@ def test_the_help_names_every_key(command, capsys):
 
     assert main([*command.split(), "--help"]) == 0
     shown = capsys.readouterr().out.split()
-    named = keys_of(COMMANDS[command].config)
+    named = keys_of(COMMANDS[command].begins_with)
     for group, keys in named.items():
         assert group.split()[0] in shown
         assert set(keys) <= set(shown)

@@ -10,19 +10,21 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 import analytic
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
+from siamloc.data.names import NamedPose
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import HeadingPart, VisualMap, WithHeading, headings
 from siamloc.maps.error_model import ErrorModel
 from siamloc.maps.heading import NetworkHeading
 from siamloc.models import as_descriptor, build
-from siamloc.runtime import Bundle, Localizer, export, write_locations
+from siamloc.runtime import Bundle, Localizer, Located, export, locate_all, written
 from tests.drawn import ROOMS, draw_panorama, draw_sequence
 
 SIZE = (32, 128)
@@ -189,15 +191,93 @@ def test_what_does_not_belong_together_is_not_exported(world, tmp_path):
 
 def test_locations_are_written_as_a_table(bundle, tmp_path):
     location = Localizer(bundle).locate(drive(2)[0][0])
-    write_locations(tmp_path / "locations.csv", {"a.png": location, "b.png": replace(location, theta=math.nan)})
-    first, second, third = (tmp_path / "locations.csv").read_text().splitlines()
-    assert first == (
-        "image,x,y,theta,room,error_m,lost,covariance_xx,covariance_xy,covariance_yy,agreement,match,distance,ms"
+    pose = NamedPose(0.0, location.x, location.y + 2, 0.0)
+    located = [
+        Located("a.png", location),
+        Located("b.png", replace(location, theta=math.nan), pose=pose),
+        Located("c.png", None, "c.png cannot be located"),
+    ]
+    assert list(written(tmp_path / "locations.csv", located)) == located
+    header, first, second, third = (tmp_path / "locations.csv").read_text().splitlines()
+    assert header == (
+        "image,x,y,theta,room,error_m,lost,covariance_xx,covariance_xy,covariance_yy,agreement,match,distance,ms,off_by"
     )
-    assert second.startswith(f"a.png,{location.x},{location.y},{location.theta},{location.room},")
-    assert third.startswith(f"b.png,{location.x},{location.y},,{location.room},")
+    assert first.startswith(f"a.png,{location.x},{location.y},{location.theta},{location.room},")
+    assert second.startswith(f"b.png,{location.x},{location.y},,{location.room},")
+    assert (first[-1], second.rpartition(",")[2], third) == (",", "2.0", f"c.png{14 * ','}")
     assert location.describe("m").startswith(f"x {location.x:.2f} m, y {location.y:.2f} m, heading ")
     assert ", heading" not in replace(location, theta=math.nan).describe()
+    assert located[1].describe().endswith("; 2.00 m from the pose in its name")
+    assert located[2].describe() == "left out: c.png cannot be located"
+
+
+def test_lines_of_json_hold_the_same(bundle, tmp_path):
+    location = Localizer(bundle).locate(drive(2)[0][0])
+    for _ in written(tmp_path / "locations.jsonl", [Located("a.png", location), Located("b.png", None, "why")]):
+        pass
+    first, second = map(json.loads, (tmp_path / "locations.jsonl").read_text().splitlines())
+    assert (first["x"], first["candidates"][0]["image"]) == (location.x, location.candidates[0].image)
+    assert (first["covariance"], first["pose"], first["off_by"], first["fault"]) == (None, None, None, None)
+    assert second == {"image": "b.png", "fault": "why", "pose": None, "off_by": None}
+    with pytest.raises(ConfigError, match=r"must be a table, \.csv, or lines of JSON, \.jsonl"):
+        next(written(tmp_path / "locations.txt", []))
+
+
+def test_who_stops_early_has_what_there_was(tmp_path):
+    passing = written(tmp_path / "locations.csv", (Located(f"{i}.png", None, "why") for i in range(9)))
+    assert [next(passing).image for _ in range(3)] == ["0.png", "1.png", "2.png"]
+    assert not (tmp_path / "locations.csv").exists()
+    passing.close()
+    assert len((tmp_path / "locations.csv").read_text().splitlines()) == 4
+
+
+def test_files_folders_and_videos_are_located_in_order(bundle, tmp_path):
+    pictures, localizer = drive(2)[0][:4], Localizer(bundle)
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    names = ["t1.0_x0.5_y0.25_a0.0.png", "u.png"]
+    for name, picture in zip(names, pictures, strict=False):
+        cv2.imwrite(str(photos / name), picture[..., ::-1])
+    (photos / "v.png").write_text("no picture")
+    film = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"FFV1"), 5, SIZE[::-1])
+    for picture in pictures:
+        film.write(np.ascontiguousarray(picture[..., ::-1]))
+    film.release()
+    found = list(locate_all(localizer, [photos, tmp_path / "film.avi", photos / "u.png"]))
+    video = [f"{tmp_path / 'film.avi'}#{number}" for number in range(4)]
+    assert [one.image for one in found] == [*(str(photos / name) for name in [*names, "v.png"]), *video,
+                                            str(photos / "u.png")]  # fmt: skip
+    assert found[0].pose == NamedPose(1.0, 0.5, 0.25, 0.0)
+    assert found[0].off_by == pytest.approx(math.hypot(found[0].location.x - 0.5, found[0].location.y - 0.25))
+    assert found[1].pose is None
+    assert found[2].location is None
+    assert "v.png cannot be located" in found[2].fault
+    for number, picture in enumerate(pictures):
+        expected = localizer.locate(picture)
+        got = found[3 + number].location
+        assert (got.x, got.y, got.candidates) == (expected.x, expected.y, expected.candidates)
+    with pytest.raises(DataError, match=r"v\.png cannot be located"):
+        list(locate_all(localizer, photos, on_error="raise"))
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("nowhere.png", "there is no image"),
+        ("empty", "holds no images"),
+        ("film.mp4", "gives no picture: it is no video, or empty"),
+        ("camera:99", "camera:99 gives no picture: look at its plug"),
+        ("camera:front", "is no camera: give its number"),
+    ],
+)
+def test_what_gives_no_images_is_said(bundle, tmp_path, name, says):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "film.mp4").write_bytes(b"no film")
+    given = name if name.startswith("camera") else tmp_path / name
+    with pytest.raises((ConfigError, DataError), match=says):
+        list(locate_all(Localizer(bundle), given))
+    with pytest.raises(ConfigError, match="no images given"):
+        list(locate_all(Localizer(bundle), []))
 
 
 @pytest.mark.parametrize(

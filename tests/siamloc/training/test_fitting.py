@@ -25,7 +25,7 @@ from siamloc.runs import Run
 from siamloc.training import PairSettings, Training, fit
 from siamloc.training.checks import monitored
 from siamloc.training.place_batches import ValidationDrive
-from siamloc.training.run_folder import progress
+from siamloc.training.run_folder import check_folder, progress
 from tests.drawn import write_manifest
 
 SIZE = (32, 128)
@@ -354,6 +354,14 @@ def test_a_folder_that_is_no_run_is_refused(train, tmp_path, name, overwrite):
         train("mine", overwrite=overwrite)
     assert listing(tmp_path / "mine") == [name]
     assert mine.read_text() == "precious"
+
+
+def test_a_process_killed_right_when_it_began_does_not_block_the_folder(tmp_path):
+    (tmp_path / ".run.json.0.tmp.json").write_text("{")
+    check_folder(Run(tmp_path), resume=False, overwrite=False)
+    (tmp_path / ".notes.json.0.tmp.json").write_text("{")
+    with pytest.raises(ConfigError, match="holds other files"):
+        check_folder(Run(tmp_path), resume=False, overwrite=False)
 
 
 def test_the_current_folder_is_not_taken_for_a_run(images, day, tmp_path, monkeypatch):

@@ -1,0 +1,71 @@
+"""The robot's installation: the wheel and what it asks for, without torch, Hydra and the rest of the laboratory."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data import FrameTable, PanoramaLibrary
+from siamloc.maps import build
+from siamloc.models import build as network
+from siamloc.runtime import export
+
+ROOT = Path(__file__).parents[1]
+PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """Return a way to run Python with nothing but the wheel and what it brings along."""
+    folder = tmp_path_factory.mktemp("robot")
+    subprocess.run([*PIP, "wheel", "--no-deps", "--wheel-dir", folder, ROOT], check=True)
+    (wheel,) = folder.glob("siamloc-*.whl")
+    constraints = ["--constraint", ROOT / "constraints.txt"]
+    subprocess.run([*PIP, "install", "--target", folder / "packages", *constraints, wheel], check=True)
+
+    def run(*arguments):
+        environment = {**os.environ, "PYTHONPATH": str(folder / "packages")}
+        base = getattr(sys, "_base_executable", sys.executable)
+        return subprocess.run(
+            [base, "-S", *map(str, arguments)],  # not even what its own installation has
+            capture_output=True, text=True, check=False, cwd=folder, env=environment,
+        )  # fmt: skip
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bundle")
+    generator = np.random.default_rng(0)
+    for name in "abc":
+        cv2.imwrite(str(folder / f"{name}.png"), generator.integers(0, 256, (32, 128, 3), dtype=np.uint8))
+    frames = FrameTable(path=[str(folder / f"{name}.png") for name in "abc"], x=[0, 1, 2], y=[0, 0, 0])
+    images = PanoramaLibrary(frames, folder / "cache", image_size=(32, 128))
+    made = network("simple1", "flat", image_size=(32, 128))
+    export(made, build(made, images, frames, progress=False), folder / "bundle")
+    return folder
+
+
+@pytest.mark.slow
+def test_the_robot_locates_images_without_the_laboratory(robot, bundle):
+    done = robot("-m", "siamloc", "localize", f"bundle={bundle / 'bundle'}", f"images={bundle / 'b.png'}", "top=1")
+    assert done.returncode == 0, done.stderr
+    assert "x 1.00 m, y 0.00 m" in done.stdout
+    left = ["torch", "scipy", "hydra", "omegaconf", "matplotlib", "lightning", "onnx", "rich"]
+    code = f"import importlib.util as u; print([name for name in {left} if u.find_spec(name)])"
+    assert robot("-c", code).stdout == "[]\n", "these came along"
+
+
+@pytest.mark.slow
+def test_what_is_lacking_is_said_with_what_brings_it(robot):
+    done = robot("-m", "siamloc", "train", "data=cold")
+    assert done.returncode == 2
+    assert done.stderr.startswith("siamloc: this needs ")
+    assert "pip install 'siamloc[train]'" in done.stderr
+    done = robot("-c", "import siamloc; siamloc.models.build")
+    assert "this needs torch, which is not installed here: pip install 'siamloc[train]'" in done.stderr
