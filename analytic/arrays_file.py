@@ -5,6 +5,7 @@ from __future__ import annotations
 import tokenize
 import zipfile
 import zlib
+from io import BytesIO
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -32,8 +33,8 @@ _AT_ONCE = 2**20  # bytes
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that arrays may have anyway, and for each byte of the file
 
 
-def read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read all arrays of a file in the format of `numpy.savez`.
+def read_arrays(path: str | Path | bytes) -> dict[str, NDArray[Any]]:
+    """Read all arrays of a file in the format of `numpy.savez`, or of what such a file holds.
 
     Nothing in it is executed, each array must be as long as its description says, and all together may be a hundred
     times as long as the file and 64 MB more, but not longer, however well they were compressed.
@@ -42,7 +43,7 @@ def read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
         OSError, ValueError, ...: one of `DAMAGE`, with what is wrong.
     """
     found: dict[str, NDArray[Any]] = {}
-    with Path(path).open("rb") as file, zipfile.ZipFile(file) as archive:
+    with BytesIO(path) if isinstance(path, bytes) else Path(path).open("rb") as file, zipfile.ZipFile(file) as archive:
         left = _SPARE + _DENSEST * file.seek(0, 2)
         for member in archive.infolist():
             name = member.filename.removesuffix(".npy")

@@ -191,6 +191,13 @@ def _write_bundle(name: str) -> Callable[[Path], Path]:
     return write
 
 
+def _write_archive(path: Path) -> Path:
+    images, monday = _frames()
+    network = siamloc.models.build("simple1", "flat", images.image_shape[1:], outputs=8)
+    known = siamloc.maps.build(network, images, monday, progress=False)
+    return siamloc.runtime.export(network, known, path.with_suffix(".zip")).path
+
+
 def _fitting(known: siamloc.maps.VisualMap) -> siamloc.maps.ErrorModel:
     return siamloc.maps.ErrorModel("ratio", 1.0, 5, (0.1, 0.5), (0.2, 1.0), 30, 1.0, known.digest)
 
@@ -236,5 +243,8 @@ FILES: dict[str, Kind] = {
     "bundle's network": Kind(_write_bundle("model.onnx"), _read_bundle),
     "bundle's map": Kind(_write_bundle("map.npz"), _read_bundle),
     "bundle's errors": Kind(_write_bundle("error_model.json"), _read_bundle),
+    "bundle's archive": Kind(
+        _write_archive, lambda path: siamloc.runtime.Localizer(path).locate(np.full((32, 128, 3), 90, np.uint8))
+    ),
     "building": Kind(_write_building, _read_building),
 }

@@ -92,13 +92,25 @@ def atomic_files(folder: str | Path) -> Iterator[Path]:
         StorageError: the disk is full or refuses.
     """
     folder = Path(folder)
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary, handle = _taken(folder / "files", folder=True)
+    with storage_errors(folder), scratch_folder(folder / "files") as scratch:
+        yield scratch
+        for path in sorted(scratch.iterdir()):
+            path.replace(folder / path.name)
+
+
+@contextmanager
+def scratch_folder(path: str | Path) -> Iterator[Path]:
+    """Yield an empty temporary folder next to `path`, whose parent folders are made; it is removed in the end.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    path = Path(path)
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary, handle = _taken(path, folder=True)
         try:
             yield temporary
-            for path in sorted(temporary.iterdir()):
-                path.replace(folder / path.name)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
             release(handle)

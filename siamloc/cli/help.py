@@ -192,7 +192,7 @@ COMMANDS = {
         its poses are finer than the map in the same way.
 
         run=FOLDER              the run
-        bundle=FOLDER           where to; the run's own folder if not given
+        bundle=FOLDER           where to; the run's own folder if not given; robot.zip makes one file
         descriptor=pretrained   the network that comes with siamloc instead, with its map
         """,
         "siamloc export run=runs/vgg16",
@@ -209,7 +209,7 @@ COMMANDS = {
 
         images=[a.jpeg,folder]   files, folders, videos, or cameras such as camera:0
         run=FOLDER               the run whose bundle is used
-        bundle=FOLDER            another bundle
+        bundle=FOLDER            another bundle, or FILE.zip
         top=3                    map frames to list
         format=table|jsonl|csv   lines to read, or for other programs
         out=FILE                 a .csv or .jsonl file as well; locations.csv where lines to read are printed

@@ -334,8 +334,26 @@ class VisualMap:
         path = Path(path)
         if not path.is_file():
             raise FormatError(f"{path} does not exist: build the map first")
+        return cls._read(path, path, descriptor)
+
+    @classmethod
+    def loads(cls, content: bytes, source: str, descriptor: Descriptor | None = None) -> VisualMap:
+        """Read what a file by `save` holds.
+
+        Args:
+            content: of the file.
+            source: what to call it in error messages.
+            descriptor: as for `load`.
+
+        Raises:
+            ConfigError, FormatError: as `load`.
+        """
+        return cls._read(content, source, descriptor)
+
+    @classmethod
+    def _read(cls, content: Path | bytes, path: str | Path, descriptor: Descriptor | None) -> VisualMap:
         try:
-            arrays = read_arrays(path)
+            arrays = read_arrays(content)
         except DAMAGE as error:
             raise FormatError(f"{path} is not a siamloc map, or not a whole one: build it again") from error
         header = _read_header(path, arrays)
@@ -395,7 +413,7 @@ def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
     return array
 
 
-def _read_header(path: Path, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
+def _read_header(path: str | Path, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
     try:
         header = parsed_json(str(arrays["header"][()]))
         known = header["format"] == _FORMAT and isinstance(header["version"], int)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc.runtime.bundle import Bundle, export
+    from siamloc.runtime.bundle import Bundle
+    from siamloc.runtime.exporting import export
     from siamloc.runtime.localizer import Candidate, Localizer, Location
     from siamloc.runtime.onnx_model import export_heading, export_onnx, heading_parity, parity
     from siamloc.runtime.stream import Located, locate_all, written
@@ -35,7 +36,7 @@ __all__ = [
 
 _HOMES = {
     "Bundle": "bundle",
-    "export": "bundle",
+    "export": "exporting",
     "Candidate": "localizer",
     "Localizer": "localizer",
     "Location": "localizer",

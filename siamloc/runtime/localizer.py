@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import ErrorModel, RefinedPoses, Refinement, Retrieval, VisualMap, headings
-from siamloc.runtime.bundle import Bundle
+from siamloc.maps import RefinedPoses, Retrieval, headings
+from siamloc.runtime.bundle import HEADING, MODEL, RELATIVE, Bundle
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Localizer:
     images: each answer depends on its image alone.
 
     Args:
-        bundle_path: folder of the bundle.
+        bundle_path: folder or archive of the bundle.
         top: how many candidates a location lists.
         threads: threads of onnxruntime; its own choice if None.
 
@@ -102,9 +102,10 @@ class Localizer:
         if top < 1:
             raise ConfigError(f"top must be at least 1, got {top}")
         self.bundle = Bundle.open(bundle_path)
-        if self.bundle.map is None:
+        known = self.bundle.load_map()
+        if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
-        self.map = VisualMap.load(self.bundle.map)
+        self.map = known
         self.map.check_describer(self.bundle.identity)
         self.map.index  # noqa: B018 (prepared here, and not with the first image)
         self._top = top
@@ -113,18 +114,20 @@ class Localizer:
         if threads is not None:
             options.intra_op_num_threads = threads
 
-        def session(path: Path) -> Any:
+        def session(name: str) -> Any:
+            if name not in self.bundle.files:
+                return None
+            model = self.bundle.parts.for_onnxruntime(name)
             try:
-                return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+                return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
             except Exception as error:  # onnxruntime's exceptions have no common base
-                raise FormatError(f"onnxruntime cannot run {path} ({type(error).__name__}): export again") from error
+                raise FormatError(
+                    f"onnxruntime cannot run {bundle_path}/{name} ({type(error).__name__}): export again"
+                ) from error
 
-        self._session = session(self.bundle.model)
-        self._heading = None if self.bundle.heading is None else session(self.bundle.heading)
-        self._errors = None if self.bundle.errors is None else ErrorModel.load(self.bundle.errors)
+        self._session, self._heading, self._relative = session(MODEL), session(HEADING), session(RELATIVE)
+        self._errors, self._refinement = self.bundle.load_errors(), self.bundle.load_refinement()
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
-        self._refinement = None if self.bundle.refinement is None else Refinement.load(self.bundle.refinement)
-        self._relative = None if self.bundle.relative is None else session(self.bundle.relative)
         if self._refinement is not None and self._refinement.method == "relative" and self._relative is None:
             raise FormatError(
                 f"{bundle_path} says that poses are refined by comparison, and holds nothing to compare by: export "
@@ -151,13 +154,8 @@ class Localizer:
             DataError: the image cannot be read, is empty, or has another shape.
         """
         start = time.perf_counter()
-        panorama = self._panorama(image)
-        pixels = panorama[None].astype(np.float32) / np.float32(255)
-        descriptor, *orientation = self._session.run(None, {"panorama": pixels})
-        if self._heading is not None:
-            orientation = self._heading.run(None, {"panorama": pixels})
-        query = Description(descriptor, orientation[0] if orientation else None)
-        found = self.map.search(descriptor, self._wanted)
+        query = self.describe_panorama(self._panorama(image))
+        found = self.map.search(query.position, self._wanted)
         frames = self.map.frames
         candidates = tuple(
             Candidate(
@@ -183,6 +181,14 @@ class Localizer:
             covariance=None if pose is None else _told(pose),
             agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
+
+    def describe_panorama(self, panorama: NDArray[np.uint8]) -> Description:
+        """Describe a panorama (3, H, W), uint8, RGB, of the bundle's size, as the map's frames were described."""
+        pixels = panorama[None].astype(np.float32) / np.float32(255)
+        descriptor, *orientation = self._session.run(None, {"panorama": pixels})
+        if self._heading is not None:
+            orientation = self._heading.run(None, {"panorama": pixels})
+        return Description(descriptor, orientation[0] if orientation else None)
 
     def _estimates(self, query: Description, found: Retrieval) -> tuple[RefinedPoses | None, float, bool | None]:
         """Return the pose finer than the map, the expected error, and whether that means lost.

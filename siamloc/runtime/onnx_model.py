@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from torch import nn
 
 from analytic import Description, Descriptor, ImageDescriptor
 from siamloc.errors import ConfigError, SiamlocError
-from siamloc.files import atomic_path, file_hash, storage_errors
+from siamloc.files import atomic_path, file_hash, scratch_folder
 from siamloc.models.describing import evaluating, identity_of, network_of, orienting
 from siamloc.models.network import Network
 from siamloc.runtime.onnx_file import OPSET, label, quiet, session_of, traced
@@ -70,15 +69,13 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
             report = parity(network, temporary)
     else:
         files = [path.name, f"{path.name}.data"]
-        with storage_errors(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            # The graph names the weights' file, so both are written under their own names elsewhere.
-            with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-                with quiet():
-                    program.save(Path(folder) / path.name, external_data=True)
-                report = parity(network, Path(folder) / path.name)
-                for name in reversed(files):
-                    (Path(folder) / name).replace(path.with_name(name))
+        # The graph names the weights' file, so both are written under their own names elsewhere.
+        with scratch_folder(path) as folder:
+            with quiet():
+                program.save(folder / path.name, external_data=True)
+            report = parity(network, folder / path.name)
+            for name in reversed(files):
+                (folder / name).replace(path.with_name(name))
     return {
         "path": str(path),
         "bytes": sum(path.with_name(name).stat().st_size for name in files),

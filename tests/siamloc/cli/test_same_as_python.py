@@ -157,7 +157,7 @@ def test_what_commands_made_works_in_python(trained, images, tmp_path):
     result = siamloc.evaluation.localization(known, images, drive(images, "tuesday"))
     assert result.measures["queries"] == 24
     bundle = siamloc.runtime.export(network, known, tmp_path / "bundle")
-    location = siamloc.runtime.Localizer(bundle.folder).locate(images.frames.path[0])
+    location = siamloc.runtime.Localizer(bundle.path).locate(images.frames.path[0])
     assert location.candidates[0].image == images.frames.path[0]
 
 

@@ -135,11 +135,9 @@ def test_bundle_json_says_what_the_robot_is_told(world, bundle):
     assert about["heading"]["parity"]["headings"] == 4
     assert ErrorModel.from_dict(about["errors"]) == errors == ErrorModel.load(bundle / "error_model.json")
     opened = Bundle.open(bundle)
-    assert [path.name for path in (opened.map, opened.heading, opened.errors)] == [
-        "map.npz",
-        "heading.onnx",
-        "error_model.json",
-    ]
+    assert opened.files == ("model.onnx", "map.npz", "heading.onnx", "error_model.json")
+    assert opened.load_map().digest == known.digest
+    assert (opened.load_errors(), opened.load_refinement()) == (errors, None)
     assert opened.preprocessing.parameters() == IMAGES
     assert "the robot gets: position, heading (by hog), expected error (lost above" in opened.summary()
 
@@ -172,7 +170,7 @@ def test_a_bundle_without_a_map_describes_alone(world, tmp_path):
     with pytest.raises(ConfigError, match=r"give preprocessing=images\.preprocessing"):
         export(network, None, tmp_path / "bundle")
     opened = export(network.module, None, tmp_path / "bundle", preprocessing=Preprocessing.of(IMAGES))
-    assert (opened.map, opened.image_size) == (None, SIZE)
+    assert (opened.load_map(), opened.image_size) == (None, SIZE)
     assert "descriptors alone" in opened.summary()
     with pytest.raises(ConfigError, match="holds no map"):
         Localizer(tmp_path / "bundle")
@@ -379,7 +377,7 @@ def test_a_network_that_finds_headings_needs_nothing_beside_it(tmp_path):
     part = HeadingPart.of(NetworkHeading(), seen.orientation)
     known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part, describes=network)
     bundle = export(network, known, tmp_path / "bundle")
-    assert bundle.heading is None
+    assert "heading.onnx" not in bundle.files
     assert bundle.about["heading"]["identity"] == {"name": "network", "version": 1}
     assert bundle.about["heading"]["parity"]["max_relative_difference"] <= 1e-4
     assert "the robot gets: position, heading (by network)" in bundle.summary()

@@ -1,0 +1,139 @@
+"""The files of a bundle, in a folder or in one archive, which nobody vouches for: read, and never unpacked."""
+
+from __future__ import annotations
+
+import hashlib
+import stat
+import zipfile
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Collection
+from pathlib import Path, PurePosixPath
+
+from siamloc.errors import FormatError
+from siamloc.files import file_hash
+
+_SPARE, _DENSEST = 64_000_000, 100  # bytes that a part may have anyway, and for each byte of its own in the archive
+_DAMAGE = (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+_AT_ONCE = 1 << 20
+
+
+class Parts(ABC):
+    """The files of a bundle by name.
+
+    Args:
+        path: where the bundle lies.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @abstractmethod
+    def holds(self, name: str) -> bool:
+        """Say whether there is such a regular file."""
+
+    @abstractmethod
+    def read(self, name: str) -> bytes:
+        """Return what a file holds.
+
+        Raises:
+            FormatError: it is not there, or damaged.
+        """
+
+    @abstractmethod
+    def digest(self, name: str) -> str:
+        """Return the SHA-256 of a file in hexadecimal.
+
+        Raises:
+            FormatError: it is not there, or damaged.
+        """
+
+    def for_onnxruntime(self, name: str) -> str | bytes:
+        """Return a model in the form that onnxruntime opens."""
+        return self.read(name)
+
+
+class Folder(Parts):
+    """Files in a folder; links among them are refused."""
+
+    def holds(self, name: str) -> bool:
+        """Say whether there is such a regular file."""
+        path = self.path / name
+        if path.is_symlink():
+            raise FormatError(f"{path} is a link, which could lead anywhere: copy the file itself into the bundle")
+        return path.is_file()
+
+    def read(self, name: str) -> bytes:
+        """Return what a file holds."""
+        try:
+            return (self.path / name).read_bytes()
+        except OSError as error:
+            raise FormatError(f"{self.path / name} cannot be read ({error.strerror}): export again") from error
+
+    def digest(self, name: str) -> str:
+        """Return the SHA-256 of a file in hexadecimal."""
+        return file_hash(self.path / name)
+
+    def for_onnxruntime(self, name: str) -> str | bytes:
+        """Return the path: weights of more than 2 GB lie in a file beside the model."""
+        return str(self.path / name)
+
+
+class Archive(Parts):
+    """Files in a zip archive, at its top or in one folder that it was made of.
+
+    Args:
+        path: of the archive.
+        allowed: names that a bundle may hold.
+        marker: the one that every bundle holds.
+
+    Raises:
+        FormatError: no archive, cut short, or with files that no bundle has.
+    """
+
+    def __init__(self, path: Path, allowed: Collection[str], marker: str) -> None:
+        super().__init__(path)
+        try:
+            with zipfile.ZipFile(path) as archive:
+                members = [member for member in archive.infolist() if not member.is_dir()]
+        except _DAMAGE as error:
+            raise FormatError(f"{path} is no zip archive, or not a whole one ({error}): export again") from error
+        tops = [member.filename[: -len(marker)] for member in members if member.filename.endswith(marker)]
+        top = next((top for top in tops if len(PurePosixPath(top).parts) < 2), "")
+        self._members: dict[str, zipfile.ZipInfo] = {}
+        for member in members:
+            name = member.filename.removeprefix(top)
+            linked = stat.S_ISLNK(member.external_attr >> 16)
+            if name not in allowed or name in self._members or linked or member.flag_bits & 1:
+                what = "a link" if linked else "encrypted" if member.flag_bits & 1 else "no part of a bundle"
+                raise FormatError(f"{path} holds {member.filename!r}, which is {what}, or is there twice: export again")
+            if member.file_size > _SPARE + _DENSEST * member.compress_size:
+                raise FormatError(f"{path} holds {name}, which claims to be far too long: export again")
+            self._members[name] = member
+
+    def holds(self, name: str) -> bool:
+        """Say whether there is such a file."""
+        return name in self._members
+
+    def read(self, name: str) -> bytes:
+        """Return what a file holds; a wrong checksum of the archive is damage."""
+        return b"".join(self._blocks(name))
+
+    def digest(self, name: str) -> str:
+        """Return the SHA-256 of a file in hexadecimal."""
+        digest = hashlib.sha256()
+        for block in self._blocks(name):
+            digest.update(block)
+        return digest.hexdigest()
+
+    def _blocks(self, name: str) -> list[bytes]:
+        try:
+            with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as held:
+                blocks, left = [], self._members[name].file_size
+                while left > 0 and (block := held.read(min(_AT_ONCE, left))):
+                    blocks.append(block)
+                    left -= len(block)
+                held.read(1)  # at the end the checksum is compared
+        except _DAMAGE as error:
+            raise FormatError(f"{name} in {self.path} is damaged or cut short ({error}): export again") from error
+        return blocks
