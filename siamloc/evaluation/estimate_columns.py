@@ -133,9 +133,7 @@ def located_columns(
         name, finer = poses
         columns |= {f"{name}_est_x": finer.xy[:, 0], f"{name}_est_y": finer.xy[:, 1], f"{name}_est_theta": finer.theta}
     if errors is not None:
-        if poses is not None and errors.of_poses:
-            columns["error_m"] = errors.predict_poses(poses[1])
-        else:
-            columns["error_m"] = errors.predict(found, known.frames.xy)
-        columns["lost"] = errors.lost(columns["error_m"])
+        expected, lost = errors.judged(found, known.frames.xy, None if poses is None else poses[1])
+        assert lost is not None
+        columns |= {"error_m": expected, "lost": lost}
     return columns

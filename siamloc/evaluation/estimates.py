@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -27,6 +28,7 @@ from siamloc.settings import Count, NotNegative, Positive, Probability, Settings
 
 MATCHES = 20  # that an error model looks at
 ESTIMATES = {"interpolate": "interpolated", "relative": "refined"}  # what finer poses are called, by their method
+_ELSEWHERE = 3.0  # place radii that take a place and what is seen from it out of the map
 _STANDING = 0.01  # step of a filter in a map whose frames are all at one place
 
 
@@ -83,10 +85,18 @@ class Estimates(Settings):
 
 @dataclass(frozen=True)
 class Validation:
-    """Validation frames with positions, looked for in the map as queries are."""
+    """Validation frames with positions, looked for in the map as queries are.
+
+    Attributes:
+        frames: n.
+        search: of all of them.
+        elsewhere: of those that are far from some of the map's frames, among these alone: so a picture is found that
+            shows nothing of what the map shows.
+    """
 
     frames: FrameTable
     search: Search
+    elsewhere: Search | None = None
 
 
 def needs_validation(settings: Estimates) -> bool:
@@ -114,8 +124,15 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
     k = min(max(MATCHES, settings.neighbours), len(known))
     tuned = settings.filter and settings.filter_tune
     search = Search(known, np.flatnonzero(has), k, refinement=refinement(settings, known), with_distances=tuned)
-    session.run(known, frames, {"validation": search}, "the validation frames")
-    return Validation(frames.take(has), search)
+    searches, elsewhere = {"validation": search}, None
+    if settings.error_model:
+        offsets = (known.frames.xy - xy for xy in frames.xy[search.rows])
+        near = np.stack([np.hypot(*offset.T) <= _ELSEWHERE * settings.place_radius for offset in offsets])
+        enough = (~near).sum(axis=1) >= k
+        elsewhere = Search(known, search.rows[enough], k, search.refinement, excluded=near[enough])
+        searches["elsewhere"] = elsewhere
+    session.run(known, frames, searches, "the validation frames")
+    return Validation(frames.take(has), search, elsewhere if elsewhere is not None and len(elsewhere.rows) else None)
 
 
 def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
@@ -178,8 +195,9 @@ def with_estimates(
             result = _with_columns(result, "tracked", columns, {"tracking": about})
     if settings.error_model and validation is not None:
         model, about = learned_errors(settings, known, validation)
-        expected = expected_errors(model, known, search)
-        columns = {**result.tables["queries"], "error_m": expected, "lost": model.lost(expected)}
+        expected, lost = model.judged(search.retrieval, known.frames.xy, _poses(model, search))
+        assert lost is not None
+        columns = {**result.tables["queries"], "error_m": expected, "lost": lost}
         judged = {
             **columns,
             "error": columns[f"{ESTIMATES[model.refine]}_error" if model.refine in ESTIMATES else "error"],
@@ -315,12 +333,22 @@ def learned_errors(settings: Estimates, known: VisualMap, validation: Validation
         "sequences": list(validation.frames.rows_by("sequence")),
         "queries": len(validation.frames),
     }
-    return replace(model, refine=settings.refine, lost_above=settings.lost_above, map_digest=known.digest), about
+    model = replace(model, refine=settings.refine, lost_above=settings.lost_above, map_digest=known.digest)
+    if validation.elsewhere is not None:
+        right = np.flatnonzero(errors <= settings.lost_above)
+        with suppress(DataError):  # too few of either: then nothing is foreign
+            known_poses, other_poses = (_poses(model, one) for one in (validation.search, validation.elsewhere))
+            model = model.with_foreign(
+                (found.take(right), None if known_poses is None else known_poses.take(right)),
+                (validation.elsewhere.retrieval, other_poses),
+                xy,
+            )
+    return model, {**about, "foreign_above": model.foreign_above}
 
 
-def expected_errors(model: ErrorModel, known: VisualMap, search: Search) -> NDArray[np.float64]:
-    """Return the expected errors of what was looked for (n,)."""
-    return model.predict_poses(search.refined) if model.of_poses else model.predict(search.retrieval, known.frames.xy)
+def _poses(model: ErrorModel, search: Search) -> RefinedPoses | None:
+    """Return the refined poses of what was looked for, where an error model looks at them."""
+    return search.refined if model.of_poses else None
 
 
 def _interval(frames: FrameTable) -> float | None:

@@ -196,7 +196,7 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
         >>> error_model(known, images, tuesday, lost_above=2.0).lost_above
         2.0
     """
-    settings, placed = Localization.of(options), known.placed()
+    settings, placed = Localization.of({**options, "error_model": True}), known.placed()
     session = Session(known, images, validation)
     return learned_errors(settings, placed, search_validation(session, session.queries, settings, placed))[0]
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 _POSE = "pose"
+_REFUSED, _KEPT = 0.95, 0.99  # shares: of pictures of elsewhere that are to be refused, of right ones that never are
+_DISTANCE_BESIDE_POSES, _DISTANCE_BESIDE_MATCHES = 5.0, 1.0  # weights in the strangeness (benchmarks/foreign.py)
 _REFINED = ("none", "interpolate", "relative")
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the deviation of a pose that nothing is known of
 
@@ -82,13 +84,16 @@ class ErrorModel(Learned):
         errors: the expected error at each, not decreasing; linear between them and constant beyond.
         queries: how many it was learned from.
         lost_above: the expected error above which the robot counts as lost; None if none was chosen.
+        foreign_above: the strangeness above which a query shows nothing of what the map shows, so that the robot is
+            lost whatever error is expected, see `with_foreign`; None if it was not learned.
+        foreign_weight: of the descriptor distance of the best match in the strangeness.
         map_digest: of the map it was learned on; "" if unknown.
         refine: of which poses the errors are: "none" for those of the nearest map frames, or a method of
             `siamloc.maps.Refinement`.
     """
 
     FORMAT = "siamloc-error-model"
-    VERSION = 3
+    VERSION = 4
     NOUN = "error model"
 
     score: str
@@ -100,6 +105,8 @@ class ErrorModel(Learned):
     lost_above: float | None = None
     map_digest: str = ""
     refine: str = "none"
+    foreign_above: float | None = None
+    foreign_weight: float = 0.0
 
     def __post_init__(self) -> None:
         if self.refine not in _REFINED:
@@ -112,6 +119,13 @@ class ErrorModel(Learned):
             )
         if self.lost_above is not None and not 0 < self.lost_above < math.inf:
             raise ConfigError(f"the threshold of being lost must be a positive error, got {self.lost_above}")
+        if not (self.foreign_above is None or math.isfinite(self.foreign_above)) or not (
+            0 <= self.foreign_weight < math.inf
+        ):
+            raise ConfigError(
+                "what is foreign needs a threshold that is a number and a weight from 0, got "
+                f"{self.foreign_above} and {self.foreign_weight}"
+            )
         knots, errors = np.asarray(self.knots, dtype=float), np.asarray(self.errors, dtype=float)
         fits = knots.ndim == 1 and knots.shape == errors.shape and len(knots) > 0
         if not fits or not (np.diff(knots) > 0).all() or not (np.diff(errors) >= 0).all() or not errors[0] >= 0:
@@ -228,8 +242,79 @@ class ErrorModel(Learned):
         """
         return np.interp(self.scores(found, map_xy), self.knots, self.errors)
 
+    def judged(
+        self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+        """Return the expected error of each query (n,), and which are lost; None where no threshold was chosen.
+
+        A query is lost where a larger error is expected than `lost_above`, or where it shows nothing of what the map
+        shows, see `with_foreign`.
+
+        Args:
+            found: what the search gave, at least `neighbours` of n queries, or the whole map.
+            map_xy: (m, 2) positions of the map's frames.
+            poses: the refined poses of the queries, for a model that was learned from such.
+
+        Raises:
+            ConfigError: a model of refined poses without these.
+            DataError: as `predict`.
+        """
+        scores, distances = self._looked_at(found, map_xy, poses)
+        expected = np.interp(scores, self.knots, self.errors)
+        if self.lost_above is None:
+            return expected, None
+        lost = self.lost(expected)
+        return expected, lost if self.foreign_above is None else lost | (
+            scores + self.foreign_weight * distances > self.foreign_above
+        )
+
+    def with_foreign(
+        self,
+        right: tuple[Retrieval, RefinedPoses | None],
+        elsewhere: tuple[Retrieval, RefinedPoses | None],
+        map_xy: ArrayLike,
+    ) -> ErrorModel:
+        """Return the model that knows a picture of another building, or by another camera, from one of the map's.
+
+        No such picture is needed: what the map does not show looks like its own places when they are taken out of it.
+        How strange a query is, is the model's score plus a multiple of the descriptor distance of the best match, in
+        units of what it usually is elsewhere. 95 % of what is elsewhere pass the threshold; where both overlap too far
+        for that, it lies above 99 % of the right answers.
+
+        Args:
+            right: what was found of validation queries that were located well, in the whole map, and their poses.
+            elsewhere: what was found of validation queries among the map frames far from where they were taken.
+            map_xy: (m, 2) positions of the map's frames.
+
+        Raises:
+            ConfigError: as `judged`.
+            DataError: fewer than 10 of either.
+        """
+        known, unknown = (
+            np.stack(self._looked_at(found, map_xy, poses), axis=1) for found, poses in (right, elsewhere)
+        )
+        if min(len(known), len(unknown)) < _FEWEST:
+            raise DataError(
+                f"what is foreign is learned from at least {_FEWEST} validation queries that are located well, and as "
+                f"many with map frames far from them, got {len(known)} and {len(unknown)}"
+            )
+        typical = float(np.median(unknown[:, 1]))
+        weight = (_DISTANCE_BESIDE_POSES if self.of_poses else _DISTANCE_BESIDE_MATCHES) / (typical or 1.0)
+        known, unknown = (part @ [1.0, weight] for part in (known, unknown))
+        above = float(max(np.quantile(unknown, 1 - _REFUSED), np.quantile(known, _KEPT)))
+        return replace(self, foreign_above=above, foreign_weight=weight)
+
+    def _looked_at(
+        self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the model's score of each query, and the descriptor distance of its best match."""
+        if self.of_poses and poses is None:
+            raise ConfigError("the error model was learned from refined poses: give it those")
+        scores = pose_score(poses) if self.of_poses and poses is not None else self.scores(found, map_xy)
+        return scores, found.distances[:, 0].astype(np.float64)
+
     def lost(self, expected: ArrayLike) -> NDArray[np.bool_]:
-        """Return for which expected errors (n,) the robot counts as lost.
+        """Return for which expected errors (n,) the robot counts as lost; `judged` knows foreign queries besides.
 
         Raises:
             ConfigError: no threshold was chosen.

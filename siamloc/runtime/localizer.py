@@ -49,8 +49,8 @@ class Location:
             nearest map frame is unknown.
         room: room of the nearest map frame, or "".
         error_m: expected error of x and y in their unit, metres by default; NaN where the bundle holds no error model.
-        lost: whether the expected error is above the threshold that the error model was learned with; None where there
-            is none.
+        lost: whether the expected error is above the threshold that the error model was learned with, or the image
+            shows nothing of what the map shows, as one of another building or camera; None where there is no threshold.
         candidates: the map frames that resemble the image most, the nearest first.
         ms: time that preparing, describing, searching and all estimates took, in milliseconds.
         covariance: of x and y, in their squared unit, as ((xx, xy), (xy, yy)); None where nothing tells it.
@@ -203,13 +203,8 @@ class Localizer:
         if self._refinement is not None:
             pose = replace(self._refinement, widening=1.0).poses(self._placed, query, found, self._compare)
         if self._errors is not None:
-            if self._errors.of_poses:
-                assert pose is not None
-                errors = self._errors.predict_poses(pose)
-            else:
-                errors = self._errors.predict(found, self._placed.frames.xy)
-            expected = float(errors[0])
-            lost = None if self._errors.lost_above is None else bool(self._errors.lost(errors)[0])
+            errors, verdict = self._errors.judged(found, self._placed.frames.xy, pose)
+            expected, lost = float(errors[0]), None if verdict is None else bool(verdict[0])
         if self._refinement is not None and pose is not None:
             pose = pose.widened(self._refinement.widening)
         return pose, expected, lost

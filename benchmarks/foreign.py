@@ -1,0 +1,102 @@
+r"""Whether pictures of other buildings and by other cameras are lost, and pictures of the mapped building are not.
+
+The map is a drive under clouds through one building, of every and of every fifth frame, 0.3 m apart; what a robot may
+trust is learned from a second drive. Then its other drives, drives through other buildings, and the real corridor's
+photographs by a fisheye camera are located. Nothing of those is used before.
+
+    siamloc simulate building=freiburg_like camera=panorama runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 out=data
+    siamloc simulate building=annex camera=panorama runs=[cloudy1,night1] spacing=0.3 out=data
+    siamloc simulate building=random seed=101 camera=panorama runs=[cloudy1,night1] spacing=0.3 out=data
+    for seed in 102 103; do siamloc simulate building=random seed=$seed camera=panorama \
+        runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 out=data; done
+    python -m benchmarks.foreign --data data
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import siamloc
+from benchmarks.report import Report, parser
+from siamloc.data import FrameTable, PanoramaLibrary
+from siamloc.models.registry import PRETRAINED_SIZE
+
+WAYS: dict[str, dict[str, Any]] = {
+    "pretrained, refined": {"refine": "relative"},
+    "pretrained": {"refine": "none"},
+}
+CORRIDOR = Path(__file__).parents[2] / "shared" / "data" / "corridor" / "manifest.csv"
+EVERY = (1, 5)
+
+
+def lost_of(
+    images: PanoramaLibrary, frames: FrameTable, known: siamloc.maps.VisualMap, model: siamloc.maps.ErrorModel
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Return which frames are lost, and where they are said to be."""
+    finer = siamloc.maps.Refinement("relative")
+    lost, xy = list[Any](), list[Any]()
+    for query in siamloc.maps.describing.describe(known.describer, images, frames):
+        found = known.search(query.position, 20)
+        poses = finer.poses(known, query, found) if model.of_poses else None
+        lost.append(model.judged(found, known.frames.xy, poses)[1])
+        xy.append(known.frames.xy[found.indices[:, 0]] if poses is None else poses.xy)
+    return np.concatenate(lost), np.concatenate(xy)
+
+
+def main() -> None:
+    """Locate all drives in the maps of two buildings, print what came of it, and write the file."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--data", type=Path, required=True, help="folder with the buildings' folders")
+    arguments.add_argument(
+        "--homes",
+        nargs="+",
+        default=["freiburg_like", "annex", "random_102", "random_103"],
+        help="buildings that are mapped",
+    )
+    options = arguments.parse_args()
+    report, rows = Report("foreign", options.out), list[dict[str, Any]]()
+    with tempfile.TemporaryDirectory() as cache:
+        sources = {path.name: {"kind": "cold", "root": str(path)} for path in sorted(options.data.iterdir())}
+        if CORRIDOR.is_file():
+            sources["corridor"] = {"kind": "manifest", "manifest": str(CORRIDOR)}
+        frames = {name: siamloc.data.read(**source) for name, source in sources.items()}
+        images = {name: PanoramaLibrary(table, cache, image_size=PRETRAINED_SIZE) for name, table in frames.items()}
+        for home in options.homes:
+            drives = list(frames[home].rows_by("sequence"))
+            mapped = frames[home].select(sequence=drives[0])
+            for every in EVERY:
+                chosen = mapped.take(np.arange(0, len(mapped), every))
+                known = siamloc.maps.build("pretrained", images[home], chosen, progress=False)
+                validation = frames[home].select(sequence=drives[1])
+                for name, way in WAYS.items():
+                    model = siamloc.evaluation.error_model(known, images[home], validation, **way)
+                    row: dict[str, Any] = {"way": name, "map": home, "every": every, "lost": {}, "refused": {}}
+                    for place, table in frames.items():
+                        for drive in table.rows_by("sequence"):
+                            if place == home and drive in drives[:2]:
+                                continue
+                            queries = table.select(sequence=drive)
+                            lost, xy = lost_of(images[place], queries, known, model)
+                            if place == home:
+                                right = np.hypot(*(xy - queries.xy).T) <= 1.0
+                                row["lost"][drive] = float(lost[right].mean())
+                            else:
+                                row["refused"][f"{place} {drive}"] = float(lost.mean())
+                    rows.append(row)
+                    print(f"{name}, {home}, every {every}: lost {row['lost']}, refused {row['refused']}", flush=True)
+    for row in rows:
+        title = f"{row['way']}, {row['map']}, every {row['every']}"
+        worst = max(row["lost"].values(), default=0.0)
+        report.target(f"{title}: at most 2 % of right answers lost ({worst:.1%})", worst <= 0.02)
+        least = min(row["refused"].values())
+        report.target(f"{title}: 95 % of foreign pictures refused ({least:.1%})", least >= 0.95)
+    report.write({"rows": rows})
+
+
+if __name__ == "__main__":
+    main()
