@@ -42,8 +42,16 @@ def calibration_curve(predicted: ArrayLike, error: ArrayLike, bins: int = 10) ->
     ]
 
 
-def lost_measures(predicted: ArrayLike, error: ArrayLike, lost_above: float) -> dict[str, Any]:
+def lost_measures(
+    predicted: ArrayLike, error: ArrayLike, lost_above: float, called: ArrayLike | None = None
+) -> dict[str, Any]:
     """Return how well "lost", a predicted error above a threshold, agrees with real errors above it.
+
+    Args:
+        predicted: errors (n,).
+        error: the real ones (n,).
+        lost_above: the threshold.
+        called: which queries were called lost (n,), where that does not follow from the predicted errors alone.
 
     Returns:
         lost_above; `called`, `lost` and `both`, numbers of queries; `precision`, both / called; `recall`, both / lost;
@@ -56,9 +64,10 @@ def lost_measures(predicted: ArrayLike, error: ArrayLike, lost_above: float) -> 
     if not 0 < lost_above < math.inf:
         raise ConfigError(f"the threshold of being lost must be a positive error, got {lost_above}")
     expected, observed = _pair(predicted, error)
-    called, lost = expected > lost_above, observed > lost_above
-    both = int((called & lost).sum())
-    n_called, n_lost = int(called.sum()), int(lost.sum())
+    verdict = expected > lost_above if called is None else np.asarray(called, dtype=bool)
+    lost = observed > lost_above
+    both = int((verdict & lost).sum())
+    n_called, n_lost = int(verdict.sum()), int(lost.sum())
     return {
         "lost_above": float(lost_above),
         "called": n_called,
@@ -71,6 +80,8 @@ def lost_measures(predicted: ArrayLike, error: ArrayLike, lost_above: float) -> 
 
 def measures_of(columns: Mapping[str, NDArray], lost_above: float, bins: int = 10) -> dict[str, Any]:
     """Return how well `error_m` predicts `error`, by these columns of `queries.csv`: overall, by lighting and by room.
+
+    Which queries were called lost is in the column `lost`, where there is one.
 
     Returns:
         The groups "overall", "lighting" (by label) and "room" (by label). A group holds `queries`; `predicted` and
@@ -91,7 +102,7 @@ def measures_of(columns: Mapping[str, NDArray], lost_above: float, bins: int = 1
             "observed": float(error.mean()) if len(rows) else math.nan,
             "gap": gaps / len(rows) if len(rows) else math.nan,
             "curve": curve,
-            "lost": lost_measures(predicted, error, lost_above),
+            "lost": lost_measures(predicted, error, lost_above, columns["lost"][rows] if "lost" in columns else None),
         }
 
     return {

@@ -75,7 +75,8 @@ def expected_errors(part: Part) -> Markup | None:
     text = (
         "Each point is a tenth of the queries of its kind: the error that was expected of them, and their true "
         "one. On the dotted line both are equal; the gap is the mean distance from it. A query is called lost where "
-        f"more than {threshold:g} {unit} are expected; it is lost in truth where its error is larger than that."
+        f"more than {threshold:g} {unit} are expected, or where it shows nothing of what the map shows; it is lost in "
+        "truth where its error is larger than that."
         f"{learned}"
     )
     return section(

@@ -109,6 +109,13 @@ def test_filter_interpolation_and_expected_errors(world):
     assert result.refinement == maps.Refinement("interpolate", 3, 1.0, map_digest=known.digest)
     assert result.error_model == evaluation.error_model(known, images, sunday, refine="interpolate")
     assert result.error_model != evaluation.error_model(known, images, sunday)
+    model = evaluation.error_model(known, images, sunday, place_radius=0.2)
+    assert model.foreign_above is not None, "there are enough frames farther than 0.6 m away"
+    found = maps.match(known, known.descriptor.describe(images.batch(images.rows(tuesday))), 20)
+    judged = evaluation.localization(
+        known, images, tuesday, validation=sunday, error_model=True, place_radius=0.2
+    ).columns
+    np.testing.assert_array_equal(judged["lost"], model.judged(found, known.frames.xy)[1])
     between = result.parts["calibration"]["overall"]["observed"]
     assert between == pytest.approx(result.columns["interpolated_error"].mean())
     with pytest.raises(ConfigError, match="give validation=FRAMES"):

@@ -121,6 +121,54 @@ def test_lost_is_an_expected_error_above_the_threshold() -> None:
             replace(MODEL, lost_above=threshold)
 
 
+def looked_for(rng, distance: float, n: int = 200, m: int = 30, k: int = 10) -> Retrieval:
+    """Return matches whose best one is about so far away, and the others at about 1."""
+    distances = np.sort(np.concatenate([rng.normal(distance, 0.05, (n, 1)), rng.normal(1, 0.02, (n, k - 1))], axis=1))
+    return Retrieval(np.argsort(rng.random((n, m)), axis=1)[:, :k], np.abs(distances))
+
+
+def test_what_lies_elsewhere_is_foreign_and_right_answers_are_not() -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, 30, (30, 2))
+    near, far = looked_for(rng, 0.4), looked_for(rng, 0.9)
+    model = replace(MODEL, lost_above=5.0)
+    assert not model.judged(far, xy)[1].any(), "no error above 5 is expected of anything"
+    model = model.with_foreign((near, None), (far, None), xy)
+    expected, lost = model.judged(near, xy)
+    np.testing.assert_array_equal(expected, model.predict(near, xy))
+    assert not lost.any()
+    # The threshold is the 5 % quantile of 200 values.
+    assert model.judged(far, xy)[1].mean() == pytest.approx(0.95, abs=0.005)
+    assert model.judged(looked_for(rng, 0.9), xy)[1].mean() == pytest.approx(0.95, abs=0.06)  # four deviations of 200
+    scaled = Retrieval(far.indices, 7 * far.distances)
+    assert (
+        model.with_foreign((Retrieval(near.indices, 7 * near.distances), None), (scaled, None), xy)
+        .judged(scaled, xy)[1]
+        .tolist()
+        == model.judged(far, xy)[1].tolist()
+    ), "the unit of distances does not matter"
+    assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
+
+
+def test_where_both_look_alike_right_answers_count_more() -> None:
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(0, 30, (30, 2))
+    near, far = looked_for(rng, 0.8), looked_for(rng, 0.82)
+    model = replace(MODEL, lost_above=5.0).with_foreign((near, None), (far, None), xy)
+    assert model.judged(near, xy)[1].mean() == pytest.approx(0.01, abs=0.005)
+    assert model.judged(far, xy)[1].mean() < 0.5
+
+
+def test_what_is_foreign_is_not_learned_from_a_few() -> None:
+    rng = np.random.default_rng(2)
+    xy = rng.uniform(0, 30, (30, 2))
+    with pytest.raises(DataError, match=r"at least 10 validation queries .* got 9 and 20"):
+        MODEL.with_foreign((looked_for(rng, 0.4, 9), None), (looked_for(rng, 0.9, 20), None), xy)
+    assert MODEL.judged(looked_for(rng, 0.4, 3), xy)[1] is None
+    with pytest.raises(ConfigError, match="learned from refined poses"):
+        replace(MODEL, score="pose", refine="relative").judged(looked_for(rng, 0.4, 3), xy)
+
+
 def test_the_prediction_needs_numpy_only() -> None:
     code = (
         "import sys, numpy as np\n"
@@ -141,7 +189,8 @@ def test_the_prediction_needs_numpy_only() -> None:
     [
         ({"format": "other"}, "this is not a siamloc error model"),
         ([], "this is not a siamloc error model"),
-        ({**MODEL.as_dict(), "version": 4}, "format version 4, this siamloc reads up to 3"),
+        ({**MODEL.as_dict(), "version": 5}, "format version 5, this siamloc reads up to 4"),
+        ({**MODEL.as_dict(), "foreign_weight": -1}, "not a whole error model"),
         ({**MODEL.as_dict(), "version": "1"}, "format version 1"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),
         ({**MODEL.as_dict(), "errors": [3, 2, 1]}, "not a whole error model"),
