@@ -179,6 +179,9 @@ def export(config: DictConfig) -> None:
     print(bundle.summary())
     for line in further_steps(run, known, errors, refinement, label):
         print(line)
+    if known is not None:
+        where = f"run={run.folder}" if folder == run.bundle else f"bundle={folder}"
+        print(f"next: siamloc localize {where} images=[photo.jpeg]")
 
 
 def report(config: DictConfig) -> None:

@@ -220,7 +220,7 @@ def way_of(config: DictConfig) -> dict[str, Any]:
 def further_steps(
     run: Run, known: VisualMap | None, errors: ErrorModel | None, refinement: Refinement | None, label: str
 ) -> list[str]:
-    """Return what the robot could get besides what was exported, and what to do next, in words."""
+    """Return what the robot could get besides what was exported, in words."""
     lines, named = [], f"run={run.folder}" + ("" if label == "network" else f" descriptor={label}")
     if known is not None and known.heading is None and known.made.get("data", {}).get("circular", True):
         which = "" if known.descriptor.tells_heading else " heading=hog"
@@ -235,7 +235,7 @@ def further_steps(
         elif getattr(known.describes, "compares", False):
             step = f"siamloc evaluate {named} task.refine=relative"
             lines.append(f"for poses finer than the map: {step}, then export again")
-    return [*lines, f"next: siamloc localize run={run.folder} images=[photo.jpeg]"]
+    return lines
 
 
 def files_in(folder: Path) -> list[Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 
 from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
-from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.maps import RefinedPoses, Retrieval, headings
 from siamloc.runtime.bundle import HEADING, MODEL, RELATIVE, Bundle
+from siamloc.settings import Count, checked
 
 
 @dataclass(frozen=True)
@@ -90,17 +92,29 @@ class Localizer:
         bundle_path: folder or archive of the bundle.
         top: how many candidates a location lists.
         threads: threads of onnxruntime; its own choice if None.
+        providers: what onnxruntime computes with, the first that can, such as ("CUDAExecutionProvider",
+            "CPUExecutionProvider").
 
     Raises:
         FormatError: no bundle, an altered one, or one of a newer version.
-        ConfigError: a bundle without a map, or top below 1.
+        ConfigError: a bundle without a map, top or threads below 1, or a provider that this onnxruntime lacks.
     """
 
-    def __init__(self, bundle_path: str | Path, top: int = 3, threads: int | None = None) -> None:
+    def __init__(
+        self,
+        bundle_path: str | Path,
+        top: int = 3,
+        threads: int | None = None,
+        providers: Sequence[str] = ("CPUExecutionProvider",),
+    ) -> None:
         import onnxruntime
 
-        if top < 1:
-            raise ConfigError(f"top must be at least 1, got {top}")
+        checked(top, Count, "top")
+        checked(threads, Count | None, "threads")
+        there = onnxruntime.get_available_providers()
+        for provider in providers:
+            if provider not in there:
+                raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
         self.bundle = Bundle.open(bundle_path)
         known = self.bundle.load_map()
         if known is None:
@@ -119,7 +133,7 @@ class Localizer:
                 return None
             model = self.bundle.parts.for_onnxruntime(name)
             try:
-                return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+                return onnxruntime.InferenceSession(model, options, providers=list(providers))
             except Exception as error:  # onnxruntime's exceptions have no common base
                 raise FormatError(
                     f"onnxruntime cannot run {bundle_path}/{name} ({type(error).__name__}): export again"

@@ -184,3 +184,20 @@ def test_a_bundle_that_disagrees_with_its_network_is_refused(world, tmp_path, mo
     with pytest.raises(SiamlocError, match="away from the network"):
         export(*world, tmp_path / "bundle")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"top": 0}, "top must be a whole number from 1"),
+        ({"threads": 0}, "threads must be a whole number from 1"),
+        ({"providers": ("CUDA",)}, "no provider 'CUDA'.*valid: .*CPUExecutionProvider"),
+    ],
+)
+def test_options_without_a_meaning_are_one_sentence(folder, options, says):
+    with pytest.raises(ConfigError, match=says):
+        Localizer(folder, **options)
+
+
+def test_threads_and_providers_do_not_change_the_answer(folder):
+    assert same(answers(folder, threads=2, providers=("CPUExecutionProvider",)), answers(folder))
