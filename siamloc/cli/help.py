@@ -211,6 +211,7 @@ COMMANDS = {
         run=FOLDER               the run whose bundle is used
         bundle=FOLDER            another bundle, or FILE.zip
         top=3                    map frames to list
+        track=true               follow the robot from image to image, where the bundle compares images with map frames
         format=table|jsonl|csv   lines to read, or for other programs
         out=FILE                 a .csv or .jsonl file as well; locations.csv where lines to read are printed
         on_error=skip|raise      go on after an image that cannot be read, or stop there

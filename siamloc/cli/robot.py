@@ -28,6 +28,7 @@ class Localize(Settings):
         run: the run whose bundle is used.
         bundle: another bundle.
         top: map frames to list for each image.
+        track: follow the robot from image to image; each folder, video and camera is a drive.
         format: what is printed: a line to read, of JSON, or of a table.
         out: file of the locations, .csv or .jsonl; if None, locations.csv beside the run's bundle, or here with
             `bundle`, where lines to read are printed, and no file otherwise.
@@ -39,6 +40,7 @@ class Localize(Settings):
     run: Path | None = None
     bundle: Path | None = None
     top: Many = 3
+    track: bool = False
     format: Literal["table", "jsonl", "csv"] = "table"
     out: Path | None = None
     on_error: Literal["skip", "raise"] = "skip"
@@ -65,7 +67,7 @@ def localize(words: Sequence[str]) -> int:
     bundle = settings.bundle if settings.bundle is not None or run is None else run.bundle
     assert bundle is not None
     localizer = Localizer(bundle, top=settings.top, threads=settings.threads)
-    located = locate_all(localizer, settings.images, on_error=settings.on_error)
+    located = locate_all(localizer, settings.images, on_error=settings.on_error, track=settings.track)
     target = settings.target
     off, faults, count, stopped = list[float](), 0, 0, False
     line = None if settings.format == "table" else LINES[f".{settings.format}"]()

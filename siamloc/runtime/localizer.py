@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.maps import RefinedPoses, Retrieval, headings
+from siamloc.maps import PoseFilter, RefinedPoses, Retrieval, VisualMap, headings
 from siamloc.runtime.bundle import HEADING, MODEL, RELATIVE, Bundle
 from siamloc.settings import Count, checked
+
+_STANDING = 0.01  # step in a map whose frames are all in one place
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Localizer:
     """Locates images by a bundle that `siamloc.runtime.export` wrote.
 
     The map is made ready for search once, which takes the memory of its descriptors once more. Nothing is kept between
-    images: each answer depends on its image alone.
+    images: each answer depends on its image alone, but where a `tracker` is given. Several threads may share one.
 
     Args:
         bundle_path: folder or archive of the bundle.
@@ -161,8 +163,30 @@ class Localizer:
         """What x and y count in."""
         return self.map.unit
 
-    def locate(self, image: str | Path | NDArray[np.uint8]) -> Location:
+    def tracker(self, step: float | None = None) -> PoseFilter:
+        """Return what follows a robot from image to image, for `locate`; one for each drive.
+
+        Args:
+            step: how far the robot goes between two images, about; as far as the map's from frame to frame if None.
+
+        Raises:
+            ConfigError: the bundle's poses are not made by comparison, or a step that is not positive.
+        """
+        if self._refinement is None or self._refinement.method != "relative":
+            raise ConfigError(
+                f"{self.bundle.path} cannot follow a robot, since it does not compare images with map frames: evaluate "
+                "with task.refine=relative, then export again"
+            )
+        return PoseFilter(_spacing(self.map.placed()) if step is None else step)
+
+    def locate(self, image: str | Path | NDArray[np.uint8], tracker: PoseFilter | None = None) -> Location:
         """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as the camera gives them.
+
+        Args:
+            image: the file, or pixels.
+            tracker: follows the robot from the images before: position, heading and covariance are those of the robot
+                on its way; the expected error and whether it is lost are still those of this image alone. Each image
+                counts for its answer alone if None.
 
         Raises:
             DataError: the image cannot be read, is empty, or has another shape.
@@ -183,6 +207,8 @@ class Localizer:
         )
         best = candidates[0]
         pose, error, lost = self._estimates(query, found)
+        if pose is not None and tracker is not None:
+            pose = tracker.step(pose)
         return Location(
             x=best.x if pose is None else float(pose.xy[0, 0]),
             y=best.y if pose is None else float(pose.xy[0, 1]),
@@ -242,6 +268,14 @@ class Localizer:
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
         return self.bundle.preprocessing.prepare(pixels)
+
+
+def _spacing(known: VisualMap) -> float:
+    """Return the median distance between consecutive frames of a map that are not in one place."""
+    frames = known.frames
+    steps = [np.hypot(*np.diff(frames.xy[rows], axis=0).T) for rows in frames.rows_by("sequence").values()]
+    length = np.concatenate(steps)
+    return float(np.median(length[length > 0])) if (length > 0).any() else _STANDING
 
 
 def _told(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]] | None:

@@ -79,7 +79,10 @@ class Located:
 
 
 def locate_all(
-    localizer: Localizer, images: str | Path | Sequence[str | Path], on_error: Literal["skip", "raise"] = "skip"
+    localizer: Localizer,
+    images: str | Path | Sequence[str | Path],
+    on_error: Literal["skip", "raise"] = "skip",
+    track: bool = False,
 ) -> Generator[Located, None, None]:
     """Locate images one after the other, each as soon as it is there; nothing of them is kept.
 
@@ -87,18 +90,23 @@ def locate_all(
         localizer: what locates them.
         images: image files, folders of them, video files, and cameras of this machine, such as "camera:0"; or one.
         on_error: "skip" goes on after an image that cannot be read, and says so; "raise" stops there.
+        track: follow the robot from image to image, see `Localizer.tracker`; each folder, video and camera is a drive.
 
     Yields:
         What came of each image, in order.
 
     Raises:
-        ConfigError: no images named.
+        ConfigError: no images named, or a bundle that cannot follow a robot.
         DataError: a file that is not there, a folder without images, a video or a camera that gives no picture, or a
             camera that stops.
     """
+    tracker, drive = localizer.tracker() if track else None, ""
     for name, image, pose in pictures(images):
+        before, drive = drive, str(image.parent) if isinstance(image, Path) else name.rpartition("#")[0]
+        if tracker is not None and drive != before:
+            tracker.reset()
         try:
-            yield Located(name, localizer.locate(image), pose=pose)
+            yield Located(name, localizer.locate(image, tracker), pose=pose)
         except DataError as error:
             if on_error == "raise":
                 raise

@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -13,10 +14,11 @@ import torch
 import siamloc
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.files import file_hash, read_json, write_json
-from siamloc.maps import ErrorModel, HeadingPart, Refinement, VisualMap, match
+from siamloc.maps import ErrorModel, HeadingPart, PoseFilter, Refinement, VisualMap, match
 from siamloc.maps.heading import NetworkHeading
 from siamloc.models import as_descriptor, build
-from siamloc.runtime import Localizer, export
+from siamloc.runtime import Localizer, export, locate_all
+from siamloc.runtime.localizer import _spacing
 from siamloc.runtime.onnx_relative import export_relative, relative_parity
 from tests.siamloc.runtime.test_localizer import IMAGES, drive
 
@@ -75,6 +77,39 @@ def test_the_robot_refines_as_the_evaluation_does(network, known, tmp_path, meth
         alone = refinement(known, method).poses(known, seen, match(known, seen, 3))
         np.testing.assert_allclose(expected.covariance(), 2 * alone.covariance())
         assert np.abs(expected.xy - known.frames.xy[match(known, seen, 1).indices[:, 0]]).max() > 0.1
+
+
+def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(network, known, tmp_path):
+    folder = bundled(tmp_path / "bundle", network, known, method="relative", widening=2.0)
+    pictures, _ = drive(2)
+    localizer = Localizer(folder)
+    alone = [localizer.locate(picture) for picture in pictures]
+    tracker = localizer.tracker(step=0.3)
+    found = [localizer.locate(picture, tracker) for picture in pictures]
+    seen = known.describer.describe(pictures.transpose(0, 3, 1, 2))
+    poses = refinement(known, "relative", widening=2.0).poses(known, seen, match(known, seen, 3))
+    expected = PoseFilter(0.3).run(poses, np.full(len(poses), "drive"))
+    np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-2)
+    assert [one.x for one in alone] != [one.x for one in found]
+    np.testing.assert_array_equal([one.error_m for one in alone], [one.error_m for one in found])
+    again = [localizer.locate(picture, localizer.tracker(step=0.3)) for picture in pictures]
+    assert [one.x for one in again] == pytest.approx([one.x for one in alone]), "the first image of a drive is alone"
+    assert localizer.tracker().length == pytest.approx(_spacing(known))
+
+
+def test_each_folder_is_a_drive(network, known, tmp_path):
+    folder = bundled(tmp_path / "bundle", network, known, method="relative")
+    pictures, localizer = drive(2)[0], Localizer(folder)
+    for name, some in (("a", pictures[:3]), ("b", pictures[3:6])):
+        (tmp_path / name).mkdir()
+        for number, picture in enumerate(some):
+            cv2.imwrite(str(tmp_path / name / f"{number}.png"), picture[..., ::-1])
+    both = [one.location.x for one in locate_all(localizer, [tmp_path / "a", tmp_path / "b"], track=True)]
+    single = [one.location.x for name in "ab" for one in locate_all(localizer, tmp_path / name, track=True)]
+    assert both == single
+    between = bundled(tmp_path / "between", network, known, method="interpolate")
+    with pytest.raises(ConfigError, match="cannot follow a robot"):
+        list(locate_all(Localizer(between), tmp_path / "a", track=True))
 
 
 def test_the_summary_says_that_poses_are_finer(bundle, network, known, tmp_path):
