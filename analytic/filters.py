@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.errors import AnalyticError
-from analytic.images import grey_tensor, image_tensor, unit_tensor, with_channels
+from analytic.images import grey_array, grey_tensor, unit_array, with_channels
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -48,13 +48,11 @@ def homomorphic(
         >>> round(float(np.ptp(image)), 2), round(float(np.ptp(filtered)), 2)
         (0.8, 0.65)
     """
-    import torch
-
     _check(cutoff, low, high)
     images = with_channels(batch)
-    with torch.inference_mode():
-        grey = grey_tensor(unit_tensor(image_tensor(batch), "cpu"))
-        gain = _gain(grey, circular=circular, cutoff=cutoff, low=low, high=high)[:, None].numpy()
+    grey = grey_array(unit_array(batch))
+    bright = homomorphic_array(grey, circular=circular, cutoff=cutoff, low=low, high=high, clip=False)
+    gain = _gain(bright, grey)[:, None]
     scale = 255 if images.dtype == np.uint8 else 1
     found = np.clip((images + _BLACK * scale) * gain - _BLACK * scale, 0, scale)
     if scale == 255:
@@ -86,31 +84,65 @@ def homomorphic_tensor(
     log = torch.cat([log, log.flip(1)], dim=1)
     if not circular:
         log = torch.cat([log, log.flip(2)], dim=2)
-    transfer = _transfer(int(log.shape[1]), int(log.shape[2]), width, cutoff, low, high, str(grey.device))
+    transfer = _transfer_on(int(log.shape[1]), int(log.shape[2]), width, cutoff, low, high, str(grey.device))
     smooth = torch.fft.irfft2(torch.fft.rfft2(log) * transfer, s=log.shape[1:])
     filtered = torch.exp(smooth[:, :height, :width]) - _BLACK
     return filtered.clamp_(0, 1) if clip else filtered
 
 
+def homomorphic_array(
+    grey: NDArray[np.float32],
+    *,
+    circular: bool,
+    cutoff: float = CUTOFF,
+    low: float = LOW,
+    high: float = HIGH,
+    clip: bool = True,
+) -> NDArray[np.float32]:
+    """Return what `homomorphic_tensor` returns, without torch."""
+    height, width = grey.shape[1:]
+    log = np.log(grey + np.float32(_BLACK))
+    log = np.concatenate([log, log[:, ::-1]], axis=1)
+    if not circular:
+        log = np.concatenate([log, log[:, :, ::-1]], axis=2)
+    transfer = _transfer(log.shape[1], log.shape[2], width, cutoff, low, high)
+    smooth = np.fft.irfft2(np.fft.rfft2(log) * transfer, s=log.shape[1:], axes=(1, 2))
+    filtered = np.exp(smooth[:, :height, :width]) - _BLACK
+    return np.asarray(np.clip(filtered, 0, 1) if clip else filtered, dtype=np.float32)
+
+
 def homomorphic_colours(images: Tensor, *, circular: bool) -> Tensor:
     """Return colour images (B, 3, H, W), float32 in [0, 1], after the filter; see `homomorphic`."""
-    gain = _gain(grey_tensor(images), circular=circular)[:, None]
+    grey = grey_tensor(images)
+    gain = _gain(homomorphic_tensor(grey, circular=circular, clip=False), grey)[:, None]
     return ((images + _BLACK) * gain).sub_(_BLACK).clamp_(0, 1)
 
 
-def _gain(grey: Tensor, **parameters: Any) -> Tensor:
-    """Return by what the filter multiplies each pixel of grey images (B, H, W)."""
-    return (homomorphic_tensor(grey, clip=False, **parameters) + _BLACK) / (grey + _BLACK)
+def homomorphic_colours_array(images: NDArray[np.float32], *, circular: bool) -> NDArray[np.float32]:
+    """Return what `homomorphic_colours` returns, without torch."""
+    grey = grey_array(images)
+    gain = _gain(homomorphic_array(grey, circular=circular, clip=False), grey)[:, None]
+    return np.asarray(np.clip((images + _BLACK) * gain - _BLACK, 0, 1), dtype=np.float32)
+
+
+def _gain(filtered: Any, grey: Any) -> Any:
+    """Return by what the filter multiplies each pixel of grey images (B, H, W), arrays or tensors."""
+    return (filtered + _BLACK) / (grey + _BLACK)
 
 
 @lru_cache(maxsize=8)
-def _transfer(rows: int, columns: int, width: int, cutoff: float, low: float, high: float, device: str) -> Tensor:
+def _transfer(rows: int, columns: int, width: int, cutoff: float, low: float, high: float) -> NDArray[np.float32]:
     """Return T (rows, columns // 2 + 1)."""
+    v = np.fft.fftfreq(rows, d=1 / width)[:, None]
+    u = np.fft.rfftfreq(columns, d=1 / width)[None]
+    return (low + (high - low) * (1 - np.exp(-(u**2 + v**2) / (2 * cutoff**2)))).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def _transfer_on(rows: int, columns: int, width: int, cutoff: float, low: float, high: float, device: str) -> Tensor:
     import torch
 
-    v = torch.fft.fftfreq(rows, d=1 / width, device=device)[:, None]
-    u = torch.fft.rfftfreq(columns, d=1 / width, device=device)[None]
-    return low + (high - low) * (1 - torch.exp(-(u**2 + v**2) / (2 * cutoff**2)))
+    return torch.from_numpy(_transfer(rows, columns, width, cutoff, low, high)).to(device)
 
 
 def _check(cutoff: float, low: float, high: float) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,11 +117,47 @@ def unit_tensor(tensor: Tensor, device: str) -> Tensor:
     if tensor.dtype == torch.uint8:
         return tensor.to(torch.float32).mul_(1 / 255)
     values = tensor.to(torch.float32)
-    low, high = (float(value) for value in values.aminmax())
+    low, high = values.aminmax()
+    _check_range(float(low), float(high))
+    return values
+
+
+def unit_array(images: ArrayLike) -> NDArray[np.float32]:
+    """Return images as float32 in [0, 1] of shape (B, C, H, W), without torch.
+
+    Raises:
+        AnalyticError: as `with_channels`, or values out of range or not finite.
+
+    Example:
+        >>> unit_array(np.full((1, 2), 51, dtype=np.uint8))
+        array([[[[0.2, 0.2]]]], dtype=float32)
+    """
+    array = with_channels(images)
+    if array.dtype == np.uint8:
+        return array * np.float32(1 / 255)
+    values = array.astype(np.float32)
+    _check_range(float(values.min()), float(values.max()))
+    return values
+
+
+def grey_array(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the luma (B, H, W) of images (B, C, H, W), without torch."""
+    if values.shape[1] == 1:
+        return values[:, 0]
+    red, green, blue = (values[:, channel] * np.float32(share) for channel, share in enumerate(LUMA))
+    return np.asarray(red + green + blue, dtype=np.float32)
+
+
+@cache
+def torch_is_there() -> bool:
+    """Find out whether torch is installed, without loading it."""
+    return find_spec("torch") is not None
+
+
+def _check_range(low: float, high: float) -> None:
     if not (low >= 0 and high <= 1):
         bad = "not finite" if not np.isfinite(low + high) else f"between {low:g} and {high:g}"
         raise AnalyticError(f"floating-point images must have values in [0, 1], got values {bad}")
-    return values
 
 
 def grey_tensor(values: Tensor) -> Tensor:

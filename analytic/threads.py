@@ -7,6 +7,7 @@ every thread waits for the last, many times that.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -15,7 +16,7 @@ from typing import Any
 
 
 def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
-    """Return the function's results, in order, computed by as many threads as torch is set to use.
+    """Return the function's results, in order, by as many threads as torch is set to use, without torch by one.
 
     Every part is computed by one thread, so that results do not depend on the number of threads.
 
@@ -23,10 +24,9 @@ def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
         >>> each(abs, [-1, 2, -3])
         [1, 2, 3]
     """
-    import torch
-
-    threads = torch.get_num_threads()
-    if threads == 1:
+    torch = sys.modules.get("torch")
+    threads = 1 if torch is None else torch.get_num_threads()
+    if torch is None or threads == 1:
         return [function(part) for part in parts]
     if len(parts) == 1:
         torch.set_num_threads(1)

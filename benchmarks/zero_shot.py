@@ -165,7 +165,7 @@ def milliseconds() -> float:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    panorama = np.random.default_rng(0).random((1, 3, *registry.PRETRAINED_SIZE), dtype=np.float32)
+    panorama = np.random.default_rng(0).integers(0, 256, (1, 3, *registry.PRETRAINED_SIZE), dtype=np.uint8)
     times = []
     for number in range(_WARM_UP + _TIMED):
         begin = time.perf_counter()

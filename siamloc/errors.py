@@ -36,7 +36,7 @@ class StorageError(SiamlocError, OSError):
 
 
 _OURS = ("siamloc", "analytic", "augment")
-_EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps"}
+_EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live"}
 
 
 def lacking(error: ModuleNotFoundError) -> str | None:

@@ -66,6 +66,7 @@ Size = Annotated[
 ]
 Text = Annotated[str, Rule("a text that is not empty", lambda value: bool(value.strip()))]
 Workers = Annotated[int, Rule("a whole number from 0 to 1,024", lambda value: 0 <= value <= 1024)]
+Port = Annotated[int, Rule("a whole number from 0 to 65,535", lambda value: 0 <= value <= 65_535)]
 Many = Annotated[int, Rule("a whole number from 1 to 10 million", lambda value: 1 <= value <= 10_000_000)]
 """How many of something are kept in memory."""
 

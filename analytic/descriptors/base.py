@@ -15,8 +15,8 @@ from analytic.description import Alignment, Description, Match, check_alike, joi
 from analytic.distances import between_units
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
-from analytic.filters import homomorphic_tensor
-from analytic.images import grey_tensor, image_tensor, unit_tensor
+from analytic.filters import homomorphic_array, homomorphic_tensor
+from analytic.images import grey_array, grey_tensor, image_tensor, torch_is_there, unit_array, unit_tensor
 from analytic.threads import each
 
 if TYPE_CHECKING:
@@ -166,7 +166,8 @@ class ImageDescriptor(Descriptor):
     Args:
         circular: whether columns are azimuth and wrap around. Those of an ordinary camera do not, and have no heading.
         homomorphic: whether images go through `analytic.filters.homomorphic` first ([C] 2.4).
-        device: where torch computes; it changes no result beyond rounding and is no part of the identity.
+        device: where torch computes, or "numpy" to compute without torch, as on a robot, by numpy and OpenCV; "cpu" is
+            the same where torch is not installed. It changes no result beyond rounding and is no part of the identity.
 
     Example:
         >>> import analytic
@@ -220,15 +221,28 @@ class ImageDescriptor(Descriptor):
             AnalyticError: another shape or type, images of different sizes, values that are not finite or out of
                 range, a size that the parameters do not fit.
         """
+        if self.device == "numpy" or (self.device == "cpu" and not torch_is_there()):
+            return self._described_plainly(unit_array(batch))
         images = image_tensor(batch)
         height, width = int(images.shape[2]), int(images.shape[3])
-        if width < 2:
-            raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
-        self._check_size(height, width)
+        self._check_image(height, width)
         # A few images at a time: they stay in the cache, and are enough work for a thread between two calls.
         few = max(1, _PIXELS // (height * width)) if self.device == "cpu" else len(images)
         parts = each(self._describe_part, images.split(few))
         return Description(*joined(parts), self.identity)
+
+    def _described_plainly(self, images: NDArray[np.float32]) -> Description:
+        self._check_image(images.shape[2], images.shape[3])
+        parts = []
+        for row in range(len(images)):  # one at a time stays in the cache
+            position, orientation = self._describe_plainly(self._seen_plainly(images[row : row + 1]))
+            parts.append((np.ascontiguousarray(position), np.ascontiguousarray(orientation)))
+        return Description(*joined(parts), self.identity)
+
+    def _check_image(self, height: int, width: int) -> None:
+        if width < 2:
+            raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
+        self._check_size(height, width)
 
     def _describe_part(self, images: Tensor) -> tuple[NDArray[Any], NDArray[Any]]:
         import torch
@@ -241,6 +255,11 @@ class ImageDescriptor(Descriptor):
         """Return what `_describe` gets of images (B, C, H, W), float32 in [0, 1]: their luma (B, H, W)."""
         grey = grey_tensor(images)
         return homomorphic_tensor(grey, circular=self.circular) if self.homomorphic else grey
+
+    def _seen_plainly(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return what `_seen` returns, without torch."""
+        grey = grey_array(images)
+        return homomorphic_array(grey, circular=self.circular) if self.homomorphic else grey
 
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading and the aligned distance of every query to every reference; see `Descriptor`."""
@@ -266,6 +285,14 @@ class ImageDescriptor(Descriptor):
     @abstractmethod
     def _describe(self, grey: Tensor) -> tuple[Part, Part]:
         """Return position (B, D) and orientation (B, K, F) of what `_seen` returns, float32 in [0, 1]."""
+
+    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return what `_describe` returns, without torch.
+
+        Raises:
+            AnalyticError: the descriptor has no such form.
+        """
+        raise AnalyticError(f"{self.name} computes with torch alone: use device='cpu' where torch is installed")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,16 @@ class BriefGist(AlignedDescriptor):
             brighter[:, :, 0] = False
         bits = brighter.to(torch.float32)
         return bits.flatten(1), bits.transpose(1, 2)
+
+    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        count, height, width = grey.shape
+        windows = grey.reshape(count, self.rows, height // self.rows, self.columns, width // self.columns)
+        sums = windows.sum(axis=(2, 4), dtype=np.float64)
+        brighter = sums > np.roll(sums, 1, axis=2)
+        if not self.circular:
+            brighter[:, :, 0] = False
+        bits = brighter.astype(np.float32)
+        return bits.reshape(count, -1), bits.transpose(0, 2, 1)
 
     def _distance(self, name: str | None) -> str:
         return super()._distance("manhattan" if name == "hamming" else name)

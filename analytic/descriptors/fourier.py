@@ -199,6 +199,24 @@ class FourierSignature(ImageDescriptor):
         orientation = kept[..., : self.orientation_columns].transpose(1, 2)
         return few[..., : self.columns].abs().flatten(1).to(torch.float32), orientation.to(torch.complex64)
 
+    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        kept = _plain_signature(grey, self.orientation_rows, self.circular)
+        if self.orientation_rows % self.rows:
+            few = _plain_signature(grey, self.rows, self.circular)
+        else:
+            few = kept.reshape(len(kept), self.rows, -1, kept.shape[2]).mean(axis=2)
+        orientation = kept[..., : self.orientation_columns].transpose(0, 2, 1)
+        position = np.abs(few[..., : self.columns]).reshape(len(few), -1)
+        return position.astype(np.float32), orientation.astype(np.complex64)
+
+
+def _plain_signature(grey: NDArray[np.float32], rows: int, wraps: bool) -> NDArray[np.complex128]:
+    """Return what `_signature` returns, without torch."""
+    few = grey.reshape(len(grey), rows, -1, grey.shape[2]).mean(axis=2, dtype=np.float64)
+    if not wraps:
+        few = np.concatenate([few, few[:, :, ::-1]], axis=2)
+    return np.fft.rfft(few, axis=2, norm="forward")
+
 
 def _signature(grey: Tensor, rows: int, wraps: bool) -> Tensor:
     """Return the coefficients (B, rows, W // 2 + 1), complex128, of images (B, H, W)."""

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from math import ceil, cos, floor, pi, sin
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -135,6 +136,47 @@ class Gist(ImageDescriptor):
         parts = [self._describe_few(images, max(1, held // size)) for images in grey.split(max(1, held // size))]
         return torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
 
+    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        parts = [self._describe_one(image) for image in grey]
+        return np.stack([part[0] for part in parts]), np.stack([part[1] for part in parts])
+
+    def _describe_one(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the parts of one image (H, W), without torch."""
+        height, width = grey.shape
+        chosen = choose(self.orientations, self.orientation_filters)
+        tall = np.concatenate([grey, grey[::-1]])
+        picture = tall if self.circular else np.concatenate([tall, tall[:, ::-1]], axis=1)
+        transformed = cv2.dft(picture, flags=cv2.DFT_COMPLEX_OUTPUT).view(np.complex64)[..., 0]
+        # A transform back is one forth of the conjugate, up to what a magnitude does not show.
+        spectrum = np.fft.fftshift(transformed.conj())
+        rows = np.empty((LEVELS, len(chosen.angles), 2 * height), dtype=np.float32)
+        columns: list[NDArray[np.float32]] = []
+        for level in range(LEVELS):
+            values, corners = plain_bank(*picture.shape, CENTRE / 2**level, chosen.angles)
+            down, right = values.shape[1:]
+            product = np.zeros_like(spectrum)
+            for a, (top, left) in enumerate(corners):
+                seen = spectrum[top : top + down, left : left + right]
+                np.multiply(seen, values[a], out=product[:down, :right])
+                answer = cv2.dft(product.view(np.float32).reshape(*product.shape, 2))
+                magnitude = np.abs(answer.view(np.complex64)[:, :width, 0])
+                rows[level, a] = magnitude[: 2 * height].mean(axis=1)
+                if level < self.orientation_levels and a in chosen.columns:
+                    halves = magnitude[: 2 * height].reshape(2, height, width)
+                    columns.append(halves.mean(axis=1))
+        scale = np.float32(1 / picture.size)
+        both = np.stack([rows[..., :height], rows[..., : height - 1 : -1]], axis=2) * scale
+        bands = both.reshape(LEVELS, len(chosen.angles), 2, self.blocks, -1).mean(axis=4)
+        position = bands[:, chosen.position[0], chosen.position[1]].transpose(0, 2, 1)
+        upright = np.stack(columns).reshape(self.orientation_levels, len(chosen.columns), 2, width) * scale
+        means = upright[:, chosen.orientation[0], chosen.orientation[1]].reshape(-1, width)
+        orientation = (means @ plain_windows(width, self.window, self.step, self.circular)).T
+        if self.normalized:
+            orientation = orientation - orientation.mean(axis=1, keepdims=True)
+            squares = np.square(orientation).sum(axis=1, keepdims=True)
+            orientation = orientation / np.sqrt(squares + np.float32(_FAINT**2))
+        return position.reshape(-1).astype(np.float32), orientation.astype(np.float32)
+
     def _describe_few(self, grey: Tensor, most: int) -> tuple[Tensor, Tensor]:
         """Return the parts of a few images, holding that many of their responses at once."""
         import torch
@@ -221,6 +263,15 @@ def bank(height: int, width: int, frequency: float, angles: tuple[float, ...], d
     """Return the filters of some orientations in [0, pi / 2] for periodic pictures of one size."""
     import torch
 
+    values, corners = plain_bank(height, width, frequency, angles)
+    return Bank(torch.from_numpy(values).to(device), corners)
+
+
+@lru_cache(maxsize=8)
+def plain_bank(
+    height: int, width: int, frequency: float, angles: tuple[float, ...]
+) -> tuple[NDArray[np.float32], list[tuple[int, int]]]:
+    """Return values and corners of a `Bank`, without torch."""
     sides = (height, width)
     cut = [min(side, floor(2 * frequency * side) + 1) for side in sides]
     values, corners = [], []
@@ -233,7 +284,7 @@ def bank(height: int, width: int, frequency: float, angles: tuple[float, ...], d
         apart = np.add.outer(*squares) / frequency**2
         values.append((2 * np.maximum(0, (2.0 ** (-9 * apart) - _FLOOR) / (1 - _FLOOR))).astype(np.float32))
         corners.append((corner[0], corner[1]))
-    return Bank(torch.from_numpy(np.stack(values)).to(device), corners)
+    return np.stack(values), corners
 
 
 @lru_cache(maxsize=8)
@@ -241,11 +292,17 @@ def windows(width: int, window: int, step: int, circular: bool, device: str) -> 
     """Return the matrix (W, W / step) that takes columns to the means of windows."""
     import torch
 
+    return torch.from_numpy(plain_windows(width, window, step, circular)).to(device)
+
+
+@lru_cache(maxsize=8)
+def plain_windows(width: int, window: int, step: int, circular: bool) -> NDArray[np.float32]:
+    """Return what `windows` returns, without torch."""
     column, first = np.arange(width)[:, None], np.arange(0, width, step)[None]
     inside: NDArray[np.bool_] = (column - first) % width < window
     if not circular:
         inside &= column >= first
-    return torch.from_numpy((inside / inside.sum(axis=0)).astype(np.float32)).to(device)
+    return np.asarray(inside / inside.sum(axis=0), dtype=np.float32)
 
 
 def periodic(grey: Tensor, circular: bool) -> Tensor:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import pi
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
@@ -110,6 +113,20 @@ class Hog(ImageDescriptor):
         each = histograms(place, magnitude, width, self.orientation_bins)
         return position.flatten(1), window_sums(each, self.window, self.step, self.circular)
 
+    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        height, width = grey.shape[1:]
+        wide = np.pad(grey, ((0, 0), (0, 0), (1, 1)), mode="wrap" if self.circular else "edge")
+        tall = np.pad(grey, ((0, 0), (1, 1), (0, 0)), mode="edge")
+        across, down = wide[:, :, 2:] - wide[:, :, :-2], tall[:, 2:] - tall[:, :-2]
+        magnitude, angle = np.sqrt(across * across + down * down), np.arctan2(down, across)
+        band = np.arange(height)[:, None] // (height // self.rows)
+        place = _plain_direction(angle, self.bins)
+        position = plain_histograms(place, magnitude, band, self.rows, self.bins)
+        if self.bins != self.orientation_bins:
+            place = _plain_direction(angle, self.orientation_bins)
+        each = plain_histograms(place, magnitude, np.arange(width)[None], width, self.orientation_bins)
+        return position.reshape(len(grey), -1), plain_window_sums(each, self.window, self.step, self.circular)
+
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
         find = whitened_turns if self.whitened else super()._best_turns
         return find(queries, references, steps)
@@ -130,6 +147,39 @@ def window_sums(columns: Tensor, window: int, step: int, circular: bool) -> Tens
     ends = columns[:, :window] if circular else torch.zeros_like(columns[:, :window])
     total = torch.cat([torch.zeros_like(columns[:, :1]), columns, ends], dim=1).cumsum(dim=1, dtype=torch.float64)
     return (total[:, window : window + width : step] - total[:, :width:step]).to(torch.float32)
+
+
+def plain_window_sums(columns: NDArray[np.float32], window: int, step: int, circular: bool) -> NDArray[np.float32]:
+    """Return what `window_sums` returns, without torch."""
+    width = columns.shape[1]
+    ends = columns[:, :window] if circular else np.zeros_like(columns[:, :window])
+    total = np.concatenate([np.zeros_like(columns[:, :1]), columns, ends], axis=1).cumsum(axis=1, dtype=np.float64)
+    return (total[:, window : window + width : step] - total[:, :width:step]).astype(np.float32)
+
+
+def _plain_direction(angle: NDArray[np.float32], bins: int) -> NDArray[np.int64]:
+    """Return what `direction` returns, without torch."""
+    return (angle * np.float32(bins / (2 * pi)) + np.float32(bins // 2 + 0.5)).astype(np.int64)
+
+
+def plain_histograms(
+    place: NDArray[np.int64], magnitude: NDArray[np.float32], cell: NDArray[np.int64], cells: int, bins: int
+) -> NDArray[np.float32]:
+    """Return what `histograms` returns, without torch.
+
+    Args:
+        place: (B, H, W) of the direction.
+        magnitude: (B, H, W).
+        cell: of each pixel, (H, 1) or (1, W).
+        cells: number of cells.
+        bins: number of bins.
+    """
+    image = np.arange(len(place))[:, None, None] * cells
+    index = (image + cell) * (bins + 1) + place
+    sums = np.bincount(index.ravel(), magnitude.ravel(), len(place) * cells * (bins + 1))
+    found = sums.reshape(len(place), cells, bins + 1) / 2
+    found[..., 0] += found[..., bins]
+    return np.roll(found[..., :bins], -(bins // 2), axis=-1).astype(np.float32)
 
 
 def differences(grey: Tensor, circular: bool) -> tuple[Tensor, Tensor]:

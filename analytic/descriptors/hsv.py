@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
 from analytic.descriptors.base import ImageDescriptor, Part, check_cells
-from analytic.descriptors.hog import window_sums
+from analytic.descriptors.hog import plain_window_sums, window_sums
 from analytic.errors import AnalyticError
-from analytic.filters import homomorphic_colours
+from analytic.filters import homomorphic_colours, homomorphic_colours_array
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -125,6 +128,57 @@ class Hsv(ImageDescriptor):
         ]
         windows = window_sums(torch.cat(columns, dim=2), self.window, self.step, self.circular)
         return torch.cat(shares, dim=2).sqrt().flatten(1), windows / (height * self.window)
+
+    def _seen_plainly(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
+        colours = np.broadcast_to(images, (len(images), 3, *images.shape[2:]))
+        return homomorphic_colours_array(colours, circular=self.circular) if self.homomorphic else colours
+
+    def _describe_plainly(self, colours: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        height, width = colours.shape[2:]
+        hue, saturation, value = _plain_cone(colours)
+        colour = _plain_bins(hue, self.hues) % self.hues
+        brightness = np.minimum(_plain_bins(value, self.values), self.values - 1)
+        strength = np.minimum(_plain_bins(saturation, self.saturations), self.saturations - 1)
+        both = colour * self.saturations + strength
+        row, column = np.arange(height)[:, None] // (height // self.rows), np.arange(width)[None]
+        of_band = height // self.rows * width
+        shares = [
+            _plain_sums(row, self.rows, both, self.hues * self.saturations) / of_band,
+            _plain_sums(row, self.rows, brightness, self.values) / (4 * of_band),
+        ]
+        columns = [
+            _plain_sums(column, width, colour, self.hues, saturation),
+            _plain_sums(column, width, brightness, self.values),
+        ]
+        windows = plain_window_sums(np.concatenate(columns, axis=2), self.window, self.step, self.circular)
+        position = np.sqrt(np.concatenate(shares, axis=2)).reshape(len(colours), -1)
+        return position, windows / np.float32(height * self.window)
+
+
+def _plain_cone(
+    colours: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return what `cone` returns, without torch."""
+    red, green, blue = colours[:, 0], colours[:, 1], colours[:, 2]
+    value = colours.max(axis=1)
+    chroma = value - colours.min(axis=1)
+    scale = chroma + (chroma == 0)
+    hue = np.where(value == green, (blue - red) / scale + np.float32(2), (red - green) / scale + np.float32(4))
+    hue = np.where(value == red, (green - blue) / scale, hue)
+    return hue / np.float32(6), chroma / (value + (value == 0)), value
+
+
+def _plain_bins(share: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+    return np.floor(share * np.float32(count) + np.float32(_TIE)).astype(np.int64)
+
+
+def _plain_sums(
+    cell: NDArray[np.int64], cells: int, place: NDArray[np.int64], bins: int, weight: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """Return what `_sums` returns, without torch; no weight is a weight of 1."""
+    index = (np.arange(len(place))[:, None, None] * cells + cell) * bins + place
+    found = np.bincount(index.ravel(), None if weight is None else weight.ravel(), len(place) * cells * bins)
+    return found.reshape(len(place), cells, bins).astype(np.float32)
 
 
 def cone(colours: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from analytic.descriptors.base import AlignedDescriptor, ImageDescriptor, Part, divisors_near
-from analytic.descriptors.radon_transform import check_geometry, check_image, harmonics, orientations, steps
+from analytic.descriptors.radon_transform import (
+    check_geometry,
+    check_image,
+    harmonics,
+    orientations,
+    plain_harmonics,
+    plain_orientations,
+    steps,
+)
 from analytic.errors import AnalyticError
 
 if TYPE_CHECKING:
@@ -109,6 +120,19 @@ class RadonFourier(ImageDescriptor):
         phases = kept / _at_least(size, size.amax(dim=0, keepdim=True))
         return position.flatten(1), orientations(phases, count).div_(count).to(torch.float32)
 
+    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        count = steps(self.step)
+        kept = plain_harmonics(grey, self.step, self.size, self.lines, self.source, self.circular)
+        magnitude = np.abs(kept).transpose(1, 0, 2)
+        position = np.zeros((len(grey), count, self.lines), dtype=np.float32)
+        position[:, : len(kept)] = magnitude
+        position[:, count - len(kept) + 1 :] = magnitude[:, :0:-1]
+        if self.orientation_lines != self.lines:
+            kept = plain_harmonics(grey, self.step, self.size, self.orientation_lines, self.source, self.circular)
+        size = np.abs(kept)
+        phases = kept / _plainly_at_least(size, size.max(axis=0, keepdims=True))
+        return position.reshape(len(grey), -1), (plain_orientations(phases, count) / count).astype(np.float32)
+
 
 @dataclass(frozen=True, kw_only=True)
 class RadonPoc(AlignedDescriptor):
@@ -189,6 +213,21 @@ class RadonPoc(AlignedDescriptor):
         length = matrix.flatten(1).norm(dim=1)[:, None, None]
         matrix = (matrix / length.clamp_min_(torch.finfo(matrix.dtype).tiny)).to(torch.float32)
         return matrix.flatten(1), matrix
+
+    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        kept = plain_harmonics(grey, self.step, self.size, self.size // 2, self.source, self.circular)
+        crossed = np.fft.fft(kept, axis=2)
+        size = np.abs(crossed)
+        phases = crossed / _plainly_at_least(size, size.max(axis=(0, 2), keepdims=True))
+        matrix = plain_orientations(np.fft.ifft(phases, axis=2), steps(self.step))
+        length = np.linalg.norm(matrix.reshape(len(matrix), -1), axis=1)[:, None, None]
+        matrix = (matrix / np.maximum(length, np.finfo(np.float64).tiny)).astype(np.float32)
+        return matrix.reshape(len(matrix), -1), matrix
+
+
+def _plainly_at_least(size: NDArray[np.float64], largest: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what `_at_least` returns, without torch."""
+    return np.maximum(size, np.maximum(_LEAST * largest, np.finfo(np.float64).tiny))
 
 
 def _at_least(size: Tensor, largest: Tensor) -> Tensor:

@@ -44,7 +44,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic.descriptors.base import divisors_near
 from analytic.errors import AnalyticError, hint
-from analytic.images import grey_tensor, image_tensor, unit_tensor
+from analytic.images import grey_array, grey_tensor, image_tensor, torch_is_there, unit_array, unit_tensor
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -64,7 +64,7 @@ def radon_transform(
         step: degrees between orientations, p1 of [T] table 3.1.
         size: side of the omnidirectional image in pixels, Nx.
         source: "panorama" or "omnidirectional".
-        device: where torch computes.
+        device: where torch computes, or "numpy"; see `ImageDescriptor`.
 
     Raises:
         AnalyticError: images that `describe` does not take, a step that does not divide 360, an odd size, images of
@@ -74,9 +74,15 @@ def radon_transform(
         >>> radon_transform(np.ones((64, 256)), step=90, size=32)[0, 0, :3].round(1)
         array([26., 26., 28.], dtype=float32)
     """
+    check_geometry("radon_transform", step, size, source)
+    if device == "numpy" or (device == "cpu" and not torch_is_there()):
+        pixels = grey_array(unit_array(batch))
+        check_image("radon_transform", source, pixels.shape[1], pixels.shape[2])
+        return plain_orientations(plain_harmonics(pixels, step, size, size // 2, source), steps(step)).astype(
+            np.float32
+        )
     import torch
 
-    check_geometry("radon_transform", step, size, source)
     with torch.inference_mode():
         grey = grey_tensor(unit_tensor(image_tensor(batch), device))
         check_image("radon_transform", source, int(grey.shape[1]), int(grey.shape[2]))
@@ -151,6 +157,40 @@ def orientations(found: Tensor, count: int) -> Tensor:
     return torch.fft.irfft(found.transpose(0, 1), n=count, dim=1, norm="forward")
 
 
+def plain_harmonics(
+    grey: NDArray[np.float32], step: float, size: int, lines: int, source: str = "panorama", circular: bool = True
+) -> NDArray[np.complex128]:
+    """Return what `harmonics` returns, without torch."""
+    if source == "omnidirectional":
+        polar, inner = _plainly_unwrapped(grey), 0.0
+    else:
+        whole = grey if circular else np.concatenate([grey, grey[:, :, ::-1]], axis=2)
+        polar, inner = whole.astype(np.float64), INNER
+    kernel, phase = _plain_operator(polar.shape[1], polar.shape[2], size, lines, steps(step), inner)
+    found = np.fft.rfft(polar, axis=2)[:, :, : len(phase)] * phase
+    parts = np.ascontiguousarray(found.transpose(2, 1, 0))  # (M + 1, H, B)
+    summed = kernel @ parts.view(np.float64)
+    return np.ascontiguousarray(summed).view(np.complex128).transpose(0, 2, 1)
+
+
+def plain_orientations(found: NDArray[np.complex128], count: int) -> NDArray[np.float64]:
+    """Return what `orientations` returns, without torch."""
+    return np.fft.irfft(found.transpose(1, 0, 2), n=count, axis=1, norm="forward")
+
+
+def _plainly_unwrapped(image: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return what `_unwrapped` returns, without torch: bilinear samples, those beyond the border being the border's."""
+    side = image.shape[1]
+    place = np.clip(((_plain_grid(side) + 1) * side - 1) / 2, 0, side - 1)
+    first = np.minimum(place.astype(np.int64), max(side - 2, 0))
+    share = place - first
+    (x, y), (right, down) = np.moveaxis(first, -1, 0), np.moveaxis(share, -1, 0)
+    beside, below = np.minimum(x + 1, side - 1), np.minimum(y + 1, side - 1)
+    upper = image[:, y, x] * (1 - right) + image[:, y, beside] * right
+    lower = image[:, below, x] * (1 - right) + image[:, below, beside] * right
+    return np.asarray(upper * (1 - down) + lower * down)
+
+
 def _unwrapped(image: Tensor) -> Tensor:
     """Return the polar samples (B, H, W) of the inscribed discs of square images (B, S, S), float64."""
     import torch
@@ -163,26 +203,37 @@ def _unwrapped(image: Tensor) -> Tensor:
 
 @lru_cache(maxsize=8)
 def _polar_grid(side: int, device: str) -> Tensor:
-    """Return where to sample (1, H, W, 2): to the right and down from the middle, 1 being half the image's side."""
     import torch
 
+    return torch.from_numpy(_plain_grid(side))[None].to(device)
+
+
+def _plain_grid(side: int) -> NDArray[np.float64]:
+    """Return where to sample (H, W, 2): to the right and down from the middle, 1 being half the image's side."""
     height, width = side // 2, 4 * ceil(pi * side / 4)
     radius = 1 - (np.arange(height) + 0.5) / height
     angle = 2 * pi * (np.arange(width) + 0.5) / width
-    grid = radius[:, None, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)
-    return torch.from_numpy(grid)[None].to(device)
+    return radius[:, None, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
 
 @lru_cache(maxsize=8)
 def _operator(
     height: int, width: int, size: int, lines: int, count: int, inner: float, device: str
 ) -> tuple[Tensor, Tensor]:
+    import torch
+
+    kernel, phase = _plain_operator(height, width, size, lines, count, inner)
+    return torch.from_numpy(kernel).to(device), torch.from_numpy(phase).to(device)
+
+
+@lru_cache(maxsize=8)
+def _plain_operator(
+    height: int, width: int, size: int, lines: int, count: int, inner: float
+) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Return the share of each row in each line by frequency (M + 1, lines, H), and the columns' phases (M + 1,).
 
     As a line is symmetric about its foot, the sum of exp(i m alpha) along it is one of cosines: all shares are real.
     """
-    import torch
-
     outer = size / 2
     frequency = np.arange(min((count - 1) // 2, (width - 1) // 2) + 1)
     distance = np.arange(size // 2) + 0.5
@@ -195,8 +246,7 @@ def _operator(
         share = _rows(radius[seen], height, outer, inner)
         kernel[:, line // together] += (share @ np.cos(angle[seen, None] * frequency)).T
     kernel *= 2 * _SPACING / together  # both sides of the foot
-    phase = np.exp(-1j * pi * frequency / width) / width
-    return torch.from_numpy(kernel).to(device), torch.from_numpy(phase).to(device)
+    return kernel, np.exp(-1j * pi * frequency / width) / width
 
 
 def _rows(radius: NDArray[np.float64], height: int, outer: float, inner: float) -> NDArray[np.float64]:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import pi
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from analytic.descriptors.base import AlignedDescriptor, Part, divisors_near
 from analytic.errors import AnalyticError
@@ -141,6 +144,49 @@ class WiSurf(AlignedDescriptor):
         vectors = sums.permute(0, 1, 4, 5, 2, 3).reshape(count, self.windows, self.rows, VALUES)
         return vectors.div_(vectors.norm(dim=-1, keepdim=True).clamp_min_(_LEAST)).flatten(2)
 
+    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        count, height, width = grey.shape
+        side, step = height // self.rows, width // self.windows
+        cut = _weights(side)
+        dx, dy = _plain_wavelets(grey, max(1, int(side / 20 + 0.5)), self.circular)
+        answers = np.stack([dx, dy, np.abs(dx), np.abs(dy)], axis=1)
+        strips = cut @ answers.reshape(count, 4, self.rows, side, width)  # (B, 4, rows, CELLS, W)
+        columns = strips.reshape(count, 4 * self.rows * CELLS, width)
+        wide = np.pad(columns, ((0, 0), (0, 0), (0, side - 1)), mode="wrap" if self.circular else "constant")
+        windows = np.lib.stride_tricks.sliding_window_view(wide, side, axis=2)[:, :, ::step]
+        sums = windows @ cut.T  # (B, 4 rows CELLS, windows, CELLS)
+        parts = sums.reshape(count, 4, self.rows, CELLS, self.windows, CELLS)
+        vectors = parts.transpose(0, 4, 2, 3, 5, 1).reshape(count, self.windows, self.rows, VALUES)
+        vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), np.float32(_LEAST))
+        values = np.ascontiguousarray(vectors.reshape(count, self.windows, self.rows * VALUES), dtype=np.float32)
+        return values.reshape(count, -1), values
+
+
+def _plain_wavelets(
+    grey: NDArray[np.float32], reach: int, circular: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return what `wavelets` returns, without torch."""
+    a, b = reach, 2 * reach + 1
+    height, width = grey.shape[1:]
+    wide = np.pad(grey, ((0, 0), (0, 0), (a, a)), mode="wrap" if circular else "edge")
+    tall = np.pad(wide, ((0, 0), (a, a), (0, 0)), mode="edge")
+    halves = _plain_runs(tall, a, 2)
+    dx = _plain_runs(halves[:, :, a + 1 :] - halves[:, :, :width], b, 1)
+    halves = _plain_runs(tall, a, 1)
+    dy = _plain_runs(halves[:, a + 1 :] - halves[:, :height], b, 2)
+    return dx * np.float32(1 / (a * b)), dy * np.float32(1 / (a * b))
+
+
+def _plain_runs(values: NDArray[np.float32], length: int, axis: int) -> NDArray[np.float32]:
+    """Return what `_runs` returns, without torch."""
+    total = np.cumsum(values, axis=axis, dtype=np.float64)
+    total = np.concatenate([np.zeros_like(total.take([0], axis=axis)), total], axis=axis)
+    return np.asarray(
+        np.take(total, range(length, total.shape[axis]), axis=axis)
+        - np.take(total, range(total.shape[axis] - length), axis=axis),
+        dtype=np.float32,
+    )
+
 
 def wavelets(grey: Tensor, reach: int, circular: bool) -> tuple[Tensor, Tensor]:
     """Return the Haar responses dx and dy (B, H, W) of images (B, H, W); see `WiSurf`.
@@ -199,12 +245,16 @@ def _heights(height: int, rows: int) -> str:
 
 
 @lru_cache(maxsize=8)
-def _cut(side: int, device: str) -> Tensor:
+def _weights(side: int) -> NDArray[np.float32]:
     """Return the Gaussian weights of a window's pixels along one side, row u being those of subregion u (4, h)."""
+    place = np.arange(side)
+    weight = np.exp(-((place - (side - 1) / 2) ** 2) / (2 * (_SIGMA * side) ** 2))
+    mine = place[None] // (side // CELLS) == np.arange(CELLS)[:, None]
+    return (weight / weight.sum() * mine).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def _cut(side: int, device: str) -> Tensor:
     import torch
 
-    place = torch.arange(side, dtype=torch.float64)
-    weight = torch.exp(-((place - (side - 1) / 2) ** 2) / (2 * (_SIGMA * side) ** 2))
-    weight /= weight.sum()
-    mine = place[None] // (side // CELLS) == torch.arange(CELLS, dtype=torch.float64)[:, None]
-    return (weight * mine).to(torch.float32).to(device)
+    return torch.from_numpy(_weights(side)).to(device)

@@ -98,6 +98,8 @@ class Main(Settings):
     device: Device = "auto"
     projector: bool = False
     bundle: Folder | None = None
+    precision: Literal["float32", "float16", "int8", "auto"] = "float32"
+    thumbnails: bool = False
     loader: Loader = field(default_factory=Loader)
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig
 
 from siamloc.cli import robot
 from siamloc.cli.compose import composed, plain
-from siamloc.cli.inherit import by_network, label_of, map_file, suggestion
+from siamloc.cli.inherit import by_network, label_of, map_file
 from siamloc.cli.objects import (
     data_of,
     descriptor_of,
+    figures_in,
     files_in,
     further_steps,
     heading_of,
@@ -22,6 +24,7 @@ from siamloc.cli.objects import (
     open_roles,
     preprocessing_of,
     run_of,
+    search_of,
     training_folder,
     training_of,
     way_of,
@@ -158,26 +161,35 @@ def evaluate(config: DictConfig) -> None:
 def export(config: DictConfig) -> None:
     """Write the bundle for the robot."""
     from siamloc import runtime
-    from siamloc.maps import ErrorModel, Refinement, VisualMap
+    from siamloc.maps import Built, ErrorModel, LayerSearch, Refinement, VisualMap
 
-    label = label_of(config.descriptor)
-    if not by_network(config) and label != "pretrained":
-        raise ConfigError(f"only a network can be exported, not descriptor={config.descriptor.name}")
-    if config.run is None and by_network(config):
-        raise ConfigError(f"no run is named: {suggestion()}")
+    label, precision = label_of(config.descriptor), config.precision
     run = run_of(config)
-    network, path = descriptor_of(config, run), map_file(run, label)
-    known = VisualMap.load(path, network) if path.is_file() else None
-    evaluation = run.evaluation(label)
-    errors = None if known is None else ErrorModel.saved(evaluation / "error_model.json", known)
-    refinement = None if known is None else Refinement.saved(evaluation / "refinement.json", known)
-    images = {} if known is not None else {"preprocessing": preprocessing_of(config)}
+    described, path = descriptor_of(config, run), map_file(run, label)
+    known = VisualMap.load(path, described) if path.is_file() else None
+    further: dict[str, Any] = {}
+    if known is None:
+        further["preprocessing"] = preprocessing_of(config)
+    else:
+        evaluation = run.evaluation(label)
+        further["errors"] = ErrorModel.saved(evaluation / "error_model.json", known)
+        further["refinement"] = Refinement.saved(evaluation / "refinement.json", known)
+        further["figures"] = figures_in(evaluation / "results.json")
+        if config.build.name != "none":
+            further["layer"] = Built.load(run.layer(label, label_of(config.build)))
+            further["search"] = LayerSearch.of(search_of(config))
+        if config.thumbnails or precision in ("int8", "auto"):
+            roles = ["validation"] if precision == "auto" else []
+            images, opened = open_roles(config, *roles, known=known)
+            further |= {"images": images, "thumbnails": config.thumbnails, **opened}
     folder = Path(config.bundle) if config.bundle is not None else run.bundle
-    bundle = runtime.export(network, known, folder, errors=errors, refinement=refinement, **images)
+    bundle = runtime.export(described, known, folder, precision=precision, **further)
     if folder == run.bundle:
         run.record_written(files_in(folder))
+    if compared := runtime.precision_table(bundle):
+        print(compared)
     print(bundle.summary())
-    for line in further_steps(run, known, errors, refinement, label):
+    for line in further_steps(run, known, further.get("errors"), further.get("refinement"), label):
         print(line)
     if known is not None:
         where = f"run={run.folder}" if folder == run.bundle else f"bundle={folder}"

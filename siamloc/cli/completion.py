@@ -72,7 +72,7 @@ def _of_command(command: str, words: list[str]) -> list[str]:
         from siamloc.cli.robot import keys
 
         given = {word.partition("=")[0] for word in words[:-1]}
-        return [f"{key}=" for key in keys() if key.startswith(words[-1]) and key not in given]
+        return [f"{key}=" for key in keys(command) if key.startswith(words[-1]) and key not in given]
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
     from hydra.plugins.completion_plugin import DefaultCompletionPlugin

@@ -186,14 +186,20 @@ COMMANDS = {
         "export",
         "write the model file for the robot",
         """
-        Writes a bundle: the network as ONNX (any batch size), the map, and how images are prepared; and compares its
-        output with the network's. With a map that holds headings the robot knows its own, and after an
-        evaluation with task.error_model=true its expected error and whether it is lost. After one with task.refine
-        its poses are finer than the map in the same way.
+        Writes a bundle: what describes images (the network as ONNX, or an analytic descriptor), the map, and how
+        images are prepared; and compares its output with the original's. With a map that holds headings the robot knows
+        its own, and after an evaluation with task.error_model=true its expected error and whether it is lost. After one
+        with task.refine its poses are finer than the map in the same way.
 
         run=FOLDER              the run
         bundle=FOLDER           where to; the run's own folder if not given; robot.zip makes one file
-        descriptor=pretrained   the network that comes with siamloc instead, with its map
+        descriptor=hog          another map of the run: of an analytic descriptor, or of the network that comes with
+                                siamloc, descriptor=pretrained
+        precision=int8          numbers of 8 bits, or float16: shorter and faster bundles; auto takes the smallest that
+                                loses at most 2 % of the error on protocol.validation, and shows what each loses
+        build=spectral          the coarse layer that `siamloc map build=spectral` made, for the robot to search first;
+                                task=hierarchical task.candidates=1 says how
+        thumbnails=true         small pictures of the map frames, which `siamloc live` shows
         """,
         "siamloc export run=runs/vgg16",
         inherits=True,
@@ -216,8 +222,28 @@ COMMANDS = {
         out=FILE                 a .csv or .jsonl file as well; locations.csv where lines to read are printed
         on_error=skip|raise      go on after an image that cannot be read, or stop there
         threads=2                of onnxruntime
+        hierarchical=false       search the whole map, also where the bundle has a coarse layer
         """,
         "siamloc localize run=runs/vgg16 images=[photo.jpeg]",
+        config=None,
+    ),
+    "live": Command(
+        "live",
+        "a page that shows where the robot is, while it drives",
+        """
+        Locates images as localize does, and serves a page for the browser: the plan with pose, uncertainty and way so
+        far, the picture of the camera beside that of the map, room, expected error and time. It can be watched and not
+        changed, from this machine alone unless host= says otherwise. Needs `pip install siamloc[live]`.
+
+        images=[drive.mp4]   files, folders, videos, or cameras such as camera:0
+        bundle=FOLDER        the bundle, or FILE.zip; export it with thumbnails=true to see the map's pictures
+        run=FOLDER           or the run whose bundle is used
+        track=true           follow the robot from image to image
+        fps=5                images a second at most, 0 for all speed; cameras keep their own pace
+        port=8000            0 takes a free one
+        host=127.0.0.1       0.0.0.0 lets everybody in the network watch
+        """,
+        "siamloc live run=runs/vgg16 images=[drive.mp4]",
         config=None,
     ),
     "report": Command(
@@ -309,7 +335,7 @@ def overview() -> str:
         "usage: siamloc <command> [key=value ...]\n\n"
         f"{lines}\n\n"
         "siamloc <command> --help          what a command takes, with an example\n"
-        "siamloc <command> --cfg job       the whole configuration, of all but localize\n"
+        "siamloc <command> --cfg job       the whole configuration, of all but localize and live\n"
         "siamloc completion bash|zsh|fish  the tab key completes commands, groups and keys\n"
         "siamloc --version\n\n"
         "--debug shows the traceback of an error."

@@ -17,7 +17,7 @@ def command_help(name: str) -> str:
     if command.config is None:
         from siamloc.cli.robot import keys as keys_of_robot
 
-        every, more = {"keys": keys_of_robot()}, ""
+        every, more = {"keys": keys_of_robot(name)}, ""
     else:
         every, more = keys_of(command.config), " (`--cfg job` shows their values)"
     for group, keys in every.items():

@@ -17,9 +17,12 @@ from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.files import read_json
 from siamloc.maps import ErrorModel, Refinement, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run
+
+_RANKING = ("by", "neighbours", "ratio")
 
 
 def data_of(config: DictConfig) -> DataSettings:
@@ -217,12 +220,30 @@ def way_of(config: DictConfig) -> dict[str, Any]:
     return {"way": options.pop("name"), "seed": config.seed, **options}
 
 
+def search_of(config: DictConfig) -> dict[str, Any]:
+    """Return how a coarse layer is searched, as `siamloc.maps.LayerSearch` takes it: as task=hierarchical says it."""
+    task = plain(config.task)
+    if "candidates" not in task:
+        return {}
+    return {"candidates": task["candidates"], "along": task["along"], **{k: task["coarse"][k] for k in _RANKING}}
+
+
+def figures_in(path: Path) -> dict[str, Any] | None:
+    """Return when an evaluation was made, and its errors; None where there is none."""
+    if not path.is_file():
+        return None
+    found = read_json(path)
+    measures = {name: part.get("overall", {}).get("error") for name, part in found.get("measures", {}).items()}
+    return {"created": found.get("created"), "errors": {name: error for name, error in measures.items() if error}}
+
+
 def further_steps(
     run: Run, known: VisualMap | None, errors: ErrorModel | None, refinement: Refinement | None, label: str
 ) -> list[str]:
     """Return what the robot could get besides what was exported, in words."""
     lines, named = [], f"run={run.folder}" + ("" if label == "network" else f" descriptor={label}")
-    if known is not None and known.heading is None and known.made.get("data", {}).get("circular", True):
+    none = known is not None and known.heading is None and known.orientation is None
+    if known is not None and none and known.made.get("data", {}).get("circular", True):
         which = "" if known.descriptor.tells_heading else " heading=hog"
         lines.append(f"for a heading as well: siamloc map {named}{which}, then export again")
     if known is not None and errors is None:
@@ -232,7 +253,7 @@ def further_steps(
     if known is not None and refinement is None:
         if (run.evaluation(label) / "refinement.json").is_file():
             lines.append("refinement.json left out, it was learned on another map")
-        elif getattr(known.describes, "compares", False):
+        elif getattr(known.descriptor, "compares", False):
             step = f"siamloc evaluate {named} task.refine=relative"
             lines.append(f"for poses finer than the map: {step}, then export again")
     return lines

@@ -1,27 +1,31 @@
-"""`siamloc localize`, which runs where only numpy, OpenCV and onnxruntime are installed: no Hydra reads its words."""
+"""`siamloc localize` and `siamloc live`, which run where no torch is installed: no Hydra reads their words."""
 
 from __future__ import annotations
 
 import math
 import re
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.runs import Run, newest_run
-from siamloc.settings import Count, Many, Settings, Text, fields_of
+from siamloc.settings import Count, Many, NotNegative, Port, Settings, Text, fields_of
+
+if TYPE_CHECKING:
+    from siamloc.runtime import Localizer
 
 _ITEM = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,'"\[\]]*[^,'"\[\]\s])\s*(,|$)""")
 _PLAIN = {"true": True, "false": False, "null": None}
 
 
 @dataclass(frozen=True)
-class Localize(Settings):
-    """What `siamloc localize` takes.
+class Robot(Settings):
+    """What all commands of the robot take.
 
     Attributes:
         images: files, folders, videos, and cameras such as camera:0.
@@ -29,11 +33,8 @@ class Localize(Settings):
         bundle: another bundle.
         top: map frames to list for each image.
         track: follow the robot from image to image; each folder, video and camera is a drive.
-        format: what is printed: a line to read, of JSON, or of a table.
-        out: file of the locations, .csv or .jsonl; if None, locations.csv beside the run's bundle, or here with
-            `bundle`, where lines to read are printed, and no file otherwise.
-        on_error: go on after an image that cannot be read, or stop there.
         threads: of onnxruntime; its own choice if None.
+        hierarchical: search the coarse layer first; where the bundle has one if None.
     """
 
     images: tuple[Text, ...] | Text = ()
@@ -41,10 +42,40 @@ class Localize(Settings):
     bundle: Path | None = None
     top: Many = 3
     track: bool = False
+    threads: Count | None = None
+    hierarchical: bool | None = None
+
+    def localizer(self) -> Localizer:
+        """Return what locates, after making sure that there are images.
+
+        Raises:
+            ConfigError: neither a bundle nor a run is named, or no images are.
+        """
+        if self.bundle is None and self.run is None:
+            raise ConfigError(f"no bundle and no run are named: give bundle=FOLDER, or {_suggestion()}")
+        from siamloc.runtime import Localizer
+        from siamloc.runtime.stream import named
+
+        named(self.images)  # refused before the bundle is loaded
+        bundle = self.bundle if self.bundle is not None or self.run is None else Run(self.run).bundle
+        assert bundle is not None
+        return Localizer(bundle, top=self.top, threads=self.threads, hierarchical=self.hierarchical)
+
+
+@dataclass(frozen=True)
+class Localize(Robot):
+    """What `siamloc localize` takes besides.
+
+    Attributes:
+        format: what is printed: a line to read, of JSON, or of a table.
+        out: file of the locations, .csv or .jsonl; if None, locations.csv beside the run's bundle, or here with
+            `bundle`, where lines to read are printed, and no file otherwise.
+        on_error: go on after an image that cannot be read, or stop there.
+    """
+
     format: Literal["table", "jsonl", "csv"] = "table"
     out: Path | None = None
     on_error: Literal["skip", "raise"] = "skip"
-    threads: Count | None = None
 
     @property
     def target(self) -> Path | None:
@@ -57,16 +88,11 @@ class Localize(Settings):
 def localize(words: Sequence[str]) -> int:
     """Locate images, and print where each was taken as soon as that is known."""
     settings = Localize.of(values_of(words, Localize))
-    if settings.bundle is None and settings.run is None:
-        raise ConfigError(f"no bundle and no run are named: give bundle=FOLDER, or {_suggestion()}")
-    from siamloc.runtime import Localizer, locate_all, written
-    from siamloc.runtime.stream import LINES, named
+    localizer = settings.localizer()
+    from siamloc.runtime import locate_all, written
+    from siamloc.runtime.stream import LINES
 
-    named(settings.images)  # refused before the bundle is loaded
     run = None if settings.run is None else Run(settings.run)
-    bundle = settings.bundle if settings.bundle is not None or run is None else run.bundle
-    assert bundle is not None
-    localizer = Localizer(bundle, top=settings.top, threads=settings.threads)
     located = locate_all(localizer, settings.images, on_error=settings.on_error, track=settings.track)
     target = settings.target
     off, faults, count, stopped = list[float](), 0, 0, False
@@ -99,6 +125,43 @@ def localize(words: Sequence[str]) -> int:
     return 130 if stopped else 0
 
 
+@dataclass(frozen=True)
+class Watch(Robot):
+    """What `siamloc live` takes besides.
+
+    Attributes:
+        host: address to listen at; 0.0.0.0 is every one of this machine's.
+        port: to listen at; 0 takes a free one.
+        fps: images a second at most; 0 for as fast as they are located.
+    """
+
+    host: Text = "127.0.0.1"
+    port: Port = 8000
+    fps: NotNegative = 5.0
+
+
+def live(words: Sequence[str]) -> int:
+    """Locate images, and serve a page where one watches."""
+    settings = Watch.of(values_of(words, Watch))
+    localizer = settings.localizer()
+    from siamloc.runtime import Live
+
+    page = Live(
+        localizer, settings.images, track=settings.track, host=settings.host, port=settings.port, fps=settings.fps
+    )
+    if settings.host not in ("127.0.0.1", "localhost", "::1"):
+        print(f"everybody who reaches {settings.host} can watch: leave host out to keep it on this machine")
+    with page:
+        print(f"{page.url} shows where the robot is; Ctrl-C ends it", flush=True)
+        try:
+            page.join()
+            print(f"{page.count} images, and their end: the page stays until Ctrl-C", flush=True)
+            while True:
+                time.sleep(60)
+        except KeyboardInterrupt:
+            return 130
+
+
 def values_of(words: Sequence[str], kind: type[Settings]) -> dict[str, Any]:
     """Read words such as "images=[a.jpeg,'b (1).jpeg']" as the values of a settings class.
 
@@ -123,9 +186,9 @@ def values_of(words: Sequence[str], kind: type[Settings]) -> dict[str, Any]:
     return values
 
 
-def keys() -> list[str]:
-    """Return the keys of the command."""
-    return list(fields_of(Localize))
+def keys(command: str) -> list[str]:
+    """Return the keys of a command."""
+    return list(fields_of({"localize": Localize, "live": Watch}[command]))
 
 
 def _items(word: str, inside: str) -> Iterator[str]:
@@ -148,6 +211,8 @@ def _value(text: str, texts: bool) -> Any:
         return text
     if re.fullmatch(r"[-+]?\d+", text):
         return int(text)
+    if re.fullmatch(r"[-+]?\d*\.\d+", text):
+        return float(text)
     return _PLAIN.get(text, text)
 
 

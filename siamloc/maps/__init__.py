@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from siamloc.maps.error_model import ErrorModel
     from siamloc.maps.grouping import WAYS, Built, group
     from siamloc.maps.heading import HeadingPart, WithHeading
-    from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking
+    from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch, NodeRanking
     from siamloc.maps.interpolation import interpolate_poses
     from siamloc.maps.matching import frame_distances, headings, match
     from siamloc.maps.pose_filter import PoseFilter
@@ -41,6 +41,7 @@ _HOMES = {
     "WithHeading": "heading",
     "HierarchicalRetrieval": "hierarchy",
     "HierarchicalSearch": "hierarchy",
+    "LayerSearch": "hierarchy",
     "NodeRanking": "hierarchy",
     "interpolate_poses": "interpolation",
     "frame_distances": "matching",
@@ -69,6 +70,7 @@ __all__ = [
     "HeadingPart",
     "HierarchicalRetrieval",
     "HierarchicalSearch",
+    "LayerSearch",
     "MotionModel",
     "NodeRanking",
     "PoseFilter",

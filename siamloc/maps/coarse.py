@@ -153,8 +153,25 @@ class CoarseLayer:
         path = Path(path)
         if not path.is_file():
             raise FormatError(f"{path} does not exist: build the layer first with `siamloc map build=...`")
+        return cls._read(path, path)
+
+    @classmethod
+    def loads(cls, content: bytes, source: str) -> CoarseLayer:
+        """Read what a file by `save` holds.
+
+        Args:
+            content: of the file.
+            source: what to call it in error messages.
+
+        Raises:
+            FormatError: as `load`.
+        """
+        return cls._read(content, source)
+
+    @classmethod
+    def _read(cls, content: Path | bytes, path: str | Path) -> CoarseLayer:
         try:
-            held = read_arrays(path)
+            held = read_arrays(content)
             header = parsed_json(str(held["header"][()]))
             arrays = {name: held[name] for name in _ARRAYS}
         except DAMAGE as error:

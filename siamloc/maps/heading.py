@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import Description, Descriptor, Thumbnail, descriptor
+from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.errors import ConfigError, DataError
 from siamloc.files import plain
@@ -94,15 +94,26 @@ class HeadingPart:
         return NetworkHeading() if self.own else descriptor_of(self.identity)
 
 
-def descriptor_of(identity: Mapping[str, Any]) -> Descriptor:
+def is_analytic(identity: Mapping[str, Any]) -> bool:
+    """Find out whether an identity is that of an analytic descriptor, which can be made from it."""
+    return identity.get("name") in (Thumbnail.name, *DESCRIPTORS)
+
+
+def descriptor_of(identity: Mapping[str, Any], device: str | None = None) -> Descriptor:
     """Return the analytic descriptor that an identity names.
+
+    Args:
+        identity: its name and parameters.
+        device: where it computes; its default if None.
 
     Raises:
         AnalyticError: a descriptor or a parameter that this version does not know.
     """
     options = {key: value for key, value in identity.items() if key != "images"}
     name = options.pop("name", "")
-    return Thumbnail(**options) if name == Thumbnail.name else descriptor(name, **options)
+    if name == Thumbnail.name:
+        return Thumbnail(**options)
+    return descriptor(name, **options, **({} if device is None else {"device": device}))
 
 
 class NetworkHeading(BetweenColumns):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.matching import match, nearest_in_rows
 from siamloc.maps.search import Retrieval, VectorIndex, check_neighbours
 from siamloc.maps.visual_map import VisualMap
+from siamloc.settings import Count, Natural, Rule, Settings
 
 if TYPE_CHECKING:
     from siamloc.data.frames import FrameTable
@@ -113,6 +114,31 @@ class NodeRanking:
         return NodeRanking(
             np.concatenate([part.nodes for part in parts]), np.concatenate([part.compared for part in parts])
         )
+
+
+@dataclass(frozen=True)
+class LayerSearch(Settings):
+    """How a coarse layer is searched first; see `HierarchicalSearch`.
+
+    Attributes:
+        by: how nodes are ranked.
+        candidates: nodes searched for each query.
+        neighbours: map frames that vote.
+        ratio: candidates whose representative is farther than so many times the nearest one are not searched.
+        along: frames beside the nearest one, in its drive, that are searched as well.
+    """
+
+    WHERE = "search"
+
+    by: Literal["representatives", "vote"] = "representatives"
+    candidates: Count = 3
+    neighbours: Count = 10
+    ratio: Annotated[float, Rule("a number from 1", lambda value: value >= 1)] | None = None
+    along: Natural = 0
+
+    def of_map(self, known: VisualMap, layer: CoarseLayer, coarse: VisualMap | None = None) -> HierarchicalSearch:
+        """Return the search of a map; see `HierarchicalSearch` for what it takes and refuses."""
+        return HierarchicalSearch(known, layer, coarse=coarse, **self.plain())
 
 
 class HierarchicalSearch:

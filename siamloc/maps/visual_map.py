@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail
+from analytic import Description, Descriptor
 from analytic.arrays_file import DAMAGE, read_arrays
 from analytic.distances import DISTANCES
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import atomic_path, parsed_json, plain
-from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of
+from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic
+from siamloc.maps.packing import Precision, packed, unpacked
 from siamloc.maps.search import Retrieval, VectorIndex
 
 _FORMAT = "siamloc-map"
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +122,7 @@ class VisualMap:
         """
         if self.describes is not None:
             return self.describes
-        if not _is_analytic(self.identity):
+        if not is_analytic(self.identity):
             raise ConfigError(
                 f"the map was described by {self.identity.get('name', 'an unknown descriptor')!r}, which it does not "
                 "hold: give it with VisualMap.load(path, descriptor) or known.with_descriptor(descriptor)"
@@ -138,7 +139,7 @@ class VisualMap:
     @property
     def aligned(self) -> bool:
         """Whether its descriptors are compared only after turning them alike."""
-        return (self.describes is not None or _is_analytic(self.identity)) and self.descriptor.aligned
+        return (self.describes is not None or is_analytic(self.identity)) and self.descriptor.aligned
 
     @cached_property
     def description(self) -> Description:
@@ -285,15 +286,20 @@ class VisualMap:
                 "Describe the queries with the map's model, or build the map again"
             )
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, precision: Precision = "float32") -> None:
         """Write the map into one npz file, atomically; equal maps give equal files.
+
+        Args:
+            path: of the file.
+            precision: how descriptors are kept. "float16" and "int8" keep a scale for each row beside them, and are
+                read back as float32 of about 3 and 2 digits; orientation parts are kept no shorter than float16.
 
         Raises:
             StorageError: the disk refuses.
         """
         header = {
             "format": _FORMAT,
-            "version": _VERSION,
+            "version": 1 if precision == "float32" else _VERSION,
             "frames": len(self),
             "width": self.width,
             "identity": self.identity,
@@ -311,6 +317,10 @@ class VisualMap:
             arrays["heading"] = self.heading.values
         arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
         arrays.update({f"frame_{name}": column for name, column in self.frames.columns().items()})
+        if precision != "float32":
+            arrays = {**arrays, **packed("descriptors", self.descriptors, precision)}
+            if "orientation" in arrays:
+                arrays.update(packed("orientation", arrays["orientation"], "float16"))
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
             for name, array in arrays.items():
                 # A fixed date keeps the file a function of its contents; text shrinks to little, descriptors do not.
@@ -354,6 +364,9 @@ class VisualMap:
     def _read(cls, content: Path | bytes, path: str | Path, descriptor: Descriptor | None) -> VisualMap:
         try:
             arrays = read_arrays(content)
+            for name in ("descriptors", "orientation"):
+                if f"{name}_scale" in arrays:
+                    arrays[name] = unpacked(arrays[name], arrays.pop(f"{name}_scale"))
         except DAMAGE as error:
             raise FormatError(f"{path} is not a siamloc map, or not a whole one: build it again") from error
         header = _read_header(path, arrays)
@@ -383,10 +396,6 @@ class VisualMap:
 
 
 _ABSENT = object()
-
-
-def _is_analytic(identity: Mapping[str, Any]) -> bool:
-    return identity.get("name") in (Thumbnail.name, *DESCRIPTORS)
 
 
 def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:

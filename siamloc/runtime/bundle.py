@@ -3,32 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
 from siamloc.files import parsed_json
+from siamloc.maps.heading import is_analytic
 from siamloc.runtime.parts import Archive, Folder, Parts
+from siamloc.runtime.thumbnails import Thumbnails
 
 if TYPE_CHECKING:
-    from siamloc.maps import ErrorModel, Refinement, VisualMap
+    from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
     from siamloc.maps.learned import Learned
 
     _Kind = TypeVar("_Kind", bound=Learned)
 
 FORMAT = "siamloc-bundle"
-VERSION = 3
+VERSION = 4
 DESCRIPTION = "bundle.json"
 MODEL = "model.onnx"
 MAP = "map.npz"
-HEADING = "heading.onnx"
 ERRORS = "error_model.json"
 REFINEMENT = "refinement.json"
 RELATIVE = "relative.onnx"
-PARTS = (MODEL, f"{MODEL}.data", MAP, HEADING, ERRORS, REFINEMENT, RELATIVE)
+LAYER, COARSE = "layer.npz", "coarse_map.npz"
+THUMBNAILS = "thumbnails.npz"
+PARTS = (MODEL, f"{MODEL}.data", MAP, ERRORS, REFINEMENT, RELATIVE, LAYER, COARSE, THUMBNAILS)
 _FINER = {"interpolate": "between", "relative": "by comparison with"}
-_KEYS = {"sha256": dict, "preprocessing": dict, "identity": dict, "parity": dict}
+_KEYS = {"sha256": dict, "preprocessing": dict, "identity": dict, "parity": dict, "precision": str}
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,9 +41,11 @@ class Bundle:
 
     Attributes:
         path: where it lies: a folder, or a zip archive.
-        about: what `bundle.json` holds: `preprocessing`, `identity` of the network, `parity` (how far the exported
-            network is from the original), `heading` and `errors` (what gives them, None without), `refinement` (how
-            poses are made finer than the map, None if they are not), `sha256` by file.
+        about: what `bundle.json` holds: `preprocessing`, `identity` of what describes, `parity` (how far what describes
+            here is from the original), `precision`, `heading` and `errors` (what gives them, None without),
+            `refinement` (how poses are made finer than the map, None if they are not), `search` (how a coarse layer is
+            searched first, None without one), `precisions` (what each costs and gives, where one was chosen),
+            `figures` (of its evaluation, None without), `sha256` by file.
         preprocessing: how an image becomes a panorama.
         parts: its files.
     """
@@ -64,12 +70,12 @@ class Bundle:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What decides a descriptor, network and preprocessing; the map carries the same."""
+        """What decides a descriptor, what describes and preprocessing; the map carries the same."""
         return {**self.about["identity"], "images": self.about["preprocessing"]}
 
     @property
     def parity(self) -> dict[str, Any]:
-        """How far the exported network is from the original; see `siamloc.runtime.parity`."""
+        """How far what describes here is from the original; see `siamloc.runtime.parity`."""
         return dict(self.about["parity"])
 
     def load_map(self) -> VisualMap | None:
@@ -102,11 +108,37 @@ class Bundle:
 
         return self._learned(Refinement, REFINEMENT)
 
+    def load_layer(self) -> tuple[CoarseLayer, VisualMap | None] | None:
+        """Read the coarse layer, and the map that ranks its nodes where that is another one; None if there is none.
+
+        Raises:
+            FormatError: one of them is damaged.
+        """
+        from siamloc.maps import CoarseLayer, VisualMap
+
+        if LAYER not in self.files:
+            return None
+        coarse = VisualMap.loads(self.parts.read(COARSE), f"{self.path}/{COARSE}") if COARSE in self.files else None
+        return CoarseLayer.loads(self.parts.read(LAYER), f"{self.path}/{LAYER}"), coarse
+
+    def thumbnail(self, row: int) -> bytes | None:
+        """Return a small picture of a map frame as JPEG; None where the bundle has none.
+
+        Args:
+            row: of the map, as `Candidate.row` says it.
+
+        Raises:
+            FormatError: the pictures are damaged.
+            IndexError: there is no such row.
+        """
+        return None if self._thumbnails is None else self._thumbnails[row]
+
     def summary(self) -> str:
-        """Say in two lines how exact the exported network is, and what the robot gets."""
+        """Say in two lines how exact the exported descriptor is, and what the robot gets."""
         first = (
-            f"bundle: {self.path}; largest difference from the network {self.parity['max_abs_difference']:.1e}, "
-            f"{self.parity['max_relative_difference']:.1e} of the largest value"
+            f"bundle: {self.path}, {self.bytes / 1e6:.1f} MB, {self.about['precision']}; largest difference from the "
+            f"original {self.parity['max_abs_difference']:.1e}, {self.parity['max_relative_difference']:.1e} of the "
+            "largest value"
         )
         if MAP not in self.files:
             return f"{first}\nthe robot gets descriptors alone: there is no map to locate images in"
@@ -118,6 +150,10 @@ class Bundle:
         if ERRORS in self.files:
             lost = self.about["errors"].get("lost_above")
             gets.append("expected error" if lost is None else f"expected error (lost above {lost:g} {self._unit})")
+        if LAYER in self.files:
+            gets.append(f"a coarse layer by {self.about['search']['by']}")
+        if THUMBNAILS in self.files:
+            gets.append("pictures of the map")
         return f"{first}\nthe robot gets: {', '.join(gets)}"
 
     @classmethod
@@ -152,7 +188,7 @@ class Bundle:
             if not isinstance(about.get(key), kind):
                 found = "lacks" if key not in about else "is altered in"
                 raise FormatError(f"{described} {found} {key}: export again")
-        if MODEL not in about["sha256"]:
+        if MODEL not in about["sha256"] and not is_analytic(about["identity"]):
             raise FormatError(f"{described} lists no {MODEL}: export again")
         for name, digest in about["sha256"].items():
             if name not in PARTS:
@@ -164,6 +200,17 @@ class Bundle:
         except (ConfigError, TypeError) as error:
             raise FormatError(f"{described} is altered in preprocessing ({error}): export again") from error
         return cls(path, about, preprocessing, parts)
+
+    @property
+    def bytes(self) -> int:
+        """How long all its files are together."""
+        return sum(self.parts.size(name) for name in (DESCRIPTION, *self.files))
+
+    @cached_property
+    def _thumbnails(self) -> Thumbnails | None:
+        if THUMBNAILS not in self.files:
+            return None
+        return Thumbnails(self.parts.read(THUMBNAILS), f"{self.path}/{THUMBNAILS}")
 
     @property
     def _unit(self) -> str:

@@ -4,138 +4,229 @@ from __future__ import annotations
 
 import shutil
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from analytic import Descriptor
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError, SiamlocError
-from siamloc.files import atomic_folder, atomic_path, file_hash, plain, scratch_folder, write_json
+from siamloc.files import atomic_folder, atomic_path, file_hash, plain, read_json, scratch_folder, write_json
+from siamloc.maps import Built, CoarseLayer, LayerSearch, VisualMap, match
+from siamloc.maps.heading import is_analytic
+from siamloc.maps.packing import PRECISIONS, Precision
 from siamloc.runtime.bundle import (
+    COARSE,
     DESCRIPTION,
     ERRORS,
     FORMAT,
-    HEADING,
+    LAYER,
     MAP,
     MODEL,
     PARTS,
     REFINEMENT,
     RELATIVE,
+    THUMBNAILS,
     VERSION,
     Bundle,
 )
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.parts import Archive
+from siamloc.runtime.precision import CALIBRATION, Measured, halve, measured, quantize, smallest, spread
+from siamloc.runtime.thumbnails import save_thumbnails
+from siamloc.settings import checked
 
 if TYPE_CHECKING:
     from torch import nn
 
-    from analytic import Descriptor
-    from siamloc.maps import ErrorModel, Refinement, VisualMap
+    from siamloc.data.frames import FrameTable
+    from siamloc.data.library import PanoramaLibrary
+    from siamloc.maps import ErrorModel, Refinement
 
-_TRIED = 3  # panoramas that a bundle has to describe as the network does
+TOLERANCE = 1e-4
+"""How far the robot's descriptor may be from the original, of its norm, or of 1 where that is smaller."""
+
+_TRIED = 3  # panoramas that a bundle has to describe as the original does
 
 
 def export(
-    network: nn.Module | Descriptor,
+    described_by: nn.Module | Descriptor,
     known: VisualMap | None,
     folder: str | Path,
     *,
     errors: ErrorModel | None = None,
     refinement: Refinement | None = None,
+    layer: CoarseLayer | Built | None = None,
+    coarse_map: VisualMap | None = None,
+    search: LayerSearch | None = None,
     preprocessing: Preprocessing | None = None,
+    images: PanoramaLibrary | None = None,
+    thumbnails: bool = False,
+    precision: Precision | Literal["auto"] = "float32",
+    validation: FrameTable | None = None,
+    figures: Mapping[str, Any] | None = None,
 ) -> Bundle:
-    """Write network and map as a bundle for the robot, whose `Localizer` needs no torch.
+    """Write what describes images and its map as a bundle for the robot, whose `Localizer` needs no torch.
 
     An older bundle in the same folder is replaced only when the new one is whole.
 
     Args:
-        network: what describes images: a module (B, 3, H, W) -> (B, D), or `siamloc.models.as_descriptor` of one.
-        known: its map; None for a bundle that only describes images. If the map has a heading part, the robot gets
-            headings.
+        described_by: what describes images: a module (B, 3, H, W) -> (B, D), `siamloc.models.as_descriptor` of one, or
+            an analytic descriptor, which the robot computes with numpy and OpenCV.
+        known: its map; None for a network alone, which only describes images. If the map has a heading part, the robot
+            gets headings.
         folder: where to; a name that ends in .zip becomes one archive.
         errors: the model of the expected error, learned on this map; None if there is none.
         refinement: how poses are made finer than the map, learned on this map, such as `Result.refinement`; None for
             the poses of the nearest map frames.
+        layer: nodes over the map, from `siamloc.maps.group`, which the robot searches first; None for none.
+        coarse_map: the map of the same frames by an analytic descriptor that ranks the nodes; the map itself if None.
+        search: how the nodes are ranked and searched; as `LayerSearch` has it if None.
         preprocessing: how images become panoramas (`images.preprocessing`); the map's if None.
+        images: panoramas of the map's frames, and of those of `validation`.
+        thumbnails: whether small pictures of the map frames come along, of `images`.
+        precision: how the numbers of network and map are kept. "float16" halves both and computes as float32; "int8"
+            computes with whole numbers, whose ranges are taken from `images` of the map; "auto" takes the smallest that
+            loses at most 2 % of the localization error of `validation`, see `siamloc.runtime.precision`.
+        validation: frames with positions, for "auto".
+        figures: of the evaluation, plain values that `Bundle.about` gives back; for the record only.
 
     Returns:
-        The opened bundle; `parity` says how far the exported network is from the original.
+        The opened bundle; `parity` says how far its network is from the original, before fewer digits are kept.
 
     Raises:
-        ConfigError: the folder holds other files than a bundle's, the map is another network's, the error model or the
-            refinement was learned on another map, a network that does not compare is to refine, panoramas that cannot
-            be made from plain values, or what cannot be exported.
-        SiamlocError: the exported network differs from the original.
+        ConfigError: the folder holds other files than a bundle's, the map is another descriptor's, what was learned on
+            or built over another map, a network that does not compare is to refine, panoramas that cannot be made from
+            plain values, images that are needed and not given, or what cannot be exported.
+        SiamlocError: the bundle differs from the original.
         StorageError: the disk is full or refuses.
     """
-    from siamloc.maps.refinement import check_compares
     from siamloc.models import as_descriptor
-    from siamloc.runtime.onnx_model import export_heading, export_onnx
-    from siamloc.runtime.onnx_relative import export_relative
 
-    folder, descriptor = Path(folder).absolute(), as_descriptor(network)
+    folder = Path(folder).absolute()
+    precision = checked(precision, Literal["float32", "float16", "int8", "auto"], "precision")
     _check_replaceable(folder)
-    module = getattr(descriptor, "module", None)
-    if module is None:
-        raise ConfigError(f"only a network can be exported, not {descriptor.name}")
-    identity, parameters = _described_alike(descriptor, known, preprocessing)
-    if errors is not None and (known is None or not errors.learned_on(known)):
-        raise ConfigError("the error model was learned on another map than the bundle's: learn it again")
-    if refinement is not None and (known is None or not refinement.learned_on(known)):
-        raise ConfigError("how poses are refined was learned on another map than the bundle's: evaluate again")
-    compares = refinement is not None and refinement.method == "relative"
-    if known is not None and compares:
-        check_compares(known)
-    method = "none" if refinement is None else refinement.method
-    if errors is not None and errors.refine != method:
-        raise ConfigError(
-            f"the error model expects errors of poses with refine={errors.refine}, and the robot makes them with "
-            f"refine={method}: give errors and refinement of one evaluation, made anew where it is older"
-        )
-    image_size = (parameters["height"], parameters["width"])
+    given = described_by if isinstance(described_by, Descriptor) else as_descriptor(described_by)
+    _check_exportable(given, known)
+    identity, parameters = _described_alike(given, known, preprocessing)
+    _check_learned(known, errors, refinement)
+    if layer is not None:
+        search = search or LayerSearch()
+        layer = _checked_layer(known, layer, coarse_map, search)
+    if images is None and (thumbnails or precision in ("int8", "auto")):
+        what = "pictures of the map" if thumbnails else f"precision={precision}"
+        raise ConfigError(f"{what} needs the panoramas of the map's frames: give images=")
+    if precision == "auto" and (validation is None or not validation.has_position.any()):
+        raise ConfigError("precision=auto compares localization errors: give frames with positions as validation=")
+    if known is None and (thumbnails or precision != "float32"):
+        raise ConfigError(f"without a map there are neither pictures of it nor precision={precision}: give the map")
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "preprocessing": parameters,
+        "identity": identity,
+        "unit": None if known is None else known.unit,
+        "heading": _heading_of(known),
+        "errors": None if errors is None else errors.as_dict(),
+        "search": None if search is None or layer is None else search.plain(),
+        "figures": None if figures is None else plain(dict(figures)),
+    }
+    made = _Ingredients(about, given, known, errors, refinement, layer, coarse_map, images, thumbnails)
     with _written(folder) as fresh:
-        exported = export_onnx(module, fresh / MODEL, image_size)
-        files, heading = list(exported["files"]), None
+        if precision != "auto":
+            made.write(fresh, precision)
+        else:
+            assert images is not None
+            assert validation is not None
+            made.write_smallest(fresh, images, validation)
+    return Bundle.open(folder)
+
+
+@dataclass(frozen=True)
+class _Ingredients:
+    """All that a bundle is made of."""
+
+    about: dict[str, Any]
+    given: Descriptor
+    known: VisualMap | None
+    errors: ErrorModel | None
+    refinement: Refinement | None
+    layer: CoarseLayer | None
+    coarse_map: VisualMap | None
+    images: PanoramaLibrary | None
+    thumbnails: bool
+
+    def write(self, fresh: Path, precision: Precision) -> None:
+        """Write the files of a bundle, and compare them with what they were made of.
+
+        Raises:
+            SiamlocError: the bundle differs from the original.
+        """
+        about = {**self.about, "precision": precision, "refinement": self._finer()}
+        module, known = getattr(self.given, "module", None), self.known
+        if module is not None:
+            about["parity"] = self._write_networks(module, fresh, precision, about["refinement"])
         if known is not None:
-            known.save(fresh / MAP)
-            files.append(MAP)
-        if known is not None and known.heading is not None and known.heading.own:
-            heading = {"identity": known.heading.identity, "parity": exported["parity"]["orientation"]}
-        elif known is not None and known.heading is not None:
-            parity = export_heading(known.heading.descriptor, fresh / HEADING, image_size)
-            heading = {"identity": known.heading.identity, "parity": parity}
-            files.append(HEADING)
-        if errors is not None:
-            errors.save(fresh / ERRORS)
-            files.append(ERRORS)
-        finer: dict[str, Any] | None = None
-        if refinement is not None:
-            refinement.save(fresh / REFINEMENT)
-            files.append(REFINEMENT)
-            finer = {"method": refinement.method, "neighbours": refinement.neighbours}
+            known.save(fresh / MAP, precision)
+        if self.errors is not None:
+            self.errors.save(fresh / ERRORS)
+        if self.refinement is not None:
+            self.refinement.save(fresh / REFINEMENT)
+        if self.layer is not None:
+            self.layer.save(fresh / LAYER)
+        if self.coarse_map is not None:
+            self.coarse_map.save(fresh / COARSE, precision)
+        if self.thumbnails and self.images is not None and known is not None:
+            save_thumbnails(fresh / THUMBNAILS, self.images, known.frames)
+        about["sha256"] = {file: file_hash(fresh / file) for file in PARTS if (fresh / file).is_file()}
+        write_json(fresh / DESCRIPTION, {"parity": {}, **about})
+        if known is not None:
+            apart = _check_alike(fresh, self.given, known, precision)
+            if module is None:
+                write_json(fresh / DESCRIPTION, {**about, "parity": apart})
+
+    def write_smallest(self, fresh: Path, images: PanoramaLibrary, frames: FrameTable) -> None:
+        """Write the smallest bundle that loses at most `LOSS` of the localization error of frames."""
+        rows, (panoramas, asked) = list[Measured](), spread(images, frames.take(frames.has_position))
+        with TemporaryDirectory(dir=fresh.parent, prefix=f".{fresh.name.lstrip('.')}.") as scratch:
+            for precision in PRECISIONS:
+                folder = Path(scratch) / precision
+                folder.mkdir()
+                self.write(folder, precision)
+                rows.append(measured(folder, self.given, panoramas, asked.xy))
+            best = smallest(rows)
+            for file in (Path(scratch) / best.precision).iterdir():
+                file.replace(fresh / file.name)
+        about = read_json(fresh / DESCRIPTION)
+        write_json(fresh / DESCRIPTION, {**about, "precisions": [row.plain() for row in rows]})
+
+    def _finer(self) -> dict[str, Any] | None:
+        found = self.refinement
+        return None if found is None else {"method": found.method, "neighbours": found.neighbours}
+
+    def _write_networks(
+        self, module: nn.Module, fresh: Path, precision: Precision, finer: dict[str, Any] | None
+    ) -> dict[str, Any]:
+        """Write the network, and what it compares by into `finer`; return how far the file is from the network."""
+        from siamloc.runtime.onnx_model import export_onnx
+        from siamloc.runtime.onnx_relative import export_relative
+
+        rows, columns = self.about["preprocessing"]["height"], self.about["preprocessing"]["width"]
+        parity: dict[str, Any] = export_onnx(module, fresh / MODEL, (rows, columns))["parity"]
         if finer is not None and finer["method"] == "relative":
             finer["parity"] = export_relative(module, fresh / RELATIVE)
-            files.append(RELATIVE)
-        about = {
-            "format": FORMAT,
-            "version": VERSION,
-            "preprocessing": parameters,
-            "identity": identity,
-            "unit": None if known is None else known.unit,
-            "parity": exported["parity"],
-            "heading": heading,
-            "errors": None if errors is None else errors.as_dict(),
-            "refinement": finer,
-            "sha256": {file: file_hash(fresh / file) for file in files},
-        }
-        write_json(fresh / DESCRIPTION, about)
-        if known is not None:
-            _check_alike(fresh, descriptor, known)
-    return Bundle.open(folder)
+        if precision == "float16":
+            halve(fresh / MODEL)
+        elif precision == "int8":
+            assert self.images is not None
+            assert self.known is not None
+            quantize(fresh / MODEL, spread(self.images, self.known.frames, CALIBRATION)[0])
+        return parity
 
 
 @contextmanager
@@ -155,28 +246,91 @@ def _written(path: Path) -> Iterator[Path]:
                     shutil.copyfileobj(held, member, 1 << 20)
 
 
-def _check_alike(folder: Path, descriptor: Descriptor, known: VisualMap) -> None:
-    """Open what was written as the robot does, and compare it with the network and its map.
+def _check_alike(folder: Path, original: Descriptor, known: VisualMap, precision: Precision) -> dict[str, Any]:
+    """Open what was written as the robot does, and compare it with what it was made of.
+
+    With fewer digits descriptors and map frames are others, and how many is measured elsewhere; but the bundle has to
+    work.
+
+    Returns:
+        How far its descriptors are, as `siamloc.runtime.parity` says it.
 
     Raises:
         SiamlocError: it describes a panorama in another way, or finds another map frame.
     """
-    from siamloc.runtime.onnx_model import TOLERANCE
-
     localizer = Localizer(folder)
     rows, columns = localizer.bundle.image_size
     panoramas = np.random.default_rng(0).integers(0, 256, (_TRIED, 3, rows, columns), dtype=np.uint8)
-    expected = descriptor.describe(panoramas).position
-    got = np.concatenate([localizer.describe_panorama(one).position for one in panoramas])
+    asked, answered = original.describe(panoramas), localizer.describe(panoramas)
+    expected, got = asked.position, answered.position
     apart, norm = np.linalg.norm(got - expected, axis=1), np.linalg.norm(expected, axis=1)
-    if not (apart <= TOLERANCE * np.maximum(norm, 1.0)).all():
-        raise SiamlocError(
-            f"the bundle describes panoramas {apart.max():.3g} away from the network, whose descriptors have length "
-            f"{norm.max():.3g}: do not use it"
+    if not np.isfinite(got).all():
+        raise SiamlocError(f"the bundle in {precision} gives descriptors that are not finite: use another precision")
+    if precision == "float32":
+        if not (apart <= TOLERANCE * np.maximum(norm, 1.0)).all():
+            raise SiamlocError(
+                f"the bundle describes panoramas {apart.max():.3g} away from the original, whose descriptors have "
+                f"length {norm.max():.3g}: do not use it"
+            )
+        if not np.array_equal(match(known, asked, 1).indices, match(localizer.map, answered, 1).indices):
+            raise SiamlocError("the bundle's map gives other frames than the map it was made of: do not use it")
+    largest, most = float(np.abs(expected).max()), float(np.abs(got - expected).max())
+    return {
+        "max_abs_difference": most,
+        "max_abs_value": largest,
+        "max_relative_difference": most / largest if largest else most,
+        "tolerance": TOLERANCE,
+    }
+
+
+def _check_exportable(given: Descriptor, known: VisualMap | None) -> None:
+    """Make sure that a robot can describe images in this way, and has something to find them in."""
+    if getattr(given, "module", None) is not None:
+        return
+    if not is_analytic(given.identity):
+        raise ConfigError(f"only networks and analytic descriptors can be exported, not {given.name}")
+    if known is None:
+        raise ConfigError(f"a bundle by {given.name} needs a map: run `siamloc map descriptor={given.name}` first")
+
+
+def _check_learned(known: VisualMap | None, errors: ErrorModel | None, refinement: Refinement | None) -> None:
+    """Make sure that what was learned, was learned on the map and fits together."""
+    from siamloc.maps.refinement import check_compares
+
+    if errors is not None and (known is None or not errors.learned_on(known)):
+        raise ConfigError("the error model was learned on another map than the bundle's: learn it again")
+    if refinement is not None and (known is None or not refinement.learned_on(known)):
+        raise ConfigError("how poses are refined was learned on another map than the bundle's: evaluate again")
+    if known is not None and refinement is not None and refinement.method == "relative":
+        check_compares(known)
+    method = "none" if refinement is None else refinement.method
+    if errors is not None and errors.refine != method:
+        raise ConfigError(
+            f"the error model expects errors of poses with refine={errors.refine}, and the robot makes them with "
+            f"refine={method}: give errors and refinement of one evaluation, made anew where it is older"
         )
-    wanted, found = known.search(expected), localizer.map.search(expected)
-    if not np.array_equal(wanted.indices, found.indices):
-        raise SiamlocError("the bundle's map gives other frames than the map it was made of: do not use it")
+
+
+def _checked_layer(
+    known: VisualMap | None, layer: CoarseLayer | Built, coarse: VisualMap | None, search: LayerSearch
+) -> CoarseLayer:
+    """Return the nodes, after making sure that a robot can search them first."""
+    if known is None:
+        raise ConfigError("a coarse layer needs the map that it was built over: give the map")
+    if coarse is not None and not is_analytic(coarse.identity):
+        raise ConfigError("on the robot nodes are ranked by the map itself, or by an analytic descriptor")
+    if isinstance(layer, Built):
+        layer.check_map(known if coarse is None else coarse)
+        layer = layer.layer
+    search.of_map(known, layer, coarse)
+    return layer
+
+
+def _heading_of(known: VisualMap | None) -> dict[str, Any] | None:
+    """Return what gives the robot its heading; None if nothing does."""
+    if known is None or (known.heading is None and (known.orientation is None or not known.descriptor.tells_heading)):
+        return None
+    return {"identity": known.identity if known.heading is None else known.heading.identity}
 
 
 def _described_alike(

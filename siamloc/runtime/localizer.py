@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import Description
+from analytic import AnalyticError, Description, Descriptor, ImageDescriptor, Thumbnail
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.maps import PoseFilter, RefinedPoses, Retrieval, VisualMap, headings
-from siamloc.runtime.bundle import HEADING, MODEL, RELATIVE, Bundle
+from siamloc.maps import (
+    HierarchicalSearch,
+    LayerSearch,
+    PoseFilter,
+    RefinedPoses,
+    Retrieval,
+    VisualMap,
+    headings,
+    match,
+)
+from siamloc.maps.heading import descriptor_of
+from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
 from siamloc.settings import Count, checked
 
 _STANDING = 0.01  # step in a map whose frames are all in one place
@@ -28,6 +38,7 @@ class Candidate:
 
     Attributes:
         image: the map frame's file, as the map names it.
+        row: its number in the map; `Bundle.thumbnail` gives its picture where the bundle holds any.
         x: its position, in the unit of the map; NaN where the map does not know it.
         y: its position.
         room: its room, or "".
@@ -35,6 +46,7 @@ class Candidate:
     """
 
     image: str
+    row: int
     x: float
     y: float
     room: str
@@ -90,16 +102,21 @@ class Localizer:
     The map is made ready for search once, which takes the memory of its descriptors once more. Nothing is kept between
     images: each answer depends on its image alone, but where a `tracker` is given. Several threads may share one.
 
+    A bundle with a coarse layer is searched through it: the map frames come from the nodes that resemble the image
+    most. Where these hold fewer frames than the estimates look at, the whole map is searched.
+
     Args:
         bundle_path: folder or archive of the bundle.
         top: how many candidates a location lists.
+        hierarchical: whether the coarse layer is searched first; where the bundle has one if None.
         threads: threads of onnxruntime; its own choice if None.
         providers: what onnxruntime computes with, the first that can, such as ("CUDAExecutionProvider",
             "CPUExecutionProvider").
 
     Raises:
         FormatError: no bundle, an altered one, or one of a newer version.
-        ConfigError: a bundle without a map, top or threads below 1, or a provider that this onnxruntime lacks.
+        ConfigError: a bundle without a map, or without the coarse layer that is asked for, top or threads below 1, or
+            a provider that this onnxruntime lacks.
     """
 
     def __init__(
@@ -108,6 +125,7 @@ class Localizer:
         top: int = 3,
         threads: int | None = None,
         providers: Sequence[str] = ("CPUExecutionProvider",),
+        hierarchical: bool | None = None,
     ) -> None:
         import onnxruntime
 
@@ -121,9 +139,7 @@ class Localizer:
         known = self.bundle.load_map()
         if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
-        self.map = known
-        self.map.check_describer(self.bundle.identity)
-        self.map.index  # noqa: B018 (prepared here, and not with the first image)
+        known.check_describer(self.bundle.identity)
         self._top = top
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
@@ -141,7 +157,17 @@ class Localizer:
                     f"onnxruntime cannot run {bundle_path}/{name} ({type(error).__name__}): export again"
                 ) from error
 
-        self._session, self._heading, self._relative = session(MODEL), session(HEADING), session(RELATIVE)
+        self._session, self._relative = session(MODEL), session(RELATIVE)
+        if self._session is None:
+            known = known.with_descriptor(_analytic(known.identity, self.bundle, known.width, known.orientation))
+        self.map = known
+        if not known.aligned:
+            known.index  # noqa: B018 (prepared here, and not with the first image)
+        part = known.heading
+        self._heading = None
+        if part is not None and not part.own:
+            self._heading = _analytic(part.identity, self.bundle, orientation=part.values)
+        self._search = self._layered(hierarchical)
         self._errors, self._refinement = self.bundle.load_errors(), self.bundle.load_refinement()
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
         if self._refinement is not None and self._refinement.method == "relative" and self._relative is None:
@@ -179,7 +205,12 @@ class Localizer:
             )
         return PoseFilter(_spacing(self.map.placed()) if step is None else step)
 
-    def locate(self, image: str | Path | NDArray[np.uint8], tracker: PoseFilter | None = None) -> Location:
+    def locate(
+        self,
+        image: str | Path | NDArray[np.uint8],
+        tracker: PoseFilter | None = None,
+        seen: Callable[[NDArray[np.uint8]], None] | None = None,
+    ) -> Location:
         """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as the camera gives them.
 
         Args:
@@ -187,17 +218,54 @@ class Localizer:
             tracker: follows the robot from the images before: position, heading and covariance are those of the robot
                 on its way; the expected error and whether it is lost are still those of this image alone. Each image
                 counts for its answer alone if None.
+            seen: is given the panorama (3, H, W), uint8, RGB, that the image becomes.
 
         Raises:
             DataError: the image cannot be read, is empty, or has another shape.
         """
         start = time.perf_counter()
-        query = self.describe_panorama(self._panorama(image))
-        found = self.map.search(query.position, self._wanted)
+        panorama = self._panorama(image)
+        if seen is not None:
+            seen(panorama)
+        return self._located(panorama, self.describe(panorama[None]), tracker, start)
+
+    def locate_panorama(self, panorama: NDArray[np.uint8], tracker: PoseFilter | None = None) -> Location:
+        """Locate a panorama (3, H, W), uint8, RGB, of the bundle's size; see `locate`."""
+        start = time.perf_counter()
+        return self._located(panorama, self.describe(panorama[None]), tracker, start)
+
+    def locate_batch(self, images: Sequence[str | Path | NDArray[np.uint8]]) -> list[Location]:
+        """Locate several images, described together: faster where the provider is, such as a GPU.
+
+        Each answer is the one that `locate` gives, up to the rounding of the descriptor; its `ms` is the mean.
+
+        Args:
+            images: as `locate` takes them, any number.
+
+        Raises:
+            DataError: one of them cannot be read, is empty, or has another shape.
+        """
+        if not len(images):
+            return []
+        start = time.perf_counter()
+        panoramas = np.stack([self._panorama(image) for image in images])
+        queries = self.describe(panoramas)
+        found = [
+            self._located(panorama, queries.take(slice(row, row + 1)), None, start)
+            for row, panorama in enumerate(panoramas)
+        ]
+        mean = 1000 * (time.perf_counter() - start) / len(images)
+        return [replace(one, ms=mean) for one in found]
+
+    def _located(
+        self, panorama: NDArray[np.uint8], query: Description, tracker: PoseFilter | None, start: float
+    ) -> Location:
+        found = self._found(panorama, query)
         frames = self.map.frames
         candidates = tuple(
             Candidate(
                 image=str(frames.path[row]),
+                row=int(row),
                 x=float(frames.x[row]),
                 y=float(frames.y[row]),
                 room=str(frames.room[row]),
@@ -222,13 +290,42 @@ class Localizer:
             agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
 
-    def describe_panorama(self, panorama: NDArray[np.uint8]) -> Description:
-        """Describe a panorama (3, H, W), uint8, RGB, of the bundle's size, as the map's frames were described."""
-        pixels = panorama[None].astype(np.float32) / np.float32(255)
-        descriptor, *orientation = self._session.run(None, {"panorama": pixels})
+    def describe(self, panoramas: NDArray[np.uint8]) -> Description:
+        """Describe panoramas (B, 3, H, W), uint8, RGB, of the bundle's size, as the map's frames were described."""
+        if self._session is None:
+            return self.map.descriptor.describe(panoramas)
+        descriptor, *orientation = self._session.run(None, {"panorama": panoramas})
         if self._heading is not None:
-            orientation = self._heading.run(None, {"panorama": pixels})
+            orientation = [self._heading.describe(panoramas).orientation]
         return Description(descriptor, orientation[0] if orientation else None)
+
+    def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
+        """Return the search through the coarse layer, if that is wanted."""
+        held = None if wanted is False else self.bundle.load_layer()
+        if held is None:
+            if wanted:
+                raise ConfigError(
+                    f"{self.bundle.path} holds no coarse layer: run `siamloc map build=spectral`, then `siamloc export "
+                    "build=spectral`"
+                )
+            return None
+        layer, coarse = held
+        if coarse is not None:
+            coarse = coarse.with_descriptor(_analytic(coarse.identity, self.bundle, coarse.width, coarse.orientation))
+        try:
+            return LayerSearch.of(self.bundle.about.get("search") or {}).of_map(self.map, layer, coarse)
+        except (ConfigError, DataError) as error:
+            raise FormatError(f"{self.bundle.path} cannot search its coarse layer ({error}): export again") from error
+
+    def _found(self, panorama: NDArray[np.uint8], query: Description) -> Retrieval:
+        """Return the map frames that resemble an image most."""
+        if self._search is not None:
+            coarse = self._search.coarse
+            ranked = self._search.rank(query if coarse is self.map else coarse.descriptor.describe(panorama))
+            found = self._search.search(query, ranked, self._wanted).found
+            if np.isfinite(found.distances).all():
+                return found
+        return match(self.map, query, self._wanted)
 
     def _estimates(self, query: Description, found: Retrieval) -> tuple[RefinedPoses | None, float, bool | None]:
         """Return the pose finer than the map, the expected error, and whether that means lost.
@@ -238,7 +335,7 @@ class Localizer:
         if self._placed is None or not self.map.frames.has_position[found.indices[0, 0]]:
             return None, math.nan, None
         if self._placed is not self.map:
-            found = self._placed.search(query.position, self._wanted)
+            found = match(self._placed, query, self._wanted)
         pose, expected, lost = None, math.nan, None
         if self._refinement is not None:
             pose = replace(self._refinement, widening=1.0).poses(self._placed, query, found, self._compare)
@@ -268,6 +365,37 @@ class Localizer:
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
         return self.bundle.preprocessing.prepare(pixels)
+
+
+def _analytic(
+    identity: Mapping[str, Any], bundle: Bundle, width: int | None = None, orientation: NDArray[Any] | None = None
+) -> Descriptor:
+    """Return what describes images by an analytic descriptor, without torch.
+
+    Args:
+        identity: its name and parameters.
+        bundle: whose panoramas it describes.
+        width: of the map's descriptors; not compared if None.
+        orientation: (n, K, F, ...) what the map holds of headings; not compared if None.
+
+    Raises:
+        FormatError: an unknown descriptor, or one that gives other sizes than the map's: then it did not make the map,
+            and could take any memory.
+    """
+    try:
+        made = descriptor_of(identity, "numpy")
+        given: tuple[int, ...] = ()
+        turning: tuple[int, ...] | None = None
+        if isinstance(made, Thumbnail):
+            given = (made.rows, made.columns)
+        elif isinstance(made, ImageDescriptor):
+            given, turning = made.sizes(*bundle.image_size)
+    except (AnalyticError, TypeError) as error:
+        raise FormatError(f"{bundle.path} describes images by what this siamloc does not know: {error}") from error
+    held = None if orientation is None else orientation.shape[1:3]
+    if (width is not None and math.prod(given) != width) or (held is not None and held != turning):
+        raise FormatError(f"{bundle.path} holds a map of other sizes than its {made.name} gives: export again")
+    return made
 
 
 def _spacing(known: VisualMap) -> float:

@@ -15,7 +15,7 @@ from torch import nn
 
 from siamloc.errors import FormatError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 OPSET = 20
 
 

@@ -1,4 +1,4 @@
-"""Networks and heading descriptors as ONNX files, each compared with what it was made of before it gets its name."""
+"""Networks as ONNX files, each compared with its network before it gets its name."""
 
 from __future__ import annotations
 
@@ -11,30 +11,26 @@ import numpy as np
 import torch
 from torch import nn
 
-from analytic import Description, Descriptor, ImageDescriptor
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.files import atomic_path, file_hash, scratch_folder
 from siamloc.models.describing import evaluating, identity_of, network_of, orienting
-from siamloc.models.network import Network
 from siamloc.runtime.onnx_file import OPSET, label, quiet, session_of, traced
 
-FORMAT, HEADING_FORMAT = "siamloc-network", "siamloc-heading"
+FORMAT = "siamloc-network"
 INPUT, OUTPUT, HEADING_OUTPUT = "panorama", "descriptor", "orientation"
-TOLERANCE, HEADING_TOLERANCE = 1e-4, 1e-3
+TOLERANCE = 1e-4
 ONE_FILE_BYTES = 2**31 - 2**24  # protobuf ends at 2 GiB; the graph next to the weights takes a little
 _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
-_HEADING_IMAGES = 4
-_LUMA = (0.299, 0.587, 0.114)
 
 
 def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int]) -> dict[str, Any]:
     """Write a network as an ONNX file.
 
-    The file takes `panorama` (B, 3, H, W) float32 in [0, 1] and gives `descriptor` (B, D), and `orientation` (B, K, F)
-    where the network finds headings; B is free, and whatever normalization the network has is inside. Its metadata hold
-    the format, its version, and the network's identity as JSON. All is in one file, except that weights of 2 GB and
-    more, which ONNX cannot hold, lie next to it in `<name>.data`. The file gets its name only after `parity` has
-    passed, in evaluation mode; the network keeps its mode.
+    The file takes `panorama` (B, 3, H, W) uint8 and gives `descriptor` (B, D), and `orientation` (B, K, F) where the
+    network finds headings; B is free, and the division by 255 and whatever normalization the network has are inside.
+    Its metadata hold the format, its version, and the network's identity as JSON. All is in one file, except that
+    weights of 2 GB and more, which ONNX cannot hold, lie next to it in `<name>.data`. The file gets its name only after
+    `parity` has passed, in evaluation mode; the network keeps its mode.
 
     Args:
         network: (B, 3, H, W) -> (B, D), such as `siamloc.models.build` makes; its weights must be float32.
@@ -54,10 +50,10 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
     network = on_cpu(network)
     identity = identity_of(network)
     rows, columns = int(image_size[0]), int(image_size[1])
-    example = torch.zeros(2, 3, rows, columns)  # an example of 1 would fix the batch to 1
-    with evaluating(network):
-        network(example)  # a wrong size fails here, in the network's own words
+    example = torch.zeros(2, 3, rows, columns, dtype=torch.uint8)  # an example of 1 would fix the batch to 1
     graph, outputs = _graph(network)
+    with evaluating(graph):
+        graph(example)  # a wrong size fails here, in the network's own words
     program = traced(graph, (example,), [INPUT], outputs, free_batch=True)
     label(program, FORMAT, identity)
     size = sum(tensor.nbytes for tensor in network.state_dict().values())
@@ -126,11 +122,10 @@ def parity(
     rows, columns = session.get_inputs()[0].shape[2:]
     generator = np.random.default_rng(seed)
     difference, value = np.zeros(len(outputs)), np.zeros(len(outputs))
-    with evaluating(network):
+    with evaluating(graph):
         for batch in batches:
-            images = generator.random((batch, 3, rows, columns), dtype=np.float32)
-            found = graph(torch.from_numpy(images))
-            expected = [one.numpy() for one in (found if isinstance(found, tuple) else (found,))]
+            images = generator.integers(0, 256, (batch, 3, rows, columns), dtype=np.uint8)
+            expected = [one.numpy() for one in graph(torch.from_numpy(images))]
             got = session.run(None, {INPUT: images})
             shapes = [[one.shape for one in given] for given in (got, expected)]
             if shapes[0] != shapes[1]:
@@ -161,138 +156,22 @@ def parity(
     }
 
 
-class _Both(nn.Module):
-    """Descriptor and orientation part of a network that finds headings, as the graph of an ONNX file."""
+class _FromPixels(nn.Module):
+    """A network as the graph of its file: from pixels to the descriptor, and to the orientation part it may have."""
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: nn.Module) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, panorama: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return self.network.with_orientation(panorama)
+    def forward(self, panorama: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        images = panorama.to(torch.float32) / 255  # as networks are given them everywhere
+        oriented = orienting(self.network)
+        return (self.network(images),) if oriented is None else oriented.with_orientation(images)
 
 
 def _graph(network: nn.Module) -> tuple[nn.Module, tuple[str, ...]]:
     """Return what goes into the file of a network, and the names of what it gives."""
-    if (oriented := orienting(network)) is not None:
-        return _Both(oriented), (OUTPUT, HEADING_OUTPUT)
-    return network, (OUTPUT,)
-
-
-class _Orientation(nn.Module):
-    """The orientation part of one panorama, as the graph of an ONNX file."""
-
-    def __init__(self, descriptor: ImageDescriptor) -> None:
-        super().__init__()
-        self.descriptor = descriptor
-
-    def forward(self, panorama: torch.Tensor) -> torch.Tensor:
-        red, green, blue = panorama.unbind(1)
-        grey = red * _LUMA[0] + green * _LUMA[1] + blue * _LUMA[2]
-        return self.descriptor._describe(grey)[1]
-
-
-def export_heading(descriptor: Descriptor, path: str | Path, image_size: Sequence[int]) -> dict[str, Any]:
-    """Write the orientation part of an analytic descriptor as an ONNX file.
-
-    The file takes `panorama` (1, 3, H, W) float32 in [0, 1] and gives `orientation` (1, K, F). It gets its name only
-    after `heading_parity` has passed.
-
-    Args:
-        descriptor: such as `analytic.descriptor("hog")`.
-        path: of the file; its folder is made.
-        image_size: (H, W) in pixels.
-
-    Returns:
-        What `heading_parity` returns.
-
-    Raises:
-        ConfigError: a descriptor whose operations ONNX does not have.
-        AnalyticError: a size that the descriptor's parameters do not fit.
-        SiamlocError: the file gives other headings.
-        StorageError: the disk refuses.
-    """
-    rows, columns = int(image_size[0]), int(image_size[1])
-    descriptor.describe(np.zeros((1, 3, rows, columns), dtype=np.uint8))  # a wrong size fails here
-    refused = ConfigError(
-        f"heading={descriptor.name} with these parameters cannot be exported for the robot: make the map again with "
-        "`siamloc map heading=hog`"
-    )
-    if not isinstance(descriptor, ImageDescriptor) or descriptor.homomorphic:
-        raise refused
-    example, module = torch.zeros(1, 3, rows, columns), _Orientation(descriptor)
-    with evaluating(module):
-        found = module(example)  # fills the descriptor's caches with tensors that do not belong to the export
-    if found.is_complex():
-        raise refused
-    try:
-        program = traced(module, (example,), [INPUT], [HEADING_OUTPUT], free_batch=False)
-    except Exception as error:  # the exporter's errors have no common base
-        raise refused from error
-    label(program, HEADING_FORMAT, descriptor.identity)
-    with atomic_path(path) as temporary:
-        with quiet():
-            program.save(temporary, external_data=False)
-        return heading_parity(descriptor, temporary)
-
-
-def heading_parity(descriptor: Descriptor, path: str | Path, seed: int = 0) -> dict[str, Any]:
-    """Compare an ONNX file, run by onnxruntime on the CPU, with its descriptor, on random images and after turns.
-
-    Values are compared by their mean: where a gradient lies on the border of two bins, rounding decides about one
-    pixel, which is much for a single value and nothing for a heading.
-
-    Args:
-        descriptor: what the file was made of.
-        path: of the ONNX file.
-        seed: of the random images and turns.
-
-    Returns:
-        `mean_relative_difference` (mean difference over mean magnitude), `max_abs_difference`, `tolerance` of the
-        first, `headings` compared, `seed`, `onnxruntime` (its version).
-
-    Raises:
-        FormatError: a file that onnxruntime cannot run.
-        SiamlocError: a mean difference above the tolerance, or another heading.
-    """
-    import onnxruntime
-
-    session = session_of(path)
-    rows, columns = session.get_inputs()[0].shape[2:]
-    generator = np.random.default_rng(seed)
-    images = generator.integers(0, 256, (_HEADING_IMAGES, 3, rows, columns), dtype=np.uint8)
-    turned = np.stack(
-        [
-            np.roll(image, turn, 2)
-            for image, turn in zip(images, generator.integers(columns, size=_HEADING_IMAGES), strict=True)
-        ]
-    )
-    known, expected = descriptor.describe(images), descriptor.describe(turned)
-    got = np.concatenate(
-        [session.run(None, {INPUT: image[None].astype(np.float32) / np.float32(255)})[0] for image in turned]
-    )
-    assert expected.orientation is not None
-    if got.shape != expected.orientation.shape:
-        raise SiamlocError(
-            f"{path} gives orientation parts of shape {got.shape} for {expected.orientation.shape}: do not use it"
-        )
-    apart = np.abs(got - expected.orientation)
-    mean = float(apart.mean() / np.abs(expected.orientation).mean())
-    headings = descriptor.relative_heading(Description(expected.position, got), known)
-    wrong = int((headings != descriptor.relative_heading(expected, known)).sum())
-    if not mean <= HEADING_TOLERANCE or wrong:
-        raise SiamlocError(
-            f"the orientation parts of {path} differ from {descriptor.name}'s by {mean:.3g} of their mean (tolerance "
-            f"{HEADING_TOLERANCE:g}), and {wrong} of {_HEADING_IMAGES} headings do: do not use the file"
-        )
-    return {
-        "mean_relative_difference": mean,
-        "max_abs_difference": float(apart.max()),
-        "tolerance": HEADING_TOLERANCE,
-        "headings": _HEADING_IMAGES,
-        "seed": seed,
-        "onnxruntime": onnxruntime.__version__,
-    }
+    return _FromPixels(network), (OUTPUT,) if orienting(network) is None else (OUTPUT, HEADING_OUTPUT)
 
 
 def on_cpu(network: nn.Module) -> nn.Module:

@@ -48,6 +48,10 @@ class Parts(ABC):
             FormatError: it is not there, or damaged.
         """
 
+    @abstractmethod
+    def size(self, name: str) -> int:
+        """Return how many bytes a file has."""
+
     def for_onnxruntime(self, name: str) -> str | bytes:
         """Return a model in the form that onnxruntime opens."""
         return self.read(name)
@@ -73,6 +77,10 @@ class Folder(Parts):
     def digest(self, name: str) -> str:
         """Return the SHA-256 of a file in hexadecimal."""
         return file_hash(self.path / name)
+
+    def size(self, name: str) -> int:
+        """Return how many bytes a file has."""
+        return (self.path / name).stat().st_size
 
     def for_onnxruntime(self, name: str) -> str | bytes:
         """Return the path: weights of more than 2 GB lie in a file beside the model."""
@@ -125,6 +133,10 @@ class Archive(Parts):
         for block in self._blocks(name):
             digest.update(block)
         return digest.hexdigest()
+
+    def size(self, name: str) -> int:
+        """Return how many bytes a file has, in the archive."""
+        return self._members[name].compress_size
 
     def _blocks(self, name: str) -> list[bytes]:
         try:

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -83,6 +83,7 @@ def locate_all(
     images: str | Path | Sequence[str | Path],
     on_error: Literal["skip", "raise"] = "skip",
     track: bool = False,
+    seen: Callable[[NDArray[np.uint8]], None] | None = None,
 ) -> Generator[Located, None, None]:
     """Locate images one after the other, each as soon as it is there; nothing of them is kept.
 
@@ -91,6 +92,7 @@ def locate_all(
         images: image files, folders of them, video files, and cameras of this machine, such as "camera:0"; or one.
         on_error: "skip" goes on after an image that cannot be read, and says so; "raise" stops there.
         track: follow the robot from image to image, see `Localizer.tracker`; each folder, video and camera is a drive.
+        seen: is given each panorama (3, H, W), uint8, RGB, before it is located.
 
     Yields:
         What came of each image, in order.
@@ -106,7 +108,7 @@ def locate_all(
         if tracker is not None and drive != before:
             tracker.reset()
         try:
-            yield Located(name, localizer.locate(image, tracker), pose=pose)
+            yield Located(name, localizer.locate(image, tracker, seen), pose=pose)
         except DataError as error:
             if on_error == "raise":
                 raise

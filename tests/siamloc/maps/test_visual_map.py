@@ -180,8 +180,8 @@ def test_load_refuses_what_is_not_a_whole_map(tmp_path: Path) -> None:
     cases[tmp_path / "other.npz"] = "not a siamloc map"
     np.savez(tmp_path / "pickled.npz", header=np.array([{"format": "siamloc-map"}], dtype=object))
     cases[tmp_path / "pickled.npz"] = "not a siamloc map"
-    newer = rewritten(good, tmp_path / "newer.npz", header={"version": 2})
-    cases[newer] = "format version 2, this siamloc reads up to 1: update siamloc"
+    newer = rewritten(good, tmp_path / "newer.npz", header={"version": 3})
+    cases[newer] = "format version 3, this siamloc reads up to 2: update siamloc"
     cases[rewritten(good, tmp_path / "short.npz", descriptors=np.ones((2, 3)))] = "got 2 for 6 frames"
     cases[rewritten(good, tmp_path / "lacking.npz", descriptors=None)] = "not a whole siamloc map ('descriptors')"
     cases[rewritten(good, tmp_path / "extra.npz", frame_colour=np.ones(6))] = "not a whole siamloc map"

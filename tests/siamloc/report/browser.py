@@ -73,7 +73,11 @@ class Browser:
 
     def open(self, page: Path) -> None:
         """Open a file and wait until it is loaded."""
-        self._ask("POST", "/url", {"url": page.resolve().as_uri()})
+        self.go(page.resolve().as_uri())
+
+    def go(self, url: str) -> None:
+        """Open an address and wait until it is loaded."""
+        self._ask("POST", "/url", {"url": url})
 
     def run(self, script: str, *arguments: Any) -> Any:
         """Run the body of a JavaScript function and return what it returns."""

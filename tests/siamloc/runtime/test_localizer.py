@@ -130,12 +130,12 @@ def test_frames_of_the_map_are_found_with_their_own_heading(world, bundle):
 def test_bundle_json_says_what_the_robot_is_told(world, bundle):
     _, known, errors = world
     about = read_json(bundle / "bundle.json")
-    assert set(about["sha256"]) == {"model.onnx", "map.npz", "heading.onnx", "error_model.json"}
+    assert set(about["sha256"]) == {"model.onnx", "map.npz", "error_model.json"}
     assert about["heading"]["identity"] == known.heading.identity
-    assert about["heading"]["parity"]["headings"] == 4
+    assert (about["precision"], about["search"], about["figures"]) == ("float32", None, None)
     assert ErrorModel.from_dict(about["errors"]) == errors == ErrorModel.load(bundle / "error_model.json")
     opened = Bundle.open(bundle)
-    assert opened.files == ("model.onnx", "map.npz", "heading.onnx", "error_model.json")
+    assert opened.files == ("model.onnx", "map.npz", "error_model.json")
     assert opened.load_map().digest == known.digest
     assert (opened.load_errors(), opened.load_refinement()) == (errors, None)
     assert opened.preprocessing.parameters() == IMAGES
@@ -151,11 +151,11 @@ def test_what_the_bundle_lacks_is_not_told(bare):
     assert location.room in ROOMS
 
 
-@pytest.mark.parametrize(("version", "advice"), [(1, "export again"), (2, "export again"), (4, "update siamloc")])
+@pytest.mark.parametrize(("version", "advice"), [(1, "export again"), (3, "export again"), (5, "update siamloc")])
 def test_a_bundle_of_another_version_is_refused(bare, tmp_path, version, advice):
     folder = rewritten(bare, tmp_path / "other")
     write_json(folder / "bundle.json", {**read_json(folder / "bundle.json"), "version": version})
-    with pytest.raises(FormatError, match=f"bundle version {version}, this siamloc reads version 3: {advice}"):
+    with pytest.raises(FormatError, match=f"bundle version {version}, this siamloc reads version 4: {advice}"):
         Localizer(folder)
 
 
@@ -178,8 +178,10 @@ def test_a_bundle_without_a_map_describes_alone(world, tmp_path):
 
 def test_what_does_not_belong_together_is_not_exported(world, tmp_path):
     network, known, _ = world
-    with pytest.raises(ConfigError, match="only a network can be exported, not hog"):
+    with pytest.raises(ConfigError, match="described by something else than the queries: name is"):
         export(analytic.descriptor("hog"), known, tmp_path / "bundle")
+    with pytest.raises(ConfigError, match="a bundle by hog needs a map: run `siamloc map descriptor=hog` first"):
+        export(analytic.descriptor("hog"), None, tmp_path / "bundle", preprocessing=Preprocessing.of(IMAGES))
     with pytest.raises(ConfigError, match="described by something else than the queries: weights is"):
         export(build("simple1", "fc500_500_5", SIZE, seed=1), known, tmp_path / "bundle")
     with pytest.raises(ConfigError, match=r"images\.width is 128 in the map, 64 here"):
@@ -336,7 +338,7 @@ def test_a_model_learned_on_another_map_is_refused(world, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", ["heading.onnx", "error_model.json"])
+@pytest.mark.parametrize("name", ["map.npz", "error_model.json"])
 def test_altered_files_are_refused(bundle, tmp_path, name):
     folder = rewritten(bundle, tmp_path / "bundle")
     (folder / name).write_bytes((folder / name).read_bytes() + b" ")
@@ -348,7 +350,7 @@ def test_a_bundle_takes_the_place_of_an_older_one(world, bundle, tmp_path):
     folder = rewritten(bundle, tmp_path / "bundle")
     bundled(folder, world, errors=None)
     assert not (folder / "error_model.json").exists()
-    assert file_hash(folder / "heading.onnx") == read_json(folder / "bundle.json")["sha256"]["heading.onnx"]
+    assert file_hash(folder / "map.npz") == read_json(folder / "bundle.json")["sha256"]["map.npz"]
 
 
 def test_the_robot_needs_numpy_opencv_and_onnxruntime_alone(bundle, tmp_path):
@@ -377,9 +379,8 @@ def test_a_network_that_finds_headings_needs_nothing_beside_it(tmp_path):
     part = HeadingPart.of(NetworkHeading(), seen.orientation)
     known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part, describes=network)
     bundle = export(network, known, tmp_path / "bundle")
-    assert "heading.onnx" not in bundle.files
     assert bundle.about["heading"]["identity"] == {"name": "network", "version": 1}
-    assert bundle.about["heading"]["parity"]["max_relative_difference"] <= 1e-4
+    assert bundle.parity["orientation"]["max_relative_difference"] <= 1e-4
     assert "the robot gets: position, heading (by network)" in bundle.summary()
     queries, _ = drive(1)
     described = known.describer.describe(queries.transpose(0, 3, 1, 2))

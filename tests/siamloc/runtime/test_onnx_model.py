@@ -53,7 +53,7 @@ def test_the_file_is_valid_and_says_what_it_is(exported):
     onnx.checker.check_model(str(path), full_check=True)
     model = onnx.load(path, load_external_data=False)
     metadata = {entry.key: entry.value for entry in model.metadata_props}
-    assert (metadata["format"], metadata["format_version"]) == ("siamloc-network", "1")
+    assert (metadata["format"], metadata["format_version"]) == ("siamloc-network", "2")
     assert json.loads(metadata["identity"]) == network.identity
     assert model.opset_import[0].version == report["opset"]
 
@@ -62,7 +62,7 @@ def test_input_and_output_are_named_and_only_the_batch_is_free(exported):
     _, path, _ = exported
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     (entrance,), (exit_,) = session.get_inputs(), session.get_outputs()
-    assert (entrance.name, entrance.type, entrance.shape[1:]) == ("panorama", "tensor(float)", [3, *SIZE])
+    assert (entrance.name, entrance.type, entrance.shape[1:]) == ("panorama", "tensor(uint8)", [3, *SIZE])
     assert (exit_.name, exit_.shape[1:]) == ("descriptor", [5])
     assert isinstance(entrance.shape[0], str)
 
@@ -70,7 +70,7 @@ def test_input_and_output_are_named_and_only_the_batch_is_free(exported):
 def test_the_file_computes_what_describe_computes(exported):
     network, path, _ = exported
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
-    images = np.random.default_rng(1).random((5, 3, *SIZE), dtype=np.float32)
+    images = np.random.default_rng(1).integers(0, 256, (5, 3, *SIZE), dtype=np.uint8)
     (got,) = session.run(None, {"panorama": images})
     np.testing.assert_allclose(got, as_descriptor(network).describe(images).position, atol=1e-4)
 

@@ -1,0 +1,55 @@
+"""Arrays kept in fewer bytes: each row with a scale that brings its largest value to the largest number there is."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+Precision = Literal["float32", "float16", "int8"]
+"""How numbers are kept."""
+PRECISIONS: tuple[Precision, ...] = get_args(Precision)
+
+_LEVELS = 127
+_EXPONENT = 14  # of a power of two below the largest float16
+
+
+def packed(name: str, values: NDArray, precision: Precision) -> dict[str, NDArray]:
+    """Return an array (n, ...) in another precision, with the scale of each row (n,) under `<name>_scale`.
+
+    The scale of float16 is a power of two, so that only the digits are cut.
+
+    Args:
+        name: what the array is called.
+        values: finite numbers; complex ones become pairs along a last axis.
+        precision: "float16" or "int8".
+
+    Example:
+        >>> held = packed("a", np.array([[0.5, -1.0], [0.0, 0.0]]), "int8")
+        >>> held["a"], unpacked(held["a"], held["a_scale"])[0]
+        (array([[  64, -127],
+               [   0,    0]], dtype=int8), array([ 0.503937, -1.      ], dtype=float32))
+    """
+    if np.iscomplexobj(values):
+        values = np.stack([values.real, values.imag], axis=-1)
+    largest = np.abs(values).reshape(len(values), -1).max(axis=1).astype(np.float64)
+    if precision == "int8":
+        scale = np.where(largest > 0, largest / _LEVELS, 1.0)
+    else:
+        scale = np.ldexp(1.0, np.frexp(largest)[1] - _EXPONENT)
+    shares = values / scale.reshape(-1, *[1] * (values.ndim - 1))
+    kept = np.rint(shares).astype(np.int8) if precision == "int8" else shares.astype(np.float16)
+    return {name: kept, f"{name}_scale": scale.astype(np.float32)}
+
+
+def unpacked(values: NDArray, scale: NDArray) -> NDArray:
+    """Return what `packed` was given, as float32 or complex64, as far as its digits were kept.
+
+    Raises:
+        ValueError: arrays that do not fit each other.
+    """
+    if values.dtype not in (np.int8, np.float16) or scale.shape != values.shape[:1] or scale.dtype != np.float32:
+        raise ValueError(f"values {values.dtype} {values.shape} with a scale {scale.dtype} {scale.shape}")
+    full = values.astype(np.float32) * scale.reshape(-1, *[1] * (values.ndim - 1))
+    return full.view(np.complex64)[..., 0] if full.ndim == 4 and full.shape[3] == 2 else full

@@ -1,0 +1,321 @@
+"""`Live`: a page that shows, while it happens, where a robot takes itself to be."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import math
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.errors import ConfigError, DataError, SiamlocError
+from siamloc.files import plain
+from siamloc.runtime.localizer import Localizer
+from siamloc.runtime.stream import CAMERA, Located, locate_all, named
+from siamloc.runtime.thumbnails import jpeg
+from siamloc.settings import NotNegative, Port, Text, checked
+
+if TYPE_CHECKING:
+    from aiohttp import web
+
+_TRACK = 2000  # poses of the way so far that a page gets
+_DOTS = 4000  # map frames that it draws
+_COLUMNS = 768  # of the live picture
+_SILENCE = 10.0  # seconds after which a browser hears that the page is still there
+_ASSETS = Path(__file__).with_name("assets")
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_STATIC = {
+    "/": ("live.html", "text/html"),
+    "/live.css": ("live.css", "text/css"),
+    "/live.js": ("live.js", "text/javascript"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Live:
+    """Locates images one after the other, and serves a page where one watches: `with Live(...) as page`.
+
+    The page can be read and not changed by anybody who reaches it: on this machine alone, unless `host` says otherwise.
+    Any number of browsers may look; none of them slows the robot down, since a slow one gets only the newest state.
+    What is kept is bounded: the last 2,000 poses, one picture.
+
+    Args:
+        localizer: what locates.
+        images: image files, folders, videos, and cameras such as "camera:0"; or one.
+        track: follow the robot from image to image; see `locate_all`.
+        host: address to listen at; "0.0.0.0" is every one of this machine's.
+        port: to listen at; 0 takes a free one, which `url` says.
+        fps: images a second at most, as a robot takes them; 0 for as fast as they are located. Cameras keep their own
+            pace.
+
+    Raises:
+        ConfigError: no images, a bundle that cannot follow a robot, an address that this machine does not have, or a
+            port that is in use.
+        DataError: a file that is not there, or a folder without images.
+
+    Example:
+        with siamloc.runtime.Live(siamloc.runtime.Localizer("bundle"), "drive.mp4") as page:
+            print(page.url)
+            page.join()
+    """
+
+    def __init__(
+        self,
+        localizer: Localizer,
+        images: str | Path | Sequence[str | Path],
+        *,
+        track: bool = False,
+        host: str = "127.0.0.1",
+        port: int = 8000,
+        fps: float = 5.0,
+    ) -> None:
+        from aiohttp import web  # noqa: F401 (refused here, and not in another thread)
+
+        self.host, self.fps = checked(host, Text, "host"), checked(fps, NotNegative, "fps")
+        named(images)
+        if track:
+            localizer.tracker()
+        self._localizer, self._images, self._track = localizer, images, track
+        self._socket = _listening(self.host, checked(port, Port, "port"))
+        self.port: int = self._socket.getsockname()[1]
+        self._lock, self._stopped, self._ended = threading.Lock(), threading.Event(), threading.Event()
+        self._state: dict[str, Any] = {"status": "waiting", "number": 0, "text": "waiting for the first image"}
+        self._way: deque[tuple[int, list[Any]]] = deque(maxlen=_TRACK)
+        self._panorama: NDArray[np.uint8] | None = None
+        self._fault: SiamlocError | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._up = threading.Event()
+        self._changed = asyncio.Event()  # of this state; the next one has its own
+        self._threads = [threading.Thread(target=target, daemon=True) for target in (self._serve, self._play)]
+
+    def __enter__(self) -> Live:
+        self._loop = asyncio.new_event_loop()
+        for thread in self._threads:
+            thread.start()
+        self._up.wait()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser."""
+        host = "127.0.0.1" if self.host in ("0.0.0.0", "::") else self.host
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
+
+    @property
+    def count(self) -> int:
+        """How many images came so far."""
+        return int(self._state["number"])
+
+    def join(self, seconds: float | None = None) -> bool:
+        """Wait for the end of the images, and say whether it came; the page stays until `close`.
+
+        Args:
+            seconds: how long to wait at most.
+
+        Raises:
+            DataError, FormatError: what ended them before.
+        """
+        ended = self._ended.wait(seconds)
+        if self._fault is not None:
+            raise self._fault
+        return ended
+
+    def close(self) -> None:
+        """Stop to locate, and take the page away."""
+        self._stopped.set()
+        if self._loop is not None and self._threads[0].is_alive():
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            for thread in self._threads:
+                thread.join(5)
+        self._socket.close()
+
+    def _play(self) -> None:
+        """Locate the images, and tell what came of each."""
+        text = "the end of the images"
+        try:
+            located = locate_all(self._localizer, self._images, track=self._track, seen=self._keep)
+            due = time.monotonic()
+            for one in located:
+                self._tell(one)
+                live = one.image.startswith(CAMERA)
+                due = max(due + (0 if live or not self.fps else 1 / self.fps), time.monotonic() - 1)
+                if self._stopped.wait(max(0.0, due - time.monotonic())):
+                    located.close()
+                    break
+        except SiamlocError as error:
+            self._fault, text = error, str(error)
+        except Exception as error:  # a page that stands still says why
+            self._fault, text = (
+                DataError(f"locating ended ({type(error).__name__}: {error})"),
+                f"locating ended: {error}",
+            )
+        self._publish({**self._state, "status": "fault" if self._fault else "ended", "text": text})
+        self._ended.set()
+
+    def _keep(self, panorama: NDArray[np.uint8]) -> None:
+        self._panorama = panorama
+
+    def _tell(self, one: Located) -> None:
+        number, location = self.count + 1, one.location
+        state: dict[str, Any] = {"status": "running", "number": number, "name": Path(one.image).name, "text": one.fault}
+        if location is None:
+            state["status"] = "left out"
+        else:
+            state.update(one.as_dict())
+            state["picture"] = self._localizer.bundle.thumbnail(location.candidates[0].row) is not None
+            if not math.isnan(location.x):
+                with self._lock:
+                    self._way.append((number, plain([location.x, location.y, bool(location.lost)])))
+        self._publish(state)
+
+    def _publish(self, state: dict[str, Any]) -> None:
+        with self._lock:
+            self._state = state
+        assert self._loop is not None
+        with suppress(RuntimeError):  # the page is gone already
+            self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def _serve(self) -> None:
+        """Answer browsers until the loop is stopped."""
+        from aiohttp import web
+
+        @web.middleware
+        async def guarded(request: web.Request, handler: Any) -> web.StreamResponse:
+            # A page from elsewhere may lead a browser here by a name of its own, which it then would read.
+            if self.host in _LOOPBACK and request.url.host not in _LOOPBACK:
+                raise web.HTTPForbidden(text="this page is for this machine alone")
+            answer: web.StreamResponse = await handler(request)
+            return answer
+
+        async def headed(request: web.Request, response: web.StreamResponse) -> None:
+            response.headers.update(_HEADERS)
+
+        loop = self._loop
+        assert loop is not None
+        asyncio.set_event_loop(loop)
+        application = web.Application(middlewares=[guarded])
+        application.on_response_prepare.append(headed)
+        for path in _STATIC:
+            application.router.add_get(path, self._static)
+        application.router.add_get("/map.json", self._map)
+        application.router.add_get("/events", self._events)
+        application.router.add_get("/live.jpg", self._live)
+        application.router.add_get("/map/{row:[0-9]{1,9}}.jpg", self._matched)
+        runner = web.AppRunner(application, access_log=None, handle_signals=False, shutdown_timeout=0.5)
+        loop.run_until_complete(runner.setup())
+        loop.run_until_complete(web.SockSite(runner, self._socket).start())
+        self._up.set()
+        loop.run_forever()
+        self._wake()
+        loop.run_until_complete(runner.cleanup())
+        loop.close()
+
+    async def _static(self, request: web.Request) -> web.StreamResponse:
+        from aiohttp import web
+
+        name, kind = _STATIC[request.path]
+        return web.Response(text=(_ASSETS / name).read_text(encoding="utf-8"), content_type=kind, charset="utf-8")
+
+    async def _map(self, request: web.Request) -> web.StreamResponse:
+        """Answer with what does not change: the map's frames and rooms."""
+        from aiohttp import web
+
+        frames = self._localizer.map.frames
+        rows = np.flatnonzero(frames.has_position)
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _DOTS)).round().astype(int))]
+        rooms, room = np.unique(frames.room[rows], return_inverse=True)
+        return web.json_response(
+            {
+                "bundle": self._localizer.bundle.path.name,
+                "unit": self._localizer.unit,
+                "frames": len(frames),
+                "rooms": rooms.tolist(),
+                "room": room.tolist(),
+                "x": frames.x[rows].round(3).tolist(),
+                "y": frames.y[rows].round(3).tolist(),
+            }
+        )
+
+    async def _events(self, request: web.Request) -> web.StreamResponse:
+        """Send the newest state, and again whenever there is a newer one; what a slow browser missed, it misses."""
+        from aiohttp import web
+
+        response = web.StreamResponse(headers={"Content-Type": "text/event-stream"})
+        await response.prepare(request)
+        told, last, first = None, 0, True
+        with suppress(ConnectionError):
+            while not self._stopped.is_set():
+                changed = self._changed
+                with self._lock:
+                    state = self._state
+                    way = [(number, pose) for number, pose in self._way if number > last]
+                if state is told:
+                    try:
+                        await asyncio.wait_for(changed.wait(), _SILENCE)
+                    except asyncio.TimeoutError:
+                        await response.write(b": still there\n\n")
+                    continue
+                message = {**state, "track": [pose for _, pose in way], "first": first}
+                await response.write(f"data: {json.dumps(message, allow_nan=False)}\n\n".encode())
+                told, first, last = state, False, way[-1][0] if way else last
+        return response
+
+    async def _live(self, request: web.Request) -> web.StreamResponse:
+        """Answer with the newest panorama."""
+        from aiohttp import web
+
+        if self._panorama is None:
+            raise web.HTTPNotFound
+        return web.Response(body=jpeg(self._panorama, _COLUMNS), content_type="image/jpeg")
+
+    async def _matched(self, request: web.Request) -> web.StreamResponse:
+        """Answer with the picture of a map frame."""
+        from aiohttp import web
+
+        row = int(request.match_info["row"])
+        picture = self._localizer.bundle.thumbnail(row) if row < len(self._localizer.map) else None
+        if picture is None:
+            raise web.HTTPNotFound
+        return web.Response(body=picture, content_type="image/jpeg")
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens.
+
+    Raises:
+        ConfigError: an address that this machine does not have, or a port that is in use or not allowed.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise ConfigError(f"port {port} of {host} is in use: choose another, such as port={port + 1}") from error
+        raise ConfigError(f"this machine cannot serve at host={host} port={port}: {error.strerror or error}") from error

@@ -1,0 +1,224 @@
+"""Fewer digits: networks in half precision and in whole numbers, and what each costs.
+
+"float16" keeps weights in half precision and computes as before: the file has half the length, the descriptor changes
+by about a thousandth, and the time stays. "int8" computes convolutions and fully connected layers with whole numbers of
+8 bits (static, per channel, ranges from panoramas of the map): a quarter of the length, and faster where the processor
+multiplies such numbers. Weights keep to 7 bits, so that no processor's sums overflow and all give the same answers.
+"""
+
+from __future__ import annotations
+
+import logging
+import statistics
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic import Descriptor
+from siamloc.errors import ConfigError, DataError
+from siamloc.files import atomic_path
+from siamloc.maps.packing import Precision
+from siamloc.runtime.bundle import Bundle
+from siamloc.runtime.localizer import Localizer
+
+if TYPE_CHECKING:
+    from siamloc.data.frames import FrameTable
+    from siamloc.data.library import PanoramaLibrary
+
+CALIBRATION = 32
+"""Panoramas from which the ranges of whole numbers are taken."""
+LOSS = 0.02
+"""What share of the localization error precision="auto" may lose."""
+
+_LAYERS = ["Conv", "Gemm"]
+_WORTH = 4096  # numbers in an array that is worth shortening
+_ASKED = 200  # images that a bundle is measured with
+_COLUMNS = ("precision", "MB", "ms", "change of descriptor", "error")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a bundle costs and gives in one precision.
+
+    Attributes:
+        precision: of network and map.
+        bytes: of the whole bundle.
+        ms: median time of an image, from the panorama on.
+        change: median distance between its descriptors and the original's, of their length.
+        error: mean localization error, in units of x and y.
+        images: that it was measured with.
+    """
+
+    precision: Precision
+    bytes: int
+    ms: float
+    change: float
+    error: float
+    images: int
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return asdict(self)
+
+
+def smallest(rows: Sequence[Measured]) -> Measured:
+    """Return the smallest bundle that loses at most `LOSS` of the error of the one in float32."""
+    full = next(row for row in rows if row.precision == "float32")
+    good = [row for row in rows if row.error <= (1 + LOSS) * full.error]
+    return min(good, key=lambda row: row.bytes)
+
+
+def precision_table(bundle: Bundle) -> str:
+    """Return what each precision costs and gives, as lines to read, the chosen one with a star.
+
+    Args:
+        bundle: written with precision="auto"; for others there is nothing to compare, and the text is empty.
+    """
+    rows = [Measured(**row) for row in bundle.about.get("precisions", [])]
+    chosen, unit = bundle.about["precision"], bundle.about["unit"]
+    if not rows:
+        return ""
+    cells = [
+        (
+            f"{row.precision}{' *' if row.precision == chosen else ''}",
+            f"{row.bytes / 1e6:.2f}",
+            f"{row.ms:.2f}",
+            f"{row.change:.2%}",
+            f"{row.error:.3f} {unit}",
+        )
+        for row in rows
+    ]
+    widths = [max(map(len, column)) for column in zip(_COLUMNS, *cells, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in [_COLUMNS, *cells]
+    )
+
+
+def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], xy: NDArray[np.float64]) -> Measured:
+    """Measure a bundle.
+
+    Args:
+        bundle: its folder.
+        original: what described its map.
+        panoramas: (n, 3, H, W), of images to be located.
+        xy: (n, 2) where they were taken.
+    """
+    localizer = Localizer(bundle)
+    localizer.locate_panorama(panoramas[0])  # the first is slower
+    found = [localizer.locate_panorama(panorama) for panorama in panoramas]
+    expected = original.describe(panoramas).position
+    apart = localizer.describe(panoramas).position - expected
+    return Measured(
+        localizer.bundle.about["precision"],
+        localizer.bundle.bytes,
+        statistics.median(one.ms for one in found),
+        float(np.median(np.linalg.norm(apart, axis=1) / np.linalg.norm(expected, axis=1))),
+        float(np.mean(np.hypot(*(np.array([[one.x, one.y] for one in found]) - xy).T))),
+        len(found),
+    )
+
+
+def spread(images: PanoramaLibrary, frames: FrameTable, count: int = _ASKED) -> tuple[NDArray[np.uint8], FrameTable]:
+    """Return panoramas of at most so many frames, evenly spread, and the frames.
+
+    Raises:
+        DataError: none of their images can be read.
+    """
+    readable = images.readable(frames)
+    if not len(readable):
+        raise DataError(f"none of the images of {len(frames)} frames could be read")
+    chosen = readable.take(np.unique(np.linspace(0, len(readable) - 1, min(count, len(readable))).round().astype(int)))
+    return np.concatenate(list(images.batches(chosen))), chosen
+
+
+def halve(path: Path) -> None:
+    """Keep the weights of an ONNX file in half precision, in place; it computes in float32 as before.
+
+    Raises:
+        ConfigError: a file of 2 GB and more, whose weights lie beside it.
+    """
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    _check_one_file(path)
+    model = onnx.load(path)
+    held, casts = [], []
+    for tensor in model.graph.initializer:
+        values = numpy_helper.to_array(tensor)
+        if values.dtype == np.float32 and values.size >= _WORTH and np.abs(values).max() < np.finfo(np.float16).max:
+            held.append(numpy_helper.from_array(values.astype(np.float16), f"{tensor.name}_half"))
+            casts.append(helper.make_node("Cast", [f"{tensor.name}_half"], [tensor.name], to=TensorProto.FLOAT))
+        else:
+            held.append(tensor)
+    nodes = list(model.graph.node)
+    del model.graph.initializer[:], model.graph.node[:]
+    model.graph.initializer.extend(held)
+    model.graph.node.extend([*casts, *nodes])
+    with atomic_path(path) as temporary:
+        onnx.save(model, temporary)
+
+
+def quantize(path: Path, panoramas: NDArray[np.uint8]) -> None:
+    """Make an ONNX file compute with whole numbers of 8 bits, in place; other large weights become half precision.
+
+    Args:
+        path: of the file.
+        panoramas: (n, 3, H, W) from which the ranges of the numbers are taken.
+
+    Raises:
+        ConfigError: a file of 2 GB and more, whose weights lie beside it.
+    """
+    from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
+
+    _check_one_file(path)
+    with atomic_path(path) as temporary, _quiet():
+        quantize_static(
+            str(path),
+            str(temporary),
+            _Panoramas(panoramas),
+            quant_format=QuantFormat.QDQ,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+            op_types_to_quantize=_LAYERS,
+            per_channel=True,
+            reduce_range=True,
+        )
+    halve(path)
+
+
+class _Panoramas:
+    """Gives a quantizer one panorama after the other."""
+
+    def __init__(self, panoramas: NDArray[np.uint8]) -> None:
+        self._left = iter(panoramas)
+
+    def __iter__(self) -> _Panoramas:
+        return self
+
+    def __next__(self) -> dict[str, NDArray[np.uint8]]:
+        return {"panorama": next(self._left)[None]}
+
+    def get_next(self) -> dict[str, NDArray[np.uint8]] | None:
+        return next(self, None)
+
+
+def _check_one_file(path: Path) -> None:
+    if path.with_name(f"{path.name}.data").exists():
+        raise ConfigError("a network of 2 GB and more cannot be shortened: export it with precision=float32")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence the quantizer's advice, which it gives to the root logger."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(before)

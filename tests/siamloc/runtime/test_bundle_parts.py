@@ -1,0 +1,306 @@
+"""Bundles of analytic descriptors, with a coarse layer, with pictures, and with fewer digits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import analytic
+import siamloc
+from siamloc import evaluation, maps, runtime
+from siamloc.errors import ConfigError, FormatError
+from siamloc.files import file_hash, read_json, write_json
+from siamloc.maps import LayerSearch, VisualMap
+from siamloc.maps.packing import packed, unpacked
+from siamloc.models import as_descriptor, build
+from siamloc.runtime.precision import LOSS, Measured, smallest
+
+PARTS = {
+    "gist": {"blocks": 8, "orientations": 8},
+    "fs": {"turns": 64, "orientation_columns": 16},
+    "wisurf": {"windows": 64},
+    "briefgist": {"rows": 8},
+    "radon_fourier": {"size": 64},
+    "radon_poc": {"size": 64},
+}
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Images of two drives, read at 32 x 64 pixels."""
+    images = siamloc.data.example()
+    frames = images.frames
+    folder = tmp_path_factory.mktemp("images")
+    images = siamloc.data.PanoramaLibrary(frames, folder, image_size=(32, 64))
+    monday, tuesday = (frames.select(sequence=day) for day in ("monday", "tuesday"))
+    return images, monday, tuesday
+
+
+def described(name):
+    return analytic.Thumbnail() if name == "thumbnail" else analytic.descriptor(name, **PARTS.get(name, {}))
+
+
+@pytest.fixture(scope="module")
+def network():
+    return as_descriptor(build("simple1", "fc500_500_5", (32, 64)))
+
+
+@pytest.mark.parametrize("name", [*analytic.DESCRIPTORS, "thumbnail"])
+def test_every_analytic_descriptor_locates_as_its_map_does(world, tmp_path, name):
+    images, monday, tuesday = world
+    known = maps.build(described(name), images, monday, progress=False)
+    bundle = runtime.export(described(name), known, tmp_path / "bundle.zip")
+    localizer = runtime.Localizer(bundle.path)
+    queries = maps.describe(known, images, tuesday)
+    seen = analytic.Description.concatenate(list(queries))
+    expected = maps.match(known, seen, 3)
+    theta = maps.headings(known, seen, expected)[:, 0]
+    for row, path in enumerate(tuesday.path.tolist()):
+        location = localizer.locate(path)
+        assert [candidate.row for candidate in location.candidates] == expected.indices[row].tolist()
+        np.testing.assert_allclose(location.candidates[0].distance, expected.distances[row, 0], rtol=1e-3, atol=1e-4)
+        np.testing.assert_allclose(location.theta, theta[row], atol=1e-6)
+    assert ("heading" in bundle.summary()) == (name != "thumbnail")
+    assert "model.onnx" not in bundle.files
+
+
+def test_a_descriptor_of_ones_own_is_not_exported(world, tmp_path):
+    class Own(analytic.Thumbnail):
+        name = "own"
+
+    images, monday, _ = world
+    with pytest.raises(ConfigError, match="only networks and analytic descriptors can be exported, not own"):
+        runtime.export(Own(), maps.build(Own(), images, monday, progress=False), tmp_path / "bundle")
+
+
+def altered(bundle, **changed):
+    """Change bundle.json, and keep the hashes."""
+    path = bundle / "bundle.json"
+    write_json(path, {**read_json(path), **changed})
+    return bundle
+
+
+def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memory(world, tmp_path):
+    images, monday, _ = world
+    known = maps.build(described("hog"), images, monday, progress=False)
+    bundle = runtime.export(described("hog"), known, tmp_path / "bundle").path
+    for hostile, says in (({"bins": 10**9}, "of other sizes than its hog gives"), ({"bins": "many"}, "does not know")):
+        identity = {**known.identity, **hostile}
+        replace(known, identity=identity).save(bundle / "map.npz")
+        about = read_json(bundle / "bundle.json")
+        about["sha256"]["map.npz"] = file_hash(bundle / "map.npz")
+        altered(bundle, identity={k: v for k, v in identity.items() if k != "images"}, sha256=about["sha256"])
+        with pytest.raises(FormatError, match=says):
+            runtime.Localizer(bundle)
+
+
+@pytest.mark.parametrize("by", ["representatives", "vote"])
+@pytest.mark.parametrize("coarse", [None, "hog"])
+def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(world, network, tmp_path, by, coarse):
+    images, monday, tuesday = world
+    known = maps.build(network, images, monday, progress=False)
+    ranks = None if coarse is None else maps.build(described(coarse), images, monday, progress=False)
+    layer = maps.group(known if ranks is None else ranks, "sample", nodes=3)
+    search = LayerSearch(by=by, candidates=1, neighbours=3)
+    bundle = runtime.export(network, known, tmp_path / "bundle", layer=layer, coarse_map=ranks, search=search)
+    assert f"a coarse layer by {by}" in bundle.summary()
+    localizer = runtime.Localizer(bundle.path, top=1)
+    found = search.of_map(known, layer.layer, ranks).find(images, tuesday)
+    located = [localizer.locate(path) for path in tuesday.path.tolist()]
+    assert [one.candidates[0].row for one in located] == found.found.indices[:, 0].tolist()
+    whole = runtime.Localizer(bundle.path, top=1, hierarchical=False)
+    everywhere = known.search(np.concatenate([p.position for p in maps.describe(known, images, tuesday)]))
+    assert [whole.locate(path).candidates[0].row for path in tuesday.path.tolist()] == everywhere.indices[:, 0].tolist()
+
+
+def test_where_nodes_hold_too_few_frames_the_whole_map_is_searched(world, network, tmp_path):
+    images, monday, tuesday = world
+    known = maps.build(network, images, monday, progress=False)
+    layer = maps.group(known, "sample", nodes=len(known))
+    bundle = runtime.export(network, known, tmp_path / "b", layer=layer, search=LayerSearch(candidates=1))
+    both = [runtime.Localizer(bundle.path, top=3, hierarchical=h).locate(tuesday.path[0]) for h in (None, False)]
+    assert both[0].candidates == both[1].candidates
+
+
+def test_layers_that_do_not_belong_are_refused(world, network, tmp_path):
+    images, monday, tuesday = world
+    known, other = (maps.build(network, images, frames, progress=False) for frames in (monday, tuesday))
+    with pytest.raises(siamloc.errors.DataError, match="was not built over"):
+        runtime.export(network, known, tmp_path / "b", layer=maps.group(other, "sample", nodes=2))
+    with pytest.raises(ConfigError, match="a coarse layer needs the map"):
+        runtime.export(
+            network,
+            None,
+            tmp_path / "b",
+            layer=maps.group(known, "sample", nodes=2),
+            preprocessing=images.preprocessing,
+        )
+    bundle = runtime.export(network, known, tmp_path / "b")
+    with pytest.raises(ConfigError, match="holds no coarse layer: run `siamloc map build=spectral`"):
+        runtime.Localizer(bundle.path, hierarchical=True)
+    bundle = runtime.export(network, known, tmp_path / "b", layer=maps.group(known, "sample", nodes=2))
+    altered(bundle.path, search={"by": "guess"})
+    with pytest.raises(FormatError, match=r"cannot search its coarse layer \(search\.by must be"):
+        runtime.Localizer(bundle.path)
+
+
+def test_pictures_of_the_map_come_along(world, network, tmp_path):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    assert runtime.export(network, known, tmp_path / "none").thumbnail(0) is None
+    bundle = runtime.export(network, known, tmp_path / "b.zip", images=images, thumbnails=True)
+    for row, panorama in enumerate(next(images.batches(monday))):
+        picture = cv2.imdecode(np.frombuffer(bundle.thumbnail(row), np.uint8), cv2.IMREAD_COLOR)
+        assert picture.shape == (32, 64, 3)
+        assert np.abs(picture[..., ::-1].astype(float) - panorama.transpose(1, 2, 0)).mean() < 12
+    with pytest.raises(IndexError):
+        bundle.thumbnail(len(monday))
+    with pytest.raises(ConfigError, match="pictures of the map needs the panoramas of the map's frames: give images="):
+        runtime.export(network, known, tmp_path / "b", thumbnails=True)
+
+
+def test_damaged_pictures_are_refused(world, network, tmp_path):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    bundle = runtime.export(network, known, tmp_path / "b", images=images, thumbnails=True).path
+    for arrays in (
+        {"jpeg": np.zeros(3, np.uint8), "ends": np.array([9])},
+        {"jpeg": np.zeros(3), "ends": np.array([3])},
+    ):
+        np.savez(bundle / "thumbnails.npz", **arrays)
+        about = read_json(bundle / "bundle.json")
+        about["sha256"]["thumbnails.npz"] = file_hash(bundle / "thumbnails.npz")
+        write_json(bundle / "bundle.json", about)
+        with pytest.raises(FormatError, match="holds no pictures, or not all of them"):
+            runtime.Bundle.open(bundle).thumbnail(0)
+
+
+@pytest.mark.parametrize(("precision", "size", "change"), [("float16", 0.6, 0.01), ("int8", 0.45, 0.4)])
+@pytest.mark.parametrize(
+    ("branch", "head", "circular"), [("vgg11", "fc500_500_5", False), ("panoresnet", "fourier", True)]
+)
+def test_fewer_digits_are_shorter_and_locate_alike(world, tmp_path, precision, size, change, branch, head, circular):
+    images, monday, tuesday = world
+    net = as_descriptor(build(branch, head, (32, 64), circular=circular))
+    known = maps.build(net, images, monday, progress=False)
+    whole = runtime.export(net, known, tmp_path / "whole")
+    short = runtime.export(net, known, tmp_path / "short", precision=precision, images=images)
+    assert short.about["precision"] == precision
+    assert short.bytes < size * whole.bytes
+    panoramas = next(images.batches(tuesday))
+    expected, found = (runtime.Localizer(bundle.path).describe(panoramas).position for bundle in (whole, short))
+    apart = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
+    assert 0 < apart.max() < change
+
+
+def test_int8_gives_the_same_file_again(world, network, tmp_path):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    for name in ("one", "two"):
+        runtime.export(network, known, tmp_path / name, precision="int8", images=images)
+    assert file_hash(tmp_path / "one" / "model.onnx") == file_hash(tmp_path / "two" / "model.onnx")
+
+
+def test_auto_takes_the_smallest_that_loses_little(world, network, tmp_path):
+    images, monday, tuesday = world
+    known = maps.build(network, images, monday, progress=False)
+    bundle = runtime.export(network, known, tmp_path / "b", precision="auto", images=images, validation=tuesday)
+    rows = [Measured(**row) for row in bundle.about["precisions"]]
+    assert [row.precision for row in rows] == ["float32", "float16", "int8"]
+    assert bundle.about["precision"] == smallest(rows).precision
+    assert next(row.bytes for row in rows if row.precision == bundle.about["precision"]) <= bundle.bytes
+    table = runtime.precision_table(bundle).splitlines()
+    assert table[0].split()[:3] == ["precision", "MB", "ms"]
+    assert sum("*" in line for line in table) == 1
+    error = np.hypot(
+        *(np.array([[one.x, one.y] for one in map(runtime.Localizer(bundle.path).locate, tuesday.path)]) - tuesday.xy).T
+    )
+    chosen = next(row for row in rows if row.precision == bundle.about["precision"])
+    assert chosen.error == pytest.approx(error.mean())
+    runtime.Localizer(bundle.path)
+
+
+def test_the_smallest_is_chosen_among_those_that_lose_little():
+    def row(precision, size, error):
+        return Measured(precision, size, 1.0, 0.0, error, 10)
+
+    full = row("float32", 100, 1.0)
+    good, bad = row("int8", 25, 1 + LOSS), row("int8", 25, 1.01 + LOSS)
+    assert smallest([full, row("float16", 50, 1.0), good]) == good
+    assert smallest([full, row("float16", 50, 1.0), bad]).precision == "float16"
+    assert smallest([full, row("float16", 50, 2.0), bad]) == full
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"precision": "int8"}, "precision=int8 needs the panoramas of the map's frames: give images="),
+        ({"precision": "int4"}, "precision must be"),
+    ],
+)
+def test_precisions_that_cannot_be_made_are_one_sentence(world, network, tmp_path, options, says):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    with pytest.raises(ConfigError, match=says):
+        runtime.export(network, known, tmp_path / "b", **options)
+    with pytest.raises(ConfigError, match="give frames with positions as validation="):
+        runtime.export(network, known, tmp_path / "b", precision="auto", images=images)
+    with pytest.raises(ConfigError, match="without a map there are neither pictures"):
+        runtime.export(network, None, tmp_path / "b", precision="float16", preprocessing=images.preprocessing)
+    assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize("precision", ["float16", "int8"])
+def test_rows_keep_their_digits(precision, tmp_path):
+    generator = np.random.default_rng(0)
+    values = generator.standard_normal((5, 7)) * 10.0 ** np.array([[-20], [-3], [0], [4], [20]])
+    values[0] = 0
+    held = packed("a", values.astype(np.float32), precision)
+    back = unpacked(held["a"], held["a_scale"])
+    largest = np.abs(values).max(axis=1, keepdims=True)
+    assert (np.abs(back - values) <= largest * (1e-3 if precision == "float16" else 0.5 / 127 + 1e-6)).all()
+    spectra = (values[:, :6] + 1j).reshape(5, 2, 3).astype(np.complex64)
+    back = unpacked(*packed("a", spectra, "float16").values())
+    assert back.dtype == np.complex64
+    np.testing.assert_allclose(back, spectra, rtol=0, atol=float(np.abs(spectra).max()) * 1e-3)
+
+
+def test_a_shortened_map_is_read_back(world, tmp_path):
+    images, monday, _ = world
+    for name in ("hog", "radon_poc", "fs"):
+        known = maps.build(described(name), images, monday, progress=False)
+        for precision in ("float16", "int8"):
+            known.save(tmp_path / "map.npz", precision)
+            read = VisualMap.load(tmp_path / "map.npz")
+            assert read.descriptors.dtype == np.float32
+            np.testing.assert_allclose(read.descriptors, known.descriptors, atol=np.abs(known.descriptors).max() / 200)
+            assert read.orientation.dtype == known.orientation.dtype
+            assert read.description.orientation.shape == known.orientation.shape
+
+
+def test_several_images_at_once_give_the_same_answers(world, network, tmp_path):
+    images, monday, tuesday = world
+    known = maps.build(network, images, monday, progress=False)
+    errors = evaluation.error_model(known, images, tuesday, lost_above=1.0)
+    localizer = runtime.Localizer(runtime.export(network, known, tmp_path / "b", errors=errors).path)
+    paths = tuesday.path.tolist()
+    alone, together = [localizer.locate(path) for path in paths], localizer.locate_batch(paths)
+    for one, other in zip(alone, together, strict=True):
+        assert [c.row for c in one.candidates] == [c.row for c in other.candidates]
+        assert (one.x, one.y, one.room, one.lost) == (other.x, other.y, other.room, other.lost)
+        assert other.error_m == pytest.approx(one.error_m, rel=1e-4)
+    assert localizer.locate_batch([]) == []
+    panorama = images.preprocessing.panorama(paths[0])
+    assert repr(replace(localizer.locate_panorama(panorama), ms=0)) == repr(replace(alone[0], ms=0))
+
+
+def test_figures_of_the_evaluation_are_kept(world, network, tmp_path):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    figures = {"errors": {"absolute": {"mean": 0.2}}}
+    bundle = runtime.export(network, known, tmp_path / "b", figures=figures)
+    assert json.loads((bundle.path / "bundle.json").read_text())["figures"] == bundle.about["figures"] == figures

@@ -1,0 +1,288 @@
+"""The page that shows where the robot is: what it serves, to whom, and what a browser makes of it."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+import siamloc
+from siamloc import maps, runtime
+from siamloc.cli import main
+from siamloc.cli.robot import Watch
+from siamloc.errors import ConfigError, DataError
+from siamloc.models import as_descriptor, build
+from siamloc.runtime import live as live_module
+from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """A bundle with pictures, and a folder of images with poses in their names."""
+    example = siamloc.data.example()
+    folder = tmp_path_factory.mktemp("live")
+    images = siamloc.data.PanoramaLibrary(example.frames, folder / "cache", image_size=(32, 64))
+    monday, tuesday = (example.frames.select(sequence=day) for day in ("monday", "tuesday"))
+    network = as_descriptor(build("panoresnet", "fourier", (32, 64), circular=True))
+    known = maps.build(network, images, monday, progress=False)
+    runtime.export(network, known, folder / "bundle", images=images, thumbnails=True)
+    drive = folder / "drive"
+    drive.mkdir()
+    for row, path in enumerate(tuesday.path.tolist()):
+        x, y = tuesday.xy[row]
+        name = f"t{1000 + row}.000000_x{x:.6f}_y{y:.6f}_a0.100000.png"
+        shutil.copy(path, drive / name)
+    return folder, len(tuesday)
+
+
+@pytest.fixture
+def played(world):
+    """A page whose images have all been located."""
+    folder, _ = world
+    with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=0) as page:
+        assert page.join(30)
+        yield page
+
+
+def asked(page, path, method="GET", **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+    try:
+        connection.request(method, path, headers=headers)
+        answer = connection.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+    finally:
+        connection.close()
+
+
+class Events:
+    """What a browser hears."""
+
+    def __init__(self, page):
+        self._connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+        self._connection.request("GET", "/events")
+        self._answer = self._connection.getresponse()
+        assert self._answer.getheader("Content-Type") == "text/event-stream"
+
+    def __next__(self):
+        while not (line := self._answer.readline()).startswith(b"data: "):
+            assert line, "the stream has ended"
+        return json.loads(line.removeprefix(b"data: "))
+
+    def close(self):
+        self._answer.close()
+        self._connection.close()
+
+
+def test_a_late_browser_gets_the_whole_state(world, played):
+    _, count = world
+    events = Events(played)
+    state = next(events)
+    assert (state["status"], state["number"], state["first"]) == ("ended", count, True)
+    assert len(state["track"]) == count
+    assert state["off_by"] == pytest.approx(np.hypot(state["x"] - state["pose"]["x"], state["y"] - state["pose"]["y"]))
+    assert state["picture"] is True
+    assert state["candidates"][0]["row"] >= 0
+    events.close()
+
+
+def test_what_is_served(world, played):
+    status, headers, body = asked(played, "/")
+    assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
+    assert b"siamloc" in body
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    for path in ("/live.css", "/live.js", "/icon.svg"):
+        assert asked(played, path)[0] == 200
+    known = json.loads(asked(played, "/map.json")[2])
+    assert known["bundle"] == "bundle"
+    assert len(known["x"]) == len(known["y"]) == len(known["room"]) == known["frames"]
+    for path in ("/live.jpg", "/map/0.jpg"):
+        status, headers, body = asked(played, path)
+        assert (status, headers["Content-Type"]) == (200, "image/jpeg")
+        assert cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR) is not None
+
+
+@pytest.mark.parametrize(
+    "path", ["/map/99999.jpg", "/map/-1.jpg", "/map/x.jpg", "/../bundle.json", "/bundle.json", "/no"]
+)
+def test_nothing_else_is_served(played, path):
+    assert asked(played, path)[0] == 404
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
+@pytest.mark.parametrize("path", ["/", "/events", "/map.json"])
+def test_the_page_is_read_only(played, method, path):
+    assert asked(played, path, method)[0] == 405
+
+
+def test_a_name_of_elsewhere_for_this_machine_is_refused(played):
+    assert asked(played, "/map.json", Host="evil.example:80")[0] == 403
+    assert asked(played, "/map.json", Host=f"localhost:{played.port}")[0] == 200
+
+
+def test_every_image_is_told_while_it_happens(world):
+    folder, count = world
+    with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=20) as page:
+        events, numbers, way = Events(page), [], []
+        state = {}
+        while state.get("status") != "ended":
+            state = next(events)
+            numbers.append(state["number"])
+            way = ([] if state["first"] else way) + state["track"]
+        events.close()
+        assert numbers == sorted(numbers)
+        assert numbers[-1] == count == len(way)
+        assert page.count == count
+    with pytest.raises(ConnectionRefusedError):
+        asked(page, "/")
+
+
+def test_a_browser_that_does_not_read_holds_nobody_up(world):
+    folder, _ = world
+    localizer = runtime.Localizer(folder / "bundle")
+    with runtime.Live(localizer, [folder / "drive"] * 20, port=0, fps=0) as page:
+        idle = socket.create_connection(("127.0.0.1", page.port))
+        idle.sendall(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert page.join(60)
+        assert asked(page, "/map.json")[0] == 200
+        idle.close()
+
+
+def test_the_way_is_bounded(world, monkeypatch):
+    monkeypatch.setattr(live_module, "_TRACK", 5)
+    folder, count = world
+    with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=0) as page:
+        page.join(30)
+        events = Events(page)
+        state = next(events)
+        events.close()
+        assert len(state["track"]) == min(5, count)
+
+
+def test_images_that_cannot_be_read_are_left_out_and_said(world, tmp_path):
+    folder, _ = world
+    (tmp_path / "a.png").write_bytes(b"nothing")
+    with runtime.Live(runtime.Localizer(folder / "bundle"), tmp_path, port=0, fps=0) as page:
+        page.join(30)
+        events = Events(page)
+        assert next(events)["number"] == 1
+        events.close()
+        assert asked(page, "/live.jpg")[0] == 404
+
+
+def test_an_empty_video_ends_in_a_sentence(world, tmp_path):
+    folder, _ = world
+    (tmp_path / "a.mp4").write_bytes(b"")
+    with runtime.Live(runtime.Localizer(folder / "bundle"), tmp_path / "a.mp4", port=0) as page:
+        with pytest.raises(DataError, match=r"a\.mp4 gives no picture"):
+            page.join(30)
+        events = Events(page)
+        state = next(events)
+        events.close()
+        assert (state["status"], "gives no picture" in state["text"]) == ("fault", True)
+
+
+def test_a_port_in_use_and_an_unknown_address_are_one_sentence(world, played):
+    localizer, drive = runtime.Localizer(world[0] / "bundle"), world[0] / "drive"
+    with pytest.raises(ConfigError, match=f"port {played.port} of 127.0.0.1 is in use: choose another, such as port="):
+        runtime.Live(localizer, drive, port=played.port)
+    with pytest.raises(ConfigError, match=r"this machine cannot serve at host=192\.0\.2\.1"):
+        runtime.Live(localizer, drive, host="192.0.2.1", port=0)
+    with pytest.raises(ConfigError, match="port must be a whole number from 0 to 65,535"):
+        runtime.Live(localizer, drive, port=70_000)
+    with pytest.raises(ConfigError, match="fps must be a number from 0"):
+        runtime.Live(localizer, drive, fps=-1)
+    with pytest.raises(DataError, match="there is no image"):
+        runtime.Live(localizer, drive / "none.png", port=0)
+
+
+def test_without_images_or_a_bundle_the_command_says_so(world, capsys):
+    assert main(["live", f"bundle={world[0] / 'bundle'}"]) == 2
+    assert "no images given" in capsys.readouterr().err
+    assert main(["live", "images=[a.png]", "bundle=/nowhere"]) == 2
+    assert main(["live", "prot=3"]) == 2
+    assert "did you mean 'port'" in capsys.readouterr().err
+    assert Watch.of({"images": ["a"]}).port == 8000
+
+
+def test_the_command_serves_until_it_is_interrupted(world):
+    folder, count = world
+    command = [sys.executable, "-m", "siamloc", "live", f"bundle={folder / 'bundle'}", f"images=[{folder / 'drive'}]"]
+    process = subprocess.Popen([*command, "port=0", "fps=0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        url = process.stdout.readline()
+        assert url.startswith("http://127.0.0.1:")
+        assert process.stdout.readline() == f"{count} images, and their end: the page stays until Ctrl-C\n"
+        process.send_signal(2)
+        assert process.wait(20) == 130
+        assert process.stderr.read() == ""
+    finally:
+        process.kill()
+        process.stdout.close()
+        process.stderr.close()
+        process.wait()
+
+
+def test_without_the_framework_the_extra_is_named(world):
+    code = (
+        "import sys\nsys.modules['aiohttp'] = None\nfrom siamloc.cli import main\n"
+        f"sys.exit(main(['live', 'bundle={world[0] / 'bundle'}', 'images=[{world[0] / 'drive'}]']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "pip install 'siamloc[live]'" in done.stderr
+
+
+def test_nothing_of_it_runs_on(world):
+    folder, _ = world
+    before = threading.active_count()
+    page = runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=1)
+    page.close()  # never begun
+    with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=1):
+        pass
+    for _ in range(50):
+        if threading.active_count() <= before:
+            break
+        time.sleep(0.1)
+    assert threading.active_count() <= before
+
+
+@pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="there is no chromium here")
+def test_a_browser_watches_a_drive(world, tmp_path):
+    folder, count = world
+    (tmp_path / "profile").mkdir()
+    hostile = tmp_path / "<img src=x onerror=alert(1)>"
+    hostile.mkdir()
+    shutil.copy(next((folder / "drive").iterdir()), hostile / "<b>a.png")
+    images = [folder / "drive", hostile]
+    with (
+        runtime.Live(runtime.Localizer(folder / "bundle"), images, port=0, fps=20) as page,
+        Browser(tmp_path / "profile") as browser,
+    ):
+        browser.go(page.url)
+        browser.wait("document.getElementById('status').dataset.state === 'ended'")
+        told = browser.run(
+            "const text = (id) => document.getElementById(id).textContent;"
+            "return [text('status'), text('number'), text('name'), text('room'), text('position'), text('banner'),"
+            "document.querySelectorAll('#plan .dot').length, document.querySelectorAll('#plan .body').length,"
+            "document.querySelectorAll('#candidates tr').length]"
+        )
+        assert told[:3] == ["end of the drive", str(count + 1), "<b>a.png"]
+        assert told[3] != "–"
+        assert len(told[4].split(", ")) == 2
+        assert told[5] == f"End of the drive after {count + 1} images"
+        assert told[6:] == [json.loads(asked(page, "/map.json")[2])["frames"], 1, 3]
+        browser.wait("document.getElementById('match').complete && document.getElementById('match').naturalWidth > 0")
+        places = {url.split("?")[0].rpartition("/")[0] for url in browser.requests() if url.startswith("http")}
+        assert places == {page.url[:-1], f"{page.url}map"}
+        assert browser.complaints() == []
+        page.close()
+        browser.wait("document.getElementById('status').dataset.state === 'away'")
