@@ -238,16 +238,34 @@ def test_headings_leave_the_error_model_valid(finished, tmp_path):
     assert np.prod(after.values.shape) == 2 * np.prod(before.values.shape)
 
 
-def test_a_heading_that_cannot_be_exported_is_said_at_the_export(finished, tmp_path, capsys):
+def test_any_descriptor_gives_the_robot_its_heading(finished, flat, tmp_path, capsys):
     run = Path(shutil.copytree(finished, tmp_path / "run"))
     siamloc("map", f"run={run}", "heading=gist")
-    before = (run / "bundle/bundle.json").read_text()
-    capsys.readouterr()
-    assert main(["export", f"run={run}"]) == 2
-    error = capsys.readouterr().err
-    assert "heading=gist with these parameters cannot be exported for the robot" in error
-    assert error.count("\n") == 1
-    assert (run / "bundle/bundle.json").read_text() == before
+    siamloc("evaluate", f"run={run}", *QUICK, "task.names=[absolute]")
+    siamloc("export", f"run={run}")
+    assert "heading (by gist)" in capsys.readouterr().out
+    siamloc("localize", f"run={run}", f"images=[{flat.parent / 'cloudy2'}]")
+    queries = {Path(row["path"]).name: row for row in table(run / "evaluation/network/queries.csv")}
+    for row in table(run / "locations.csv"):
+        expected = queries[Path(row["image"]).name]
+        if row["match"] == expected["match_path"]:
+            assert math.remainder(float(row["theta"]) - float(expected["est_theta"]), math.tau) == pytest.approx(
+                0, abs=1e-3
+            )
+
+
+def test_an_analytic_map_becomes_a_bundle_with_layer_pictures_and_precision(flat, tmp_path, capsys):
+    run, data = tmp_path / "run", ["data=manifest", f"data.manifest={flat}", f"data.cache={flat.parent / 'cache'}"]
+    roles = ["protocol.map.sequences=[cloudy1]", "protocol.validation.sequences=[night1]"]
+    size = ["data.image_size=[32,128]", "descriptor.rows=4"]
+    words = [f"run={run}", "descriptor=hog", *size, *roles]
+    siamloc("map", *data, *words, "build=sample", "build.nodes=3")
+    siamloc("export", *words, "build=sample", "build.nodes=3", "precision=auto", "thumbnails=true", "task=hierarchical")
+    said = capsys.readouterr().out
+    assert "precision " in said
+    assert "heading (by hog), a coarse layer by representatives, pictures of the map" in said
+    siamloc("localize", f"run={run}", f"images=[{flat.parent / 'cloudy2'}]", "hierarchical=false")
+    assert len(table(run / "locations.csv")) == 24
 
 
 def test_a_network_that_finds_headings_needs_no_heading_key(flat, tmp_path, capsys):
