@@ -129,7 +129,7 @@ def unit_array(images: ArrayLike) -> NDArray[np.float32]:
         AnalyticError: as `with_channels`, or values out of range or not finite.
 
     Example:
-        >>> unit_array(np.full((1, 2), 51, dtype=np.uint8))
+        >>> unit_array(np.full((1, 2), 51, dtype=np.uint8)).round(3)
         array([[[[0.2, 0.2]]]], dtype=float32)
     """
     array = with_channels(images)

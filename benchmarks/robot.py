@@ -118,14 +118,19 @@ def costs(bundle: Bundle, image: Path, repeats: int) -> dict[str, Any]:
 
 def first_table(repeats: int) -> dict[str, Any]:
     """Return what each bundle with a large map costs."""
-    rows = dict[str, Any]()
+    rows, generator = dict[str, Any](), np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         images = drive(folder)
-        np.save(folder / "image.npy", np.random.default_rng(0).integers(0, 256, IMAGE, dtype=np.uint8))
+        np.save(folder / "image.npy", generator.integers(0, 256, IMAGE, dtype=np.uint8))
         for name in (*NETWORKS, *ANALYTIC):
             by = analytic.descriptor(name) if name in ANALYTIC else network(*NETWORKS[name], SIZE)
-            known = siamloc.maps.build(by, images, images.frames, progress=False)
+            if name in ANALYTIC:
+                known = siamloc.maps.build(by, images, images.frames, progress=False)
+            else:  # any descriptors will do
+                width = by.describe(np.zeros((1, 3, *SIZE), dtype=np.uint8)).position.shape[1]
+                identity = {**by.identity, "images": images.preprocessing.parameters()}
+                known = siamloc.maps.VisualMap(generator.normal(size=(FRAMES, width)), images.frames, identity)
             for precision in PRECISIONS if name in NETWORKS else ("float32", "int8"):
                 made = export(by, known, folder / "bundle", precision=precision, images=images)
                 row = rows[f"{name}, {precision}"] = costs(made, folder / "image.npy", repeats)

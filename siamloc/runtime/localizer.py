@@ -38,19 +38,19 @@ class Candidate:
 
     Attributes:
         image: the map frame's file, as the map names it.
-        row: its number in the map; `Bundle.thumbnail` gives its picture where the bundle holds any.
         x: its position, in the unit of the map; NaN where the map does not know it.
         y: its position.
         room: its room, or "".
         distance: descriptor distance.
+        row: its number in the map, -1 if unknown; `Bundle.thumbnail` gives its picture where the bundle holds any.
     """
 
     image: str
-    row: int
     x: float
     y: float
     room: str
     distance: float
+    row: int = -1
 
 
 @dataclass(frozen=True)
@@ -265,11 +265,11 @@ class Localizer:
         candidates = tuple(
             Candidate(
                 image=str(frames.path[row]),
-                row=int(row),
                 x=float(frames.x[row]),
                 y=float(frames.y[row]),
                 room=str(frames.room[row]),
                 distance=float(distance),
+                row=int(row),
             )
             for row, distance in zip(found.indices[0, : self._top], found.distances[0, : self._top], strict=True)
         )

@@ -115,9 +115,9 @@ function say(state, lost) {
   status.dataset.state = state.status === "running" && lost ? "lost" : state.status;
   status.textContent = state.status === "running" && lost ? "lost" : words[state.status];
   const banner = $("banner"), calm = state.status === "ended" || state.status === "left out" || state.status === "waiting";
-  banner.hidden = !(lost || state.status !== "running");
-  banner.className = calm ? "calm" : "";
-  banner.textContent = state.status === "ended" ? `End of the drive after ${state.number} images`
+  const silent = !lost && state.status === "running";
+  banner.className = silent ? "silent" : calm ? "calm" : "";
+  banner.textContent = silent ? "" : state.status === "ended" ? `End of the drive after ${state.number} images`
     : state.status === "running" ? "Lost: this image shows nothing that the map shows, or too large an error is expected"
       : state.text;
 }
