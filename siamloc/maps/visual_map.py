@@ -69,7 +69,7 @@ class VisualMap:
     describes: Descriptor | None = None
 
     def __post_init__(self) -> None:
-        descriptors = np.array(self.descriptors, dtype=np.float32)
+        descriptors = _own(np.asarray(self.descriptors, dtype=np.float32), self.descriptors)
         if descriptors.ndim != 2 or 0 in descriptors.shape:
             raise DataError(f"a map needs descriptors of shape (n, D), n and D at least 1, got {descriptors.shape}")
         if len(descriptors) != len(self.frames):
@@ -347,11 +347,11 @@ class VisualMap:
         return cls._read(path, path, descriptor)
 
     @classmethod
-    def loads(cls, content: bytes, source: str, descriptor: Descriptor | None = None) -> VisualMap:
+    def loads(cls, content: Path | bytes, source: str, descriptor: Descriptor | None = None) -> VisualMap:
         """Read what a file by `save` holds.
 
         Args:
-            content: of the file.
+            content: of the file, or where it lies.
             source: what to call it in error messages.
             descriptor: as for `load`.
 
@@ -367,6 +367,8 @@ class VisualMap:
             for name in ("descriptors", "orientation"):
                 if f"{name}_scale" in arrays:
                     arrays[name] = unpacked(arrays[name], arrays.pop(f"{name}_scale"))
+                if name in arrays:
+                    arrays[name].flags.writeable = False  # nobody else has them
         except DAMAGE as error:
             raise FormatError(f"{path} is not a siamloc map, or not a whole one: build it again") from error
         header = _read_header(path, arrays)
@@ -398,6 +400,12 @@ class VisualMap:
 _ABSENT = object()
 
 
+def _own(array: NDArray, given: Any) -> NDArray:
+    """Return an array that nobody else writes into: itself if it is read-only or new, else a copy."""
+    shared = isinstance(given, np.ndarray) and np.may_share_memory(array, given)
+    return array.copy() if shared and array.flags.writeable else array
+
+
 def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:
     """Find out whether the orientation parts are the descriptors in another shape, so that one copy will do."""
     same = orientation.dtype == descriptors.dtype and orientation.size == descriptors.size
@@ -411,7 +419,7 @@ def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, NDArray]
 
 
 def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
-    array = np.array(orientation)
+    array = _own(np.asarray(orientation), orientation)
     if array.ndim != 3 or len(array) != frames or 0 in array.shape or array.dtype.kind not in "fcu":
         raise DataError(
             f"a map's orientation parts must be numbers of shape ({frames}, K, F), got {array.dtype} {array.shape}"

@@ -86,7 +86,7 @@ class Bundle:
         """
         from siamloc.maps import VisualMap
 
-        return VisualMap.loads(self.parts.read(MAP), f"{self.path}/{MAP}") if MAP in self.files else None
+        return VisualMap.loads(self.parts.content(MAP), f"{self.path}/{MAP}") if MAP in self.files else None
 
     def load_errors(self) -> ErrorModel | None:
         """Read the model of the expected error; None if there is none.
@@ -118,7 +118,7 @@ class Bundle:
 
         if LAYER not in self.files:
             return None
-        coarse = VisualMap.loads(self.parts.read(COARSE), f"{self.path}/{COARSE}") if COARSE in self.files else None
+        coarse = VisualMap.loads(self.parts.content(COARSE), f"{self.path}/{COARSE}") if COARSE in self.files else None
         return CoarseLayer.loads(self.parts.read(LAYER), f"{self.path}/{LAYER}"), coarse
 
     def thumbnail(self, row: int) -> bytes | None:

@@ -149,9 +149,11 @@ class Localizer:
         def session(name: str) -> Any:
             if name not in self.bundle.files:
                 return None
-            model = self.bundle.parts.for_onnxruntime(name)
+            model = self.bundle.parts.content(name)
             try:
-                return onnxruntime.InferenceSession(model, options, providers=list(providers))
+                return onnxruntime.InferenceSession(
+                    model if isinstance(model, bytes) else str(model), options, providers=list(providers)
+                )
             except Exception as error:  # onnxruntime's exceptions have no common base
                 raise FormatError(
                     f"onnxruntime cannot run {bundle_path}/{name} ({type(error).__name__}): export again"

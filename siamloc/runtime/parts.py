@@ -52,8 +52,12 @@ class Parts(ABC):
     def size(self, name: str) -> int:
         """Return how many bytes a file has."""
 
-    def for_onnxruntime(self, name: str) -> str | bytes:
-        """Return a model in the form that onnxruntime opens."""
+    def content(self, name: str) -> Path | bytes:
+        """Return what a file holds, or its path, so that it need not be in memory twice.
+
+        Raises:
+            FormatError: it is not there, or damaged.
+        """
         return self.read(name)
 
 
@@ -82,9 +86,9 @@ class Folder(Parts):
         """Return how many bytes a file has."""
         return (self.path / name).stat().st_size
 
-    def for_onnxruntime(self, name: str) -> str | bytes:
-        """Return the path: weights of more than 2 GB lie in a file beside the model."""
-        return str(self.path / name)
+    def content(self, name: str) -> Path | bytes:
+        """Return the path; weights of more than 2 GB lie in a file beside that of the model."""
+        return self.path / name
 
 
 class Archive(Parts):
