@@ -40,7 +40,8 @@ def listen(port: int) -> None:
     """Read what a browser would hear, to its end."""
     connection = http.client.HTTPConnection("127.0.0.1", port)
     connection.request("GET", "/events")
-    while connection.getresponse().read(1 << 16):
+    answer = connection.getresponse()
+    while answer.read1(1 << 16):
         pass
 
 

@@ -33,9 +33,10 @@ from benchmarks.torture_files import FILES, damaged
 from siamloc.cli.checking import check
 from siamloc.cli.compose import composed, plain
 from siamloc.cli.help import COMMANDS
-from siamloc.cli.robot import Localize
+from siamloc.cli.robot import Localize, Watch
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import SiamlocError
+from siamloc.settings import Settings
 from siamloc.training import fitting  # noqa: F401 (its packages take seconds to load, which is no fault of a case)
 
 LONGEST = 10.0
@@ -196,13 +197,14 @@ def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
                     check(COMMANDS[command].begins_with, strange)
 
                 yield f"{command} {key}={value!r}", changed, is_nonsense(key, default, called)
-    for key, default in Localize().plain().items():
-        for called, value in _STRANGE.items():
+    for command, kind in {"localize": Localize, "live": Watch}.items():
+        for key, default in kind().plain().items():
+            for called, value in _STRANGE.items():
 
-            def set_to(key: str = key, value: Any = value) -> None:
-                Localize.of({"images": ["a.png"], "bundle": "b", key: value})
+                def set_to(kind: type[Settings] = kind, key: str = key, value: Any = value) -> None:
+                    kind.of({"images": ["a.png"], "bundle": "b", key: value})
 
-            yield f"localize {key}={value!r}", set_to, is_nonsense(key, default, called)
+                yield f"{command} {key}={value!r}", set_to, is_nonsense(key, default, called)
 
 
 def unknown_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:

@@ -191,6 +191,26 @@ def _write_bundle(name: str) -> Callable[[Path], Path]:
     return write
 
 
+def _write_analytic(name: str) -> Callable[[Path], Path]:
+    """Return what writes a bundle of an analytic descriptor with all that one may hold."""
+
+    def write(path: Path) -> Path:
+        images, monday = _frames()
+        known = siamloc.maps.build("hog", images, monday, progress=False)
+        layer = siamloc.maps.group(known, "rooms")
+        further: dict[str, Any] = {"layer": layer, "images": images, "thumbnails": True, "precision": "int8"}
+        siamloc.runtime.export(known.descriptor, known, path / "bundle", **further)
+        return path / "bundle" / name
+
+    return write
+
+
+def _read_analytic(path: Path) -> Any:
+    located = _read_bundle(path)
+    bundle = siamloc.runtime.Bundle.open(path.parent)
+    return located, bundle.summary(), bundle.thumbnail(0)
+
+
 def _write_archive(path: Path) -> Path:
     images, monday = _frames()
     network = siamloc.models.build("simple1", "flat", images.image_shape[1:], outputs=8)
@@ -243,6 +263,10 @@ FILES: dict[str, Kind] = {
     "bundle's network": Kind(_write_bundle("model.onnx"), _read_bundle),
     "bundle's map": Kind(_write_bundle("map.npz"), _read_bundle),
     "bundle's errors": Kind(_write_bundle("error_model.json"), _read_bundle),
+    "bundle by hog": Kind(_write_analytic("bundle.json"), _read_analytic),
+    "bundle's short map": Kind(_write_analytic("map.npz"), _read_analytic),
+    "bundle's layer": Kind(_write_analytic("layer.npz"), _read_analytic),
+    "bundle's pictures": Kind(_write_analytic("thumbnails.npz"), _read_analytic),
     "bundle's archive": Kind(
         _write_archive, lambda path: siamloc.runtime.Localizer(path).locate(np.full((32, 128, 3), 90, np.uint8))
     ),

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -118,13 +117,7 @@ def export(
     if layer is not None:
         search = search or LayerSearch()
         layer = _checked_layer(known, layer, coarse_map, search)
-    if images is None and (thumbnails or precision in ("int8", "auto")):
-        what = "pictures of the map" if thumbnails else f"precision={precision}"
-        raise ConfigError(f"{what} needs the panoramas of the map's frames: give images=")
-    if precision == "auto" and (validation is None or not validation.has_position.any()):
-        raise ConfigError("precision=auto compares localization errors: give frames with positions as validation=")
-    if known is None and (thumbnails or precision != "float32"):
-        raise ConfigError(f"without a map there are neither pictures of it nor precision={precision}: give the map")
+    _check_given(given, known, images, thumbnails, precision, validation)
     about = {
         "format": FORMAT,
         "version": VERSION,
@@ -193,15 +186,15 @@ class _Ingredients:
     def write_smallest(self, fresh: Path, images: PanoramaLibrary, frames: FrameTable) -> None:
         """Write the smallest bundle that loses at most `LOSS` of the localization error of frames."""
         rows, (panoramas, asked) = list[Measured](), spread(images, frames.take(frames.has_position))
-        with TemporaryDirectory(dir=fresh.parent, prefix=f".{fresh.name.lstrip('.')}.") as scratch:
-            for precision in PRECISIONS:
-                folder = Path(scratch) / precision
-                folder.mkdir()
-                self.write(folder, precision)
-                rows.append(measured(folder, self.given, panoramas, asked.xy))
-            best = smallest(rows)
-            for file in (Path(scratch) / best.precision).iterdir():
-                file.replace(fresh / file.name)
+        for precision in PRECISIONS:
+            folder = fresh / precision
+            folder.mkdir()
+            self.write(folder, precision)
+            rows.append(measured(folder, self.given, panoramas, asked.xy))
+        for file in (fresh / smallest(rows).precision).iterdir():
+            file.replace(fresh / file.name)
+        for precision in PRECISIONS:
+            shutil.rmtree(fresh / precision)
         about = read_json(fresh / DESCRIPTION)
         write_json(fresh / DESCRIPTION, {**about, "precisions": [row.plain() for row in rows]})
 
@@ -291,6 +284,31 @@ def _check_exportable(given: Descriptor, known: VisualMap | None) -> None:
         raise ConfigError(f"only networks and analytic descriptors can be exported, not {given.name}")
     if known is None:
         raise ConfigError(f"a bundle by {given.name} needs a map: run `siamloc map descriptor={given.name}` first")
+
+
+def _check_given(
+    given: Descriptor,
+    known: VisualMap | None,
+    images: PanoramaLibrary | None,
+    thumbnails: bool,
+    precision: str,
+    validation: FrameTable | None,
+) -> None:
+    """Make sure that pictures and precision have what they are made from."""
+    if known is None and (thumbnails or precision != "float32"):
+        raise ConfigError(f"without a map there are neither pictures of it nor precision={precision}: give the map")
+    learns = precision == "auto" or (precision == "int8" and hasattr(given, "module"))
+    if images is None and (thumbnails or learns):
+        what = "a bundle with pictures of the map" if thumbnails else f"precision={precision}"
+        raise ConfigError(f"{what} needs the panoramas of the map's frames: give images=")
+    if known is not None and images is not None:
+        known.check_images(images.preprocessing.parameters())
+    if precision != "auto":
+        return
+    if validation is None or not validation.has_position.any():
+        raise ConfigError("precision=auto compares localization errors: give frames with positions as validation=")
+    if known is not None and not known.frames.has_position.any():
+        raise ConfigError("precision=auto compares localization errors, and no map frame has a position: name another")
 
 
 def _check_learned(known: VisualMap | None, errors: ErrorModel | None, refinement: Refinement | None) -> None:

@@ -293,7 +293,14 @@ class Localizer:
         )
 
     def describe(self, panoramas: NDArray[np.uint8]) -> Description:
-        """Describe panoramas (B, 3, H, W), uint8, RGB, of the bundle's size, as the map's frames were described."""
+        """Describe panoramas (B, 3, H, W), uint8, RGB, of the bundle's size, as the map's frames were described.
+
+        Raises:
+            DataError: another shape or type.
+        """
+        expected = (3, *self.bundle.image_size)
+        if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != expected:
+            raise DataError(f"a panorama has shape {expected} and dtype uint8, got {panoramas.shape} {panoramas.dtype}")
         if self._session is None:
             return self.map.descriptor.describe(panoramas)
         descriptor, *orientation = self._session.run(None, {"panorama": panoramas})

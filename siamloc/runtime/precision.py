@@ -119,7 +119,7 @@ def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], x
         localizer.bundle.bytes,
         statistics.median(one.ms for one in found),
         float(np.median(np.linalg.norm(apart, axis=1) / np.linalg.norm(expected, axis=1))),
-        float(np.mean(np.hypot(*(np.array([[one.x, one.y] for one in found]) - xy).T))),
+        float(np.nanmean(np.hypot(*(np.array([[one.x, one.y] for one in found]) - xy).T))),
         len(found),
     )
 

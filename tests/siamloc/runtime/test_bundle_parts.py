@@ -159,7 +159,9 @@ def test_pictures_of_the_map_come_along(world, network, tmp_path):
         assert np.abs(picture[..., ::-1].astype(float) - panorama.transpose(1, 2, 0)).mean() < 12
     with pytest.raises(IndexError):
         bundle.thumbnail(len(monday))
-    with pytest.raises(ConfigError, match="pictures of the map needs the panoramas of the map's frames: give images="):
+    with pytest.raises(
+        ConfigError, match="with pictures of the map needs the panoramas of the map's frames: give images="
+    ):
         runtime.export(network, known, tmp_path / "b", thumbnails=True)
 
 
@@ -296,6 +298,23 @@ def test_several_images_at_once_give_the_same_answers(world, network, tmp_path):
     assert localizer.locate_batch([]) == []
     panorama = images.preprocessing.panorama(paths[0])
     assert repr(replace(localizer.locate_panorama(panorama), ms=0)) == repr(replace(alone[0], ms=0))
+
+
+def test_panoramas_of_another_size_are_one_sentence(world, network, tmp_path):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    localizer = runtime.Localizer(runtime.export(network, known, tmp_path / "b").path)
+    for wrong in (np.zeros((3, 16, 64), np.uint8), np.zeros((3, 32, 64)), np.zeros((32, 64, 3), np.uint8)):
+        with pytest.raises(siamloc.errors.DataError, match=r"a panorama has shape \(3, 32, 64\) and dtype uint8, got"):
+            localizer.locate_panorama(wrong)
+
+
+def test_images_made_in_another_way_are_refused(world, network, tmp_path):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    other = siamloc.data.PanoramaLibrary(images.frames, tmp_path / "cache", image_size=(32, 128))
+    with pytest.raises(ConfigError, match=r"images\.width is 64 in the map, 128 here"):
+        runtime.export(network, known, tmp_path / "b", images=other, thumbnails=True)
 
 
 def test_figures_of_the_evaluation_are_kept(world, network, tmp_path):
