@@ -88,7 +88,7 @@ def costs(bundle: Bundle, image: Path, repeats: int) -> dict[str, Any]:
         memory.append(1024 * int(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
         starts.append(time.perf_counter() - begin)
     localizer, pixels = Localizer(bundle.path, threads=1), np.load(image)
-    session, inside = localizer._session, list[float]()
+    session, inside = localizer._describer._session, list[float]()
 
     class Timed:
         def run(self, *arguments: Any) -> Any:
@@ -98,7 +98,7 @@ def costs(bundle: Bundle, image: Path, repeats: int) -> dict[str, Any]:
             return found
 
     if session is not None:
-        localizer._session = Timed()
+        localizer._describer._session = Timed()
     whole = []
     for _ in range(repeats + 5):
         begin = time.perf_counter()

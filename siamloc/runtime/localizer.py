@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import AnalyticError, Description, Descriptor, ImageDescriptor, Thumbnail
+from analytic import Description
 from siamloc.data.decoding import UnreadableImageError
-from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
     HierarchicalSearch,
     LayerSearch,
@@ -25,8 +25,8 @@ from siamloc.maps import (
     headings,
     match,
 )
-from siamloc.maps.heading import descriptor_of
-from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
+from siamloc.runtime.bundle import Bundle
+from siamloc.runtime.describing import Describer, analytic_descriptor
 from siamloc.settings import Count, checked
 
 _STANDING = 0.01  # step in a map whose frames are all in one place
@@ -127,52 +127,21 @@ class Localizer:
         providers: Sequence[str] = ("CPUExecutionProvider",),
         hierarchical: bool | None = None,
     ) -> None:
-        import onnxruntime
-
         checked(top, Count, "top")
-        checked(threads, Count | None, "threads")
-        there = onnxruntime.get_available_providers()
-        for provider in providers:
-            if provider not in there:
-                raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
         self.bundle = Bundle.open(bundle_path)
         known = self.bundle.load_map()
         if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
         known.check_describer(self.bundle.identity)
         self._top = top
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        if threads is not None:
-            options.intra_op_num_threads = threads
-
-        def session(name: str) -> Any:
-            if name not in self.bundle.files:
-                return None
-            model = self.bundle.parts.content(name)
-            try:
-                return onnxruntime.InferenceSession(
-                    model if isinstance(model, bytes) else str(model), options, providers=list(providers)
-                )
-            except Exception as error:  # onnxruntime's exceptions have no common base
-                raise FormatError(
-                    f"onnxruntime cannot run {bundle_path}/{name} ({type(error).__name__}): export again"
-                ) from error
-
-        self._session, self._relative = session(MODEL), session(RELATIVE)
-        if self._session is None:
-            known = known.with_descriptor(_analytic(known.identity, self.bundle, known.width, known.orientation))
-        self.map = known
-        if not known.aligned:
-            known.index  # noqa: B018 (prepared here, and not with the first image)
-        part = known.heading
-        self._heading = None
-        if part is not None and not part.own:
-            self._heading = _analytic(part.identity, self.bundle, orientation=part.values)
+        self._describer = Describer(self.bundle, known, threads, providers)
+        self.map = self._describer.known
+        if not self.map.aligned:
+            self.map.index  # noqa: B018 (prepared here, and not with the first image)
         self._search = self._layered(hierarchical)
         self._errors, self._refinement = self.bundle.load_errors(), self.bundle.load_refinement()
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
-        if self._refinement is not None and self._refinement.method == "relative" and self._relative is None:
+        if self._refinement is not None and self._refinement.method == "relative" and not self._describer.compares:
             raise FormatError(
                 f"{bundle_path} says that poses are refined by comparison, and holds nothing to compare by: export "
                 "again"
@@ -298,15 +267,7 @@ class Localizer:
         Raises:
             DataError: another shape or type.
         """
-        expected = (3, *self.bundle.image_size)
-        if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != expected:
-            raise DataError(f"a panorama has shape {expected} and dtype uint8, got {panoramas.shape} {panoramas.dtype}")
-        if self._session is None:
-            return self.map.descriptor.describe(panoramas)
-        descriptor, *orientation = self._session.run(None, {"panorama": panoramas})
-        if self._heading is not None:
-            orientation = [self._heading.describe(panoramas).orientation]
-        return Description(descriptor, orientation[0] if orientation else None)
+        return self._describer.describe(panoramas)
 
     def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
         """Return the search through the coarse layer, if that is wanted."""
@@ -320,7 +281,9 @@ class Localizer:
             return None
         layer, coarse = held
         if coarse is not None:
-            coarse = coarse.with_descriptor(_analytic(coarse.identity, self.bundle, coarse.width, coarse.orientation))
+            coarse = coarse.with_descriptor(
+                analytic_descriptor(coarse.identity, self.bundle, coarse.width, coarse.orientation)
+            )
         try:
             return LayerSearch.of(self.bundle.about.get("search") or {}).of_map(self.map, layer, coarse)
         except (ConfigError, DataError) as error:
@@ -347,20 +310,13 @@ class Localizer:
             found = match(self._placed, query, self._wanted)
         pose, expected, lost = None, math.nan, None
         if self._refinement is not None:
-            pose = replace(self._refinement, widening=1.0).poses(self._placed, query, found, self._compare)
+            pose = replace(self._refinement, widening=1.0).poses(self._placed, query, found, self._describer.compare)
         if self._errors is not None:
             errors, verdict = self._errors.judged(found, self._placed.frames.xy, pose)
             expected, lost = float(errors[0]), None if verdict is None else bool(verdict[0])
         if self._refinement is not None and pose is not None:
             pose = pose.widened(self._refinement.widening)
         return pose, expected, lost
-
-    def _compare(
-        self, queries: NDArray[np.float32], known: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        assert self._relative is not None
-        pose, information, match = self._relative.run(None, {"query": queries, "known": known})
-        return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
 
     def _panorama(self, image: Any) -> NDArray[np.uint8]:
         if isinstance(image, (str, Path)):
@@ -374,37 +330,6 @@ class Localizer:
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
         return self.bundle.preprocessing.prepare(pixels)
-
-
-def _analytic(
-    identity: Mapping[str, Any], bundle: Bundle, width: int | None = None, orientation: NDArray[Any] | None = None
-) -> Descriptor:
-    """Return what describes images by an analytic descriptor, without torch.
-
-    Args:
-        identity: its name and parameters.
-        bundle: whose panoramas it describes.
-        width: of the map's descriptors; not compared if None.
-        orientation: (n, K, F, ...) what the map holds of headings; not compared if None.
-
-    Raises:
-        FormatError: an unknown descriptor, or one that gives other sizes than the map's: then it did not make the map,
-            and could take any memory.
-    """
-    try:
-        made = descriptor_of(identity, "numpy")
-        given: tuple[int, ...] = ()
-        turning: tuple[int, ...] | None = None
-        if isinstance(made, Thumbnail):
-            given = (made.rows, made.columns)
-        elif isinstance(made, ImageDescriptor):
-            given, turning = made.sizes(*bundle.image_size)
-    except (AnalyticError, TypeError) as error:
-        raise FormatError(f"{bundle.path} describes images by what this siamloc does not know: {error}") from error
-    held = None if orientation is None else orientation.shape[1:3]
-    if (width is not None and math.prod(given) != width) or (held is not None and held != turning):
-        raise FormatError(f"{bundle.path} holds a map of other sizes than its {made.name} gives: export again")
-    return made
 
 
 def _spacing(known: VisualMap) -> float:

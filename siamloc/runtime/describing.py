@@ -1,0 +1,132 @@
+"""`Describer`: what describes images on the robot, by onnxruntime or by numpy and OpenCV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic import AnalyticError, Description, Descriptor, ImageDescriptor, Thumbnail
+from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.maps import VisualMap
+from siamloc.maps.heading import descriptor_of
+from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
+from siamloc.settings import Count, checked
+
+
+class Describer:
+    """Describes panoramas, and compares their orientation parts, as what made a bundle does. Threads may share one.
+
+    Args:
+        bundle: what it is made from.
+        known: the bundle's map.
+        threads: threads of onnxruntime; its own choice if None.
+        providers: what onnxruntime computes with, the first that can.
+
+    Attributes:
+        known: the map, with an analytic descriptor that needs no torch where one describes it.
+
+    Raises:
+        ConfigError: threads below 1, or a provider that this onnxruntime lacks.
+        FormatError: a network that onnxruntime cannot run, or an analytic descriptor that did not make the map.
+    """
+
+    def __init__(self, bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str]) -> None:
+        import onnxruntime
+
+        checked(threads, Count | None, "threads")
+        there = onnxruntime.get_available_providers()
+        for provider in providers:
+            if provider not in there:
+                raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        if threads is not None:
+            options.intra_op_num_threads = threads
+
+        def session(name: str) -> Any:
+            if name not in bundle.files:
+                return None
+            model = bundle.parts.content(name)
+            try:
+                return onnxruntime.InferenceSession(
+                    model if isinstance(model, bytes) else str(model), options, providers=list(providers)
+                )
+            except Exception as error:  # onnxruntime's exceptions have no common base
+                raise FormatError(
+                    f"onnxruntime cannot run {bundle.path}/{name} ({type(error).__name__}): export again"
+                ) from error
+
+        self._size = bundle.image_size
+        self._session, self._relative = session(MODEL), session(RELATIVE)
+        if self._session is None:
+            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, known.orientation))
+        self.known, self._turning, part = known, None, known.heading
+        if part is not None and not part.own:
+            self._turning = analytic_descriptor(part.identity, bundle, orientation=part.values)
+
+    @property
+    def compares(self) -> bool:
+        """Whether it tells where one image was taken relative to another."""
+        return self._relative is not None
+
+    def describe(self, panoramas: NDArray[np.uint8]) -> Description:
+        """Describe panoramas (B, 3, H, W), uint8, RGB, with what gives headings.
+
+        Raises:
+            DataError: another shape or type.
+        """
+        expected = (3, *self._size)
+        if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != expected:
+            raise DataError(f"a panorama has shape {expected} and dtype uint8, got {panoramas.shape} {panoramas.dtype}")
+        if self._session is None:
+            found = self.known.descriptor.describe(panoramas)
+            position, orientation = found.position, found.orientation
+        else:
+            position, *parts = self._session.run(None, {"panorama": panoramas})
+            orientation = parts[0] if parts else None
+        if self._turning is not None:
+            orientation = self._turning.describe(panoramas).orientation
+        return Description(position, orientation)
+
+    def compare(
+        self, queries: NDArray[np.float32], known: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Tell where images were taken relative to others, as `siamloc.maps.Refinement` asks for it."""
+        assert self._relative is not None
+        pose, information, match = self._relative.run(None, {"query": queries, "known": known})
+        return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
+
+
+def analytic_descriptor(
+    identity: Mapping[str, Any], bundle: Bundle, width: int | None = None, orientation: NDArray[Any] | None = None
+) -> Descriptor:
+    """Return what describes images by an analytic descriptor, without torch.
+
+    Args:
+        identity: its name and parameters.
+        bundle: whose panoramas it describes.
+        width: of the map's descriptors; not compared if None.
+        orientation: (n, K, F, ...) what the map holds of headings; not compared if None.
+
+    Raises:
+        FormatError: an unknown descriptor, or one that gives other sizes than the map's: then it did not make the map,
+            and could take any memory.
+    """
+    try:
+        made = descriptor_of(identity, "numpy")
+        given: tuple[int, ...] = ()
+        turning: tuple[int, ...] | None = None
+        if isinstance(made, Thumbnail):
+            given = (made.rows, made.columns)
+        elif isinstance(made, ImageDescriptor):
+            given, turning = made.sizes(*bundle.image_size)
+    except (AnalyticError, TypeError) as error:
+        raise FormatError(f"{bundle.path} describes images by what this siamloc does not know: {error}") from error
+    held = None if orientation is None else orientation.shape[1:3]
+    if (width is not None and math.prod(given) != width) or (held is not None and held != turning):
+        raise FormatError(f"{bundle.path} holds a map of other sizes than its {made.name} gives: export again")
+    return made
