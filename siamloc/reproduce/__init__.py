@@ -1,0 +1,1 @@
+"""Published numbers, to put measured ones next to them."""
