@@ -1,1 +1,1 @@
-"""Published numbers, to put measured ones next to them."""
+"""Published numbers (`published`) and claims (`claims`), to put measured ones next to them."""

@@ -1,0 +1,122 @@
+from pathlib import Path
+
+import pytest
+import yaml
+
+import siamloc.reproduce
+from siamloc.errors import ConfigError
+from siamloc.reproduce.claims import claim, claims, holds
+from siamloc.reproduce.published import Record, measures, published_all
+
+FOLDER = Path(siamloc.reproduce.__file__).parent
+SETTINGS = yaml.safe_load((FOLDER / "published.yaml").read_text(encoding="utf-8"))["settings"]
+CONTRADICTED = {
+    "t_hog_maps_better",
+    "t_more_same_pairs_different",
+    "t_best_same_share_rooms",
+    "t_more_epochs",
+    "t_small_batches_every_row",
+    "t_room_head_each_network",
+    "t_hierarchical_cloudy_7",
+    "t_hierarchical_sunny",
+    "t_more_augmentation_night",
+    "t_more_augmentation_sunny",
+    "t_analytic_own_lighting",
+    "t_single_network_other_lighting",
+    "i_hog_maps_better",
+}
+RECORDS = [
+    Record("error", 0.1 * place + (0.05 if name == "b" else 0), {"descriptor": name, "place": place})
+    for name in "ab"
+    for place in (1, 2, 3)
+]
+
+
+def test_ids_are_unique_and_say_their_document():
+    listed = [one["id"] for one in yaml.safe_load((FOLDER / "claims.yaml").read_text(encoding="utf-8"))["claims"]]
+    assert len(listed) == len(set(listed))
+    assert all(one.id.startswith(f"{one.source.document.lower()}_") for one in claims())
+
+
+@pytest.mark.parametrize("one", claims(), ids=lambda one: one.id)
+def test_a_claim_names_what_there_is(one):
+    check = one.check
+    assert one.sentence.endswith(".")
+    assert check["measure"] in measures()
+    assert set(one.entries) <= {entry.id for entry in published_all()}
+    sides = [check[name] for name in ("where", "more", "less") if isinstance(check.get(name), dict)]
+    named = {name for side in sides for name in side} | set(check.get("match", ()))
+    assert named | ({check["along"]} if "along" in check else set()) <= set(SETTINGS)
+    holds(check, [])
+
+
+def test_which_claims_the_documents_own_numbers_bear_out():
+    found = {one.id: one.printed() for one in claims()}
+    assert {name for name, result in found.items() if result is False} == CONTRADICTED
+    assert all(result is not None for name, result in found.items() if claim(name).entries)
+    assert sum(result is True for result in found.values()) >= 35
+
+
+def test_an_unknown_claim_says_which_ones_are_near():
+    with pytest.raises(ConfigError, match="no claim 't_more_epoch'; did you mean 't_more_epochs'"):
+        claim("t_more_epoch")
+
+
+def test_an_unknown_kind_or_key_is_refused():
+    with pytest.raises(ConfigError, match="unknown kind of check 'ordre'; did you mean 'order'"):
+        holds({"kind": "ordre", "measure": "error"}, RECORDS)
+    with pytest.raises(ConfigError, match="of kind trend has no key 'allong'; did you mean 'along'"):
+        holds({"kind": "trend", "measure": "error", "allong": "place"}, RECORDS)
+
+
+@pytest.mark.parametrize(
+    ("check", "expected"),
+    [
+        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}}, False),  # 0.15 is not above 0.3
+        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}, "match": ["place"]}, True),
+        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}, "pick": "mean"}, True),
+        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}, "pick": "max", "factor": 1.1}, True),
+        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}, "pick": "max", "factor": 1.2}, False),
+        ({"more": {"place": 3}, "less": "others"}, True),
+        ({"more": "others", "less": {"place": 1}}, True),
+        ({"more": {"place": {"above": 1}}, "less": {"place": {"not": [2, 3]}}}, True),
+        ({"more": {"descriptor": "c"}, "less": {"descriptor": "a"}}, None),
+        ({"more": {"color": "red"}, "less": {"descriptor": "a"}}, None),
+    ],
+)
+def test_order(check, expected):
+    assert holds({"kind": "order", "measure": "error", **check}, RECORDS) is expected
+
+
+@pytest.mark.parametrize(
+    ("check", "expected"),
+    [
+        ({"along": "place", "goes": "up"}, True),
+        ({"along": "place", "goes": "down"}, False),
+        ({"along": "place", "goes": "down", "within": 1.0}, True),
+        ({"along": "place", "goes": "up", "match": ["descriptor"]}, True),
+        ({"along": "place", "goes": "up", "where": {"place": 1}}, None),
+        ({"along": "depth", "goes": "up"}, None),
+    ],
+)
+def test_trend(check, expected):
+    assert holds({"kind": "trend", "measure": "error", **check}, RECORDS) is expected
+
+
+@pytest.mark.parametrize(
+    ("check", "expected"),
+    [
+        ({"below": 0.3}, False),
+        ({"below": 0.3, "pick": "mean"}, True),
+        ({"above": 0.1, "pick": "min"}, False),
+        ({"at_least": 0.1, "at_most": 0.36}, True),
+        ({"below": 0.3, "where": {"place": [1, 2]}}, True),
+        ({"below": 0.3, "where": {"place": 4}}, None),
+    ],
+)
+def test_threshold(check, expected):
+    assert holds({"kind": "threshold", "measure": "error", **check}, RECORDS) is expected
+
+
+def test_other_measures_do_not_count():
+    assert holds({"kind": "threshold", "measure": "seconds", "below": 1}, RECORDS) is None
