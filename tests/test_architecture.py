@@ -16,7 +16,10 @@ else:
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("analytic", "augment", "siamloc")
-OUTER = ("siamloc.evaluation", "siamloc.report", "siamloc.runtime", "siamloc.simulate", "siamloc.pretraining")
+OUTER = (
+    *("siamloc.evaluation", "siamloc.report", "siamloc.runtime", "siamloc.simulate", "siamloc.pretraining"),
+    "siamloc.reproduce",
+)
 FORBIDDEN = {
     "analytic": ("augment", "siamloc"),
     "augment": ("analytic", "siamloc"),
@@ -24,6 +27,7 @@ FORBIDDEN = {
     "siamloc.models": (*OUTER, "siamloc.data", "siamloc.training", "siamloc.maps"),
     "siamloc.training": (*OUTER, "siamloc.maps"),
     "siamloc.maps": (*OUTER, "siamloc.training"),
+    "siamloc.reproduce": ("siamloc.models", "siamloc.training", "siamloc.simulate"),
     "siamloc.runtime": ("siamloc.evaluation", "siamloc.report", "siamloc.simulate", "siamloc.training"),
     "siamloc.evaluation": ("siamloc.report.page", "siamloc.runtime", "siamloc.simulate", "siamloc.training"),
     "siamloc.report": ("siamloc.evaluation", "siamloc.models", "siamloc.runtime", "siamloc.simulate"),

@@ -274,12 +274,13 @@ def demo(config: DictConfig) -> None:
     _step("train", ["experiment=demo", f"data.root={data / 'mini'}", f"seed={config.seed}", *overwrite, *here])
     _step("map", here)
     _step("evaluate", [*here, "task.radii=[0.5]", "task.baselines=[hog,thumbnail,untrained]", "task.error_model=true"])
-    _step("export", here)
+    _step("export", [*here, "thumbnails=true"])
     photograph = image_files(next((data / "mini").glob("part_*/*night2/omni_cam")))[0]
     _step("localize", [*here, f"images=['{photograph}']"])
     _step("report", here)
     print(f"\nThe run is {run.folder}, the building {data / 'mini'} with pictures in preview; curves for")
     print(f"tensorboard --logdir {run.tensorboard}; {time.monotonic() - begin:.0f} s in all.")
+    print(f"To watch a drive by night: siamloc live run={run.folder} images=['{photograph.parent}']")
 
 
 def _step(command: str, words: list[str]) -> None:
