@@ -8,7 +8,7 @@ packages and no bundle. Times are of one thread.
 
 The second table, with --data: bundles of a drive under clouds, of networks that work, in each precision, located with a
 drive at night and one in the sun. `pretrained` comes with siamloc; `alexnet` and `vgg16`, with the head `gem`, are
-trained on another drive under clouds by the recipe `modern`, for a few epochs.
+trained on another drive under clouds by the recipe `modern`, for a few minutes.
 
     siamloc simulate camera=panorama spacing=0.3 runs=[cloudy1,cloudy2,cloudy3,night1,sunny1] out=data
     python -m benchmarks.robot --data data/freiburg_like
@@ -44,8 +44,11 @@ NETWORKS = {
     "vgg16": ("vgg16", "fc500_500_5", False),
 }
 ANALYTIC = ("hog", "wisurf")
-TRAINED = {"alexnet": 6, "vgg16": 3}
-"""Epochs of the networks that are trained for the second table."""
+TRAINED: dict[str, dict[str, Any]] = {
+    "alexnet": {"epochs": 3},
+    "vgg16": {"epochs": 1, "pairs": {"epoch_batches": 40}},
+}
+"""How long the networks of the second table are trained."""
 _START = r"""
 import re, sys
 from pathlib import Path
@@ -160,8 +163,9 @@ def second_table(data: Path) -> dict[str, Any]:
             images = large if name in ANALYTIC else small
             if name in TRAINED:
                 by = recipe.build(branch=name, head="gem", circular=False)
-                options = {"validation": drives["cloudy2"], "epochs": TRAINED[name], "run": folder / name}
-                recipe.fit(by, images, drives["cloudy3"], **options)
+                recipe.fit(
+                    by, images, drives["cloudy3"], validation=drives["cloudy2"], run=folder / name, **TRAINED[name]
+                )
             else:
                 by = siamloc.models.pretrained() if name == "pretrained" else analytic.descriptor(name)
             known = siamloc.maps.build(by, images, drives["cloudy1"], progress=False)
