@@ -70,6 +70,7 @@ class Live:
         ConfigError: no images, a bundle that cannot follow a robot, an address that this machine does not have, or a
             port that is in use.
         DataError: a file that is not there, or a folder without images.
+        FormatError: the pictures in the bundle are damaged.
 
     Example:
         with siamloc.runtime.Live(siamloc.runtime.Localizer("bundle"), "drive.mp4") as page:
@@ -91,6 +92,7 @@ class Live:
 
         self.host, self.fps = checked(host, Text, "host"), checked(fps, NotNegative, "fps")
         named(images)
+        localizer.bundle.thumbnail(0)  # damaged pictures are refused here
         if track:
             localizer.tracker()
         self._localizer, self._images, self._track = localizer, images, track
@@ -110,7 +112,9 @@ class Live:
         self._loop = asyncio.new_event_loop()
         for thread in self._threads:
             thread.start()
-        self._up.wait()
+        if not self._up.wait(_SILENCE):
+            self.close()
+            raise ConfigError(f"the page did not come up within {_SILENCE:.0f} s at {self.url}: try another port")
         return self
 
     def __exit__(
@@ -184,7 +188,10 @@ class Live:
         if location is None:
             state["status"] = "left out"
         else:
-            state.update(one.as_dict())
+            told = one.as_dict()
+            for candidate in told["candidates"]:  # whoever watches need not know the folders
+                candidate["image"] = Path(candidate["image"]).name
+            state.update({key: value for key, value in told.items() if key != "image"})
             state["picture"] = self._localizer.bundle.thumbnail(location.candidates[0].row) is not None
             if not math.isnan(location.x):
                 with self._lock:

@@ -140,7 +140,7 @@ function show(state) {
   if (!located) return;
   const best = state.candidates[0];
   picture("match", state.picture ? `/map/${best.row}.jpg` : null, "no pictures in this bundle: export it with thumbnails=true");
-  $("match-name").textContent = best.image.split("/").pop();
+  $("match-name").textContent = best.image;
   $("room").textContent = state.room || "–";
   $("room").className = $("position").className = lost ? "lost-text" : "";
   $("position").textContent = known(state.x) ? `${number(state.x, 2)}, ${number(state.y, 2)}` : "unknown";
@@ -154,7 +154,7 @@ function show(state) {
   $("ms").textContent = `${number(state.ms, 1)} ms`;
   $("candidates").replaceChildren(...state.candidates.map((candidate) => {
     const row = document.createElement("tr");
-    for (const [text, name] of [[candidate.image.split("/").pop(), ""], [candidate.room || "–", ""], [number(candidate.distance, 3), "n"]]) {
+    for (const [text, name] of [[candidate.image, ""], [candidate.room || "–", ""], [number(candidate.distance, 3), "n"]]) {
       const cell = document.createElement("td");
       cell.textContent = cell.title = text;
       cell.className = name;

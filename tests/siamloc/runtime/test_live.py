@@ -91,6 +91,7 @@ def test_a_late_browser_gets_the_whole_state(world, played):
     assert state["off_by"] == pytest.approx(np.hypot(state["x"] - state["pose"]["x"], state["y"] - state["pose"]["y"]))
     assert state["picture"] is True
     assert state["candidates"][0]["row"] >= 0
+    assert "/" not in json.dumps(state), "no folders"
     events.close()
 
 
