@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+import analytic
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.maps import build
 from siamloc.models import build as network
@@ -43,11 +44,14 @@ def bundle(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bundle")
     generator = np.random.default_rng(0)
     for name in "abc":
-        cv2.imwrite(str(folder / f"{name}.png"), generator.integers(0, 256, (32, 128, 3), dtype=np.uint8))
-    frames = FrameTable(path=[str(folder / f"{name}.png") for name in "abc"], x=[0, 1, 2], y=[0, 0, 0])
-    images = PanoramaLibrary(frames, folder / "cache", image_size=(32, 128))
-    made = network("simple1", "flat", image_size=(32, 128))
+        cv2.imwrite(str(folder / f"{name}.png"), generator.integers(0, 256, (64, 512, 3), dtype=np.uint8))
+    frames = FrameTable(path=[str(folder / f"{name}.png") for name in "abc"], x=[0, 1, 2], y=[0, 0, 0], theta=[0, 0, 0])
+    images = PanoramaLibrary(frames, folder / "cache", image_size=(64, 512))
+    made = network("simple1", "flat", image_size=(64, 512))
     export(made, build(made, images, frames, progress=False), folder / "bundle")
+    for name in analytic.DESCRIPTORS:
+        known = build(name, images, frames, progress=False)
+        export(known.descriptor, known, folder / name)
     return folder
 
 
@@ -56,6 +60,10 @@ def test_the_robot_locates_images_without_the_laboratory(robot, bundle):
     done = robot("-m", "siamloc", "localize", f"bundle={bundle / 'bundle'}", f"images={bundle / 'b.png'}", "top=1")
     assert done.returncode == 0, done.stderr
     assert "x 1.00 m, y 0.00 m" in done.stdout
+    for name in analytic.DESCRIPTORS:
+        done = robot("-m", "siamloc", "localize", f"bundle={bundle / name}", f"images={bundle / 'b.png'}", "top=1")
+        assert done.returncode == 0, done.stderr
+        assert "x 1.00 m, y 0.00 m, heading 0 deg" in done.stdout
     left = ["torch", "scipy", "hydra", "omegaconf", "matplotlib", "lightning", "onnx", "rich"]
     code = f"import importlib.util as u; print([name for name in {left} if u.find_spec(name)])"
     assert robot("-c", code).stdout == "[]\n", "these came along"
@@ -67,5 +75,9 @@ def test_what_is_lacking_is_said_with_what_brings_it(robot):
     assert done.returncode == 2
     assert done.stderr.startswith("siamloc: this needs ")
     assert "pip install 'siamloc[train]'" in done.stderr
+    done = robot("-m", "siamloc", "live", "bundle=x", "images=[y]")
+    assert done.returncode == 2
+    done = robot("-c", "from siamloc.runtime import live; print((live._ASSETS / 'live.html').is_file())")
+    assert done.stdout == "True\n", done.stderr
     done = robot("-c", "import siamloc; siamloc.models.build")
     assert "this needs torch, which is not installed here: pip install 'siamloc[train]'" in done.stderr

@@ -126,7 +126,9 @@ def analytic_descriptor(
             given, turning = made.sizes(*bundle.image_size)
     except (AnalyticError, TypeError) as error:
         raise FormatError(f"{bundle.path} describes images by what this siamloc does not know: {error}") from error
-    held = None if orientation is None else orientation.shape[1:3]
-    if (width is not None and math.prod(given) != width) or (held is not None and held != turning):
+    # Tables write some sizes the other way round, so that it is their product that counts.
+    held = None if orientation is None else math.prod(orientation.shape[1:3])
+    described = None if turning is None else math.prod(turning)
+    if (width is not None and math.prod(given) != width) or (held is not None and held != described):
         raise FormatError(f"{bundle.path} holds a map of other sizes than its {made.name} gives: export again")
     return made

@@ -21,7 +21,7 @@ from siamloc.runtime.precision import LOSS, Measured, smallest
 
 PARTS = {
     "gist": {"blocks": 8, "orientations": 8},
-    "fs": {"turns": 64, "orientation_columns": 16},
+    "fs": {"turns": 64, "orientation_columns": 12},
     "wisurf": {"windows": 64},
     "briefgist": {"rows": 8},
     "radon_fourier": {"size": 64},
