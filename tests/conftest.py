@@ -1,10 +1,19 @@
-"""A small data set of one's own, for the tests that run what the pages say."""
+"""What all tests share: Ctrl-C works, and a small data set of one's own for those that run what the pages say."""
+
+import signal
 
 import cv2
 import numpy as np
 import pytest
 
 FRAMES = 6
+
+
+@pytest.fixture(autouse=True)
+def _interruptible():
+    """Lightning ignores Ctrl-C once a training was interrupted, and processes that are begun then do so, too."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

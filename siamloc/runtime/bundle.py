@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
 from siamloc.files import parsed_json
 from siamloc.maps.heading import is_analytic
+from siamloc.maps.packing import Precision
 from siamloc.runtime.parts import Archive, Folder, Parts
 from siamloc.runtime.thumbnails import Thumbnails
+from siamloc.settings import Count, checked
 
 if TYPE_CHECKING:
     from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
@@ -32,7 +34,21 @@ LAYER, COARSE = "layer.npz", "coarse_map.npz"
 THUMBNAILS = "thumbnails.npz"
 PARTS = (MODEL, f"{MODEL}.data", MAP, ERRORS, REFINEMENT, RELATIVE, LAYER, COARSE, THUMBNAILS)
 _FINER = {"interpolate": "between", "relative": "by comparison with"}
-_KEYS = {"sha256": dict, "preprocessing": dict, "identity": dict, "parity": dict, "precision": str}
+_KEYS: dict[str, Any] = {
+    "sha256": dict,
+    "preprocessing": dict,
+    "identity": dict,
+    "parity": {"max_abs_difference": float, "max_relative_difference": float},
+    "precision": Precision,
+    "unit": str | None,
+    "heading": {"identity": {"name": str}},
+    "refinement": {"method": Literal["interpolate", "relative"], "neighbours": Count},
+    "search": {"by": str},
+    "errors": {"lost_above": float | None},
+    "precisions": list,
+}
+"""What is expected under the keys; in nested ones of these what is said here, besides others."""
+_MAY_LACK = ("heading", "refinement", "search", "errors", "precisions", "unit")
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,7 +201,9 @@ class Bundle:
                 f"{path} has bundle version {about['version']}, this siamloc reads version {VERSION}: {advice}"
             )
         for key, kind in _KEYS.items():
-            if not isinstance(about.get(key), kind):
+            if about.get(key) is None and key in _MAY_LACK:
+                continue
+            if not _holds(about.get(key), kind):
                 found = "lacks" if key not in about else "is altered in"
                 raise FormatError(f"{described} {found} {key}: export again")
         if MODEL not in about["sha256"] and not is_analytic(about["identity"]):
@@ -224,3 +242,16 @@ class Bundle:
         except ValueError as error:
             raise FormatError(f"{self.path}/{name} is not whole JSON ({error}): export again") from error
         return kind.from_dict(values, f"{self.path}/{name}")
+
+
+def _holds(value: Any, kind: Any) -> bool:
+    """Find out whether a value is of a kind: of a type, or a mapping with what is named at least."""
+    if isinstance(kind, dict):
+        return isinstance(value, dict) and all(_holds(value.get(key), inner) for key, inner in kind.items())
+    if kind in (dict, list):
+        return isinstance(value, kind)
+    try:
+        checked(value, kind, "")
+    except ConfigError:
+        return False
+    return True

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-4
 """How far the robot's descriptor may be from the original, of its norm, or of 1 where that is smaller."""
 
+_UNKNOWN = {"max_abs_difference": 0.0, "max_relative_difference": 0.0}
 _TRIED = 3  # panoramas that a bundle has to describe as the original does
 
 
@@ -177,7 +178,7 @@ class _Ingredients:
         if self.thumbnails and self.images is not None and known is not None:
             save_thumbnails(fresh / THUMBNAILS, self.images, known.frames)
         about["sha256"] = {file: file_hash(fresh / file) for file in PARTS if (fresh / file).is_file()}
-        write_json(fresh / DESCRIPTION, {"parity": {}, **about})
+        write_json(fresh / DESCRIPTION, {"parity": _UNKNOWN, **about})  # to be opened, and compared
         if known is not None:
             apart = _check_alike(fresh, self.given, known, precision)
             if module is None:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import atomic_path
 from siamloc.maps.packing import Precision
 from siamloc.runtime.bundle import Bundle
@@ -78,21 +78,26 @@ def precision_table(bundle: Bundle) -> str:
 
     Args:
         bundle: written with precision="auto"; for others there is nothing to compare, and the text is empty.
+
+    Raises:
+        FormatError: it was altered.
     """
-    rows = [Measured(**row) for row in bundle.about.get("precisions", [])]
-    chosen, unit = bundle.about["precision"], bundle.about["unit"]
+    try:
+        rows = [Measured(**row) for row in bundle.about.get("precisions") or []]
+        cells = [
+            (
+                f"{row.precision}{' *' if row.precision == bundle.about['precision'] else ''}",
+                f"{row.bytes / 1e6:.2f}",
+                f"{row.ms:.2f}",
+                f"{row.change:.2%}",
+                f"{row.error:.3f} {bundle.about['unit']}",
+            )
+            for row in rows
+        ]
+    except (TypeError, ValueError) as error:
+        raise FormatError(f"{bundle.path} is altered in its precisions: export again") from error
     if not rows:
         return ""
-    cells = [
-        (
-            f"{row.precision}{' *' if row.precision == chosen else ''}",
-            f"{row.bytes / 1e6:.2f}",
-            f"{row.ms:.2f}",
-            f"{row.change:.2%}",
-            f"{row.error:.3f} {unit}",
-        )
-        for row in rows
-    ]
     widths = [max(map(len, column)) for column in zip(_COLUMNS, *cells, strict=True)]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()

@@ -226,6 +226,47 @@ def test_auto_takes_the_smallest_that_loses_little(world, network, tmp_path):
     runtime.Localizer(bundle.path)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("parity", {"max_abs_difference": 1.0}),
+        ("parity", {"max_abs_difference": "a", "max_relative_difference": 1.0}),
+        ("heading", {"name": "hog"}),
+        ("heading", 5),
+        ("refinement", {"method": "magic", "neighbours": 3}),
+        ("search", {"by": 3}),
+        ("errors", {"lost_above": "far"}),
+        ("precision", "int4"),
+        ("precisions", 3),
+        ("unit", 5),
+        ("sha256", ["model.onnx"]),
+    ],
+)
+def test_altered_descriptions_are_refused(world, network, tmp_path, key, value):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    bundle = runtime.export(network, known, tmp_path / "b", layer=maps.group(known, "sample", nodes=2)).path
+    altered(bundle, **{key: value})
+    with pytest.raises(FormatError, match=f"is altered in {key}: export again"):
+        runtime.Bundle.open(bundle)
+    altered(bundle, **{key: None})
+    if key in ("heading", "errors", "precisions", "refinement", "unit"):
+        assert runtime.Bundle.open(bundle).summary()
+
+
+def test_altered_precisions_are_refused(world, network, tmp_path):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    bundle = runtime.export(network, known, tmp_path / "b").path
+    for rows in ([{"precision": "int8"}], [["a"]], [{**smallest_row(), "ms": "fast"}]):
+        with pytest.raises(FormatError, match="is altered in its precisions"):
+            runtime.precision_table(runtime.Bundle.open(altered(bundle, precisions=rows)))
+
+
+def smallest_row():
+    return Measured("int8", 1, 1.0, 0.0, 0.1, 3).plain()
+
+
 def test_the_smallest_is_chosen_among_those_that_lose_little():
     def row(precision, size, error):
         return Measured(precision, size, 1.0, 0.0, error, 10)
