@@ -96,6 +96,7 @@ class Main(Settings):
     debug: Literal["overfit", "one_batch", "profile"] | None = None
     checkpoint: Literal["best", "last"] = "best"
     device: Device = "auto"
+    distance: Literal["manhattan", "euclidean", "correlation", "cosine"] | None = None
     projector: bool = False
     bundle: Folder | None = None
     precision: Literal["float32", "float16", "int8", "auto"] = "float32"
@@ -232,7 +233,6 @@ _MORE: dict[str, dict[str, Any]] = {
         "names": tuple[str, ...],
         "plots": bool,
         "maps": tuple[str, ...] | str | None,
-        "distance": str | None,
     },
 }
 """What tasks hold besides the settings of their call."""

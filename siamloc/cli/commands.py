@@ -121,7 +121,7 @@ def map_frames(config: DictConfig) -> None:
     described, heading = descriptor_of(config, run), heading_of(config)  # before any image is decoded
     images, roles = open_roles(config, "map")
     made = {"role": plain(config.protocol.map)}
-    known = maps.build(described, images, roles["map"], heading=heading, made=made)
+    known = maps.build(described, images, roles["map"], heading=heading, distance=config.distance, made=made)
     target = map_file(run, label)
     known.save(target)
     run.record_written([target])

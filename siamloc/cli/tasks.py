@@ -53,14 +53,14 @@ def _localization(config: DictConfig, run: Run, settings: Localization) -> tuple
     learned = settings.error_model or settings.filter_tune
     learned |= settings.refine == "relative" and _protocol(config).validation != Role()
     known, images, roles = _known(config, run, "query", *(["validation"] if learned else []))
-    label = label_of(config.descriptor)
+    label = _named(config)
     result = evaluation.localization(
         known,
         images,
         roles["query"],
         validation=roles.get("validation"),
         protocol=_protocol(config),
-        baselines=baselines_of(config, run, label),
+        baselines=baselines_of(config, run, label_of(config.descriptor)),
         name=label,
         seed=config.seed,
         settings=settings,
@@ -70,13 +70,13 @@ def _localization(config: DictConfig, run: Run, settings: Localization) -> tuple
 
 def _robustness(config: DictConfig, run: Run, settings: Robustness) -> tuple[str, Result]:
     known, images, roles = _known(config, run, "query")
-    label = label_of(config.descriptor)
+    label = _named(config)
     result = evaluation.robustness(
         known,
         images,
         roles["query"],
         protocol=_protocol(config),
-        baselines=baselines_of(config, run, label),
+        baselines=baselines_of(config, run, label_of(config.descriptor)),
         name=label,
         seed=config.seed,
         settings=settings,
@@ -87,12 +87,12 @@ def _robustness(config: DictConfig, run: Run, settings: Robustness) -> tuple[str
 def _hierarchical(config: DictConfig, run: Run, settings: Hierarchical) -> tuple[str, Result]:
     known, images, roles = _known(config, run, "query")
     known = known.placed()
-    label, other = label_of(config.descriptor), config.task.coarse.descriptor
+    label, other = _named(config), config.task.coarse.descriptor
     coarse, coarse_label = None, label
-    if other is not None and other != label:
+    if other is not None and other != label_of(config.descriptor):
         options = {"name": "network", "run": other} if (Path(other) / "run.json").is_file() else options_of(other)
         coarse_label = f"network-{Path(other).resolve().name}" if "run" in options else label_of(options)
-        coarse = maps.build(descriptor_of(config, run, options), images, known.frames)
+        coarse = maps.build(descriptor_of(config, run, options), images, known.frames, distance=config.distance)
     if (known if coarse is None else coarse).aligned and settings.coarse.by == "representatives":
         raise ConfigError(
             f"descriptors of {coarse_label} are compared after turning, so that their means have no meaning: use "
@@ -116,7 +116,7 @@ def _hierarchical(config: DictConfig, run: Run, settings: Hierarchical) -> tuple
 
 def _mapping(config: DictConfig, run: Run, settings: MapMeasures) -> tuple[str, Result]:
     known, _, _ = _known(config, run)
-    label = label_of(config.descriptor)
+    label = _named(config)
     built, folder = _layer(config, run, known, label)
     name = f"{label_of(config.build)} over {label}"
     result = evaluation.mapping(known, built, name=name, settings=settings)
@@ -124,13 +124,14 @@ def _mapping(config: DictConfig, run: Run, settings: MapMeasures) -> tuple[str, 
 
 
 def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
-    label, named = label_of(config.descriptor), config.task.maps
+    label, named = _named(config), config.task.maps
     if named is None:
         known, images, roles = _known(config, run, "query")
         candidates = [known]
     else:
         images, roles = open_roles(config, "query")
-        candidates = _saved_maps(named, label, descriptor_of(config, run))
+        saved = _saved_maps(named, label_of(config.descriptor), descriptor_of(config, run))
+        candidates = [one.with_distance(config.distance) for one in saved]
     layers = None
     if config.build.name != "none":
         parts = evaluation.by_building(candidates)
@@ -145,11 +146,16 @@ def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
         images,
         roles["query"],
         layers=layers,
-        distance=config.task.distance,
         protocol=_protocol(config),
         name=label,
     )
     return f"buildings-{label}", result
+
+
+def _named(config: DictConfig) -> str:
+    """Return what a descriptor's results are called: its label, with the distance where one is asked for."""
+    label = label_of(config.descriptor)
+    return label if config.distance is None else f"{label}-{config.distance}"
 
 
 def _saved_maps(named: Any, label: str, described: Descriptor) -> list[VisualMap]:
@@ -194,14 +200,15 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
     known = VisualMap.load(path, described) if path.is_file() else None
     if known is not None and _is_wanted(known, config):
         images, frames = open_roles(config, *roles, known=known)
-        return known.with_heading(heading), images, frames
+        return known.with_heading(heading).with_distance(config.distance), images, frames
     if known is not None and roles:
         raise ConfigError(
             f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "
             "protocol.map keys that are wanted"
         )
     images, frames = open_roles(config, "map", *roles)
-    return maps.build(described, images, frames["map"], heading=heading), images, frames
+    known = maps.build(described, images, frames["map"], heading=heading, distance=config.distance)
+    return known, images, frames
 
 
 def _is_wanted(known: VisualMap, config: DictConfig) -> bool:

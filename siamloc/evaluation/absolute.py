@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -134,7 +135,8 @@ def measures_of(
 
     Returns:
         unit, map_frames, radii, ks, and the groups "overall", "lighting" (by label) and "room" (by label). A group
-        holds `queries`; `error`, `floor` and `excess` (error - floor) as summaries; `recall` as a list of
+        holds `queries`; `error`, `floor` and `excess` (error - floor) as summaries; `hit_rate`, a list of `tolerance`,
+        `rate`, `hits` and `queries`, for the tolerance 0 and each of the radii; `recall` as a list of
         `metrics.Recall` as dictionaries, one per radius and k; `recall_at_one_percent`, one per radius;
         `baselines` by name; and `heading_error` in degrees where headings were estimated and the true ones are known.
         Queries without a label count as "(unlabelled)" where others carry one.
@@ -207,11 +209,23 @@ def _group(
     return {
         "queries": len(floor),
         **{name: summarize(numbers[name]) for name in ("error", "floor", "excess")},
+        "hit_rate": [_hit_rate(numbers["excess"], one) for one in dict.fromkeys((0.0, *radii))],
         "recall": recalls(ks),
         "recall_at_one_percent": recalls([one_percent(map_frames)]),
         "baselines": {name: {"error": summarize(numbers[f"baseline_{name}"])} for name in baseline_names(numbers)},
         **_heading(numbers),
     }
+
+
+def _hit_rate(excess: NDArray[np.float64], tolerance: float) -> dict[str, Any]:
+    """Return the share of queries whose answer is the geometrically nearest map frame ([T] 3.5.1), or nearly so.
+
+    With a tolerance, answers that lie at most so much farther away count as well. Frames that are equally near up to
+    rounding, a nanometre, are all the nearest one.
+    """
+    hits = int((excess <= tolerance + 1e-9).sum())
+    rate = hits / len(excess) if len(excess) else math.nan
+    return {"tolerance": float(tolerance), "rate": rate, "hits": hits, "queries": len(excess)}
 
 
 def _heading(numbers: Mapping[str, NDArray]) -> dict[str, Any]:

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from analytic.distances import DISTANCES
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.metrics import confusion_matrix
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Session, as_protocol
+from siamloc.evaluation.session import Session, as_protocol, cost
 from siamloc.maps import CoarseLayer, VisualMap, match
 from siamloc.results import Columns, rows_by_label
+from siamloc.stopwatch import Stopwatch
 
 
 def buildings(
@@ -28,7 +28,6 @@ def buildings(
     queries: FrameTable,
     *,
     layers: Mapping[str, CoarseLayer] | None = None,
-    distance: str | None = None,
     protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     name: str | None = None,
 ) -> Result:
@@ -39,13 +38,12 @@ def buildings(
         images: panoramas of the queries.
         queries: frames with a building; those without are left out.
         layers: nodes over the map of each building, by the building's name; its frames if None.
-        distance: how descriptors are compared; the map's own distance if None.
         protocol: who may be compared with whom; see `localization`.
         name: what the results are called.
 
     Raises:
         ConfigError: fewer than two buildings, maps by different descriptors or distances, a building without its
-            layer, or an unknown distance.
+            layer, or descriptors whose means have no meaning with layers.
         DataError: map frames without a building, queries in one that has no map, or a layer of another map.
 
     Example:
@@ -60,12 +58,10 @@ def buildings(
     candidates = by_building([known] if isinstance(known, VisualMap) else known)
     first = next(iter(candidates.values()))
     describer = first.descriptor
-    if distance is not None and distance not in DISTANCES:
-        raise ConfigError(f"unknown task.distance {distance!r}: {hint(str(distance), DISTANCES)}")
-    if describer.aligned and (layers is not None or distance is not None):
+    if describer.aligned and layers is not None:
         raise ConfigError(
-            f"descriptors of {describer.name} are compared after turning, by a distance of their own, and their means "
-            "have no meaning: leave layers and distance out, or use another descriptor"
+            f"descriptors of {describer.name} are compared after turning, so that their means have no meaning: leave "
+            "the layers out, or use another descriptor"
         )
     session = Session(first, images, queries, protocol="same_run", name=name)
     session.protocol = as_protocol(protocol)
@@ -73,17 +69,14 @@ def buildings(
     wanted = _known_buildings(session, list(candidates))
     for building in wanted.rows_by("building"):
         Session(candidates[building], images, wanted.take(wanted.building == building), protocol=protocol)
-    if distance is None:
-        _check_one_distance(candidates)
+    _check_one_distance(candidates)
     chosen = {} if layers is None else _layers_of(candidates, layers)
     vectors = [chosen[building].representatives if chosen else one.descriptors for building, one in candidates.items()]
     names = [chosen[building].names if chosen else one.frames.path for building, one in candidates.items()]
-    apart, rows = [], []
-    for part in session.parts_of(first, wanted, f"the queries, {session.name}"):
-        found = [
-            _nearest(one, own, part, distance or one.distance)
-            for one, own in zip(candidates.values(), vectors, strict=True)
-        ]
+    apart, rows, clock = [], [], Stopwatch()
+    for part in session.parts_of(first, wanted, f"the queries, {session.name}", clock):
+        with clock.of("search", len(part)):
+            found = [_nearest(one, own, part) for one, own in zip(candidates.values(), vectors, strict=True)]
         apart.append(np.stack([near for near, _ in found], axis=1))
         rows.append(np.stack([row for _, row in found], axis=1))
     result = evaluate_buildings(wanted, list(candidates), np.concatenate(apart), np.concatenate(rows), names)
@@ -92,15 +85,16 @@ def buildings(
         for (building, one), own in zip(candidates.items(), vectors, strict=True)
     }
     build = next(iter(chosen.values())).made.get("name", "layer") if chosen else "none"
-    measured = {**result.parts["buildings"], "maps": held, "distance": distance or first.distance, "build": build}
+    measured = {**result.parts["buildings"], "maps": held, "distance": first.distance, "build": build}
     return Result(
         name=session.name,
         parts={"buildings": measured},
         tables=result.tables,
         denominators={**result.denominators, "queries_of_the_role": len(session.queries)},
         skipped=session.skipped,
+        cost={**cost(first, clock), "map_frames": sum(map(len, candidates.values()))},
         about=session.about(),
-        settings={"task": {"distance": distance}, "protocol": session.protocol.plain(), "data": images.settings()},
+        settings={"task": {}, "protocol": session.protocol.plain(), "data": images.settings()},
     )
 
 
@@ -137,7 +131,10 @@ def _check_one_distance(candidates: Mapping[str, VisualMap]) -> None:
     used = {building: one.distance for building, one in candidates.items()}
     if len(set(used.values())) > 1:
         listed = ", ".join(f"{distance} in {building}" for building, distance in used.items())
-        raise ConfigError(f"the maps compare descriptors by different distances ({listed}): give distance=... for all")
+        raise ConfigError(
+            f"the maps compare descriptors by different distances ({listed}): give them all the same, by "
+            "distance=... or known.with_distance(...)"
+        )
 
 
 def _layers_of(candidates: Mapping[str, VisualMap], layers: Mapping[str, CoarseLayer]) -> dict[str, CoarseLayer]:
@@ -175,14 +172,14 @@ def _known_buildings(session: Session, labels: list[str]) -> FrameTable:
 
 
 def _nearest(
-    one: VisualMap, vectors: NDArray[np.float32], queries: Description, distance: str
+    one: VisualMap, vectors: NDArray[np.float32], queries: Description
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if one.descriptor.aligned:
         found = match(one, queries, 1)
         return found.distances[:, 0], found.indices[:, 0]
     from analytic.buildings import choose_building
 
-    choice = choose_building(queries.position, [vectors], distance)
+    choice = choose_building(queries.position, [vectors], one.distance)
     return choice.apart[:, 0], choice.representative
 
 

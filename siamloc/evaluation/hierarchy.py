@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -20,12 +21,13 @@ from siamloc.evaluation.columns import missing_rooms
 from siamloc.evaluation.estimate_columns import located_columns
 from siamloc.evaluation.metrics import localization_error, summarize
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Session
+from siamloc.evaluation.session import Session, cost
 from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, rank_by_position
 from siamloc.results import Columns, rows_by_label
 from siamloc.settings import Count, Natural, NotNegative, Rule, Settings, takes
+from siamloc.stopwatch import Stopwatch
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,14 @@ def hierarchical(
         "coarse_descriptor": search.coarse.descriptor.identity,
         "layer": layer.made,
     }
-    return replace(result, name=session.name, about=about, settings=session.settings(settings), skipped=session.skipped)
+    return replace(
+        result,
+        name=session.name,
+        about=about,
+        settings=session.settings(settings),
+        skipped=session.skipped,
+        cost=found.cost,
+    )
 
 
 def evaluate_hierarchical(
@@ -291,22 +300,25 @@ class _Found:
     perfect: HierarchicalRetrieval | None  # of the queries with positions alone
     whole: Retrieval
     headings: NDArray[np.float64] | None
+    cost: dict[str, Any]
 
 
 def _run(session: Session, search: HierarchicalSearch, settings: Hierarchical) -> _Found:
     """Look for all queries, batch by batch where the descriptions are large."""
     known, queries = session.known, session.queries
-    scored, rankings = queries.has_position, None
+    scored, rankings, clock = queries.has_position, None, Stopwatch()
     if search.coarse is not known:
-        parts = session.parts_of(search.coarse, queries, f"the queries, {search.coarse.descriptor.name}")
-        rankings = NodeRanking.concatenate([search.rank(part) for part in parts])
+        parts = session.parts_of(search.coarse, queries, f"the queries, {search.coarse.descriptor.name}", clock)
+        rankings = NodeRanking.concatenate([_ranked(search, part, clock) for part in parts])
     k = neighbours(settings.ks, len(known))
     both, perfect, whole, turned, start = [], [], [], [], 0
-    for part in session.parts_of(known, queries, f"the queries, {session.name}"):
+    for part in session.parts_of(known, queries, f"the queries, {session.name}", clock):
         rows = np.arange(start, start + len(part))
-        ranking = search.rank(part) if rankings is None else rankings.take(rows)
-        both.append(search.search(part, ranking, k))
-        whole.append(match(known, part, 1))
+        ranking = _ranked(search, part, clock) if rankings is None else rankings.take(rows)
+        with clock.of("search", len(part)):
+            both.append(search.search(part, ranking, k))
+        with clock.of("whole", len(part)):
+            whole.append(match(known, part, 1))
         turned.append(headings(known, part, both[-1].found))
         inside = np.flatnonzero(scored[rows])
         if len(inside):
@@ -319,7 +331,13 @@ def _run(session: Session, search: HierarchicalSearch, settings: Hierarchical) -
         HierarchicalRetrieval.concatenate(perfect) if perfect else None,
         Retrieval.concatenate(whole),
         by_nearest if np.isfinite(by_nearest).any() else None,
+        {**cost(known, clock), "rank_ms": clock.ms("rank"), "whole_search_ms": clock.ms("whole")},
     )
+
+
+def _ranked(search: HierarchicalSearch, part: Description, clock: Stopwatch) -> NodeRanking:
+    with clock.of("rank", len(part)):
+        return search.rank(part)
 
 
 def _unscored(session: Session, found: _Found, rows: NDArray[np.bool_]) -> Columns:

@@ -31,11 +31,12 @@ from siamloc.evaluation.estimates import (
 )
 from siamloc.evaluation.metrics import fitted_margin
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Baselines, Search, Session
+from siamloc.evaluation.session import Baselines, Search, Session, cost
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
 from siamloc.results import FURTHER
 from siamloc.settings import Count, Many, NotNegative, Settings, Share, takes
+from siamloc.stopwatch import Stopwatch
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,10 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
             skipped["located"] = str(error)
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(skipped.values())}")
-    vectors = session.run(known, queries, searches, f"the queries, {name}")
+    clock = Stopwatch()
+    for search in searches.values():
+        search.clock = clock
+    vectors = session.run(known, queries, searches, f"the queries, {name}", clock)
     result = Result(name, {}, {}, skipped=skipped)
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
@@ -241,7 +245,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
             skipped["rooms"] = text
     if search := searches.get("located"):
         result = _located(result, session, settings, search, queries.take(bare))
-    return replace(result, name=name, skipped={**result.skipped, **skipped})
+    return replace(result, name=name, skipped={**result.skipped, **skipped}, cost=cost(known, clock))
 
 
 def _search(session: Session, what: str, task: str, known: VisualMap, k: int, skipped: dict[str, str]) -> Search | None:

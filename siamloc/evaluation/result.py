@@ -16,7 +16,18 @@ if TYPE_CHECKING:
     from siamloc.maps.error_model import ErrorModel
     from siamloc.maps.refinement import Refinement
 
-_KEPT = ("config", "measures", "baselines", "denominators", "skipped", "tables", "schema", "created", "versions")
+_KEPT = (
+    "config",
+    "measures",
+    "baselines",
+    "cost",
+    "denominators",
+    "skipped",
+    "tables",
+    "schema",
+    "created",
+    "versions",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +41,7 @@ class Result:
         denominators: how many queries, map frames, pairs or nodes the measures rest on.
         skipped: what could not be measured, with the reason.
         baselines: results of other methods on the same queries, by name.
+        cost: what the method takes and keeps; see `siamloc.evaluation.session.cost`.
         about: what was evaluated: data, protocol, descriptor and so on, as plain values.
         settings: of the evaluation, as plain values.
         error_model: what was learned of the error, where that was asked for.
@@ -52,6 +64,7 @@ class Result:
     denominators: dict[str, Any] = field(default_factory=dict)
     skipped: dict[str, str] = field(default_factory=dict)
     baselines: dict[str, Result] = field(default_factory=dict)
+    cost: dict[str, Any] = field(default_factory=dict)
     about: dict[str, Any] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
     error_model: ErrorModel | None = None
@@ -108,9 +121,10 @@ class Result:
         from siamloc.evaluation.tables import text_of
 
         baselines = {method: other.parts for method, other in self.baselines.items()}
+        costs = {one.name: one.cost for one in (self, *self.baselines.values()) if one.cost}
         located = len(self.tables["located"]["path"]) if "located" in self.tables else 0
         try:
-            return text_of(self.name, self.parts, baselines, self.skipped, located)
+            return text_of(self.name, self.parts, baselines, self.skipped, located, costs)
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise FormatError(f"the measures of {self.name} are not whole ({error!r}): evaluate again") from error
 
@@ -168,6 +182,7 @@ class Result:
             "config": self.settings,
             "measures": self.parts,
             "baselines": {method: other.parts for method, other in self.baselines.items()},
+            "cost": {method: one.cost for method, one in {self.name: self, **self.baselines}.items() if one.cost},
             "denominators": self.denominators,
             "skipped": self.skipped,
         }
@@ -184,14 +199,19 @@ class Result:
 
         held = read_results(folder)
         tables = {name: read_rows(folder, name) for name in held.get("tables", {})}
+        name, costs = held.get("name", Path(folder).name), held.get("cost", {})
         about = {key: value for key, value in held.items() if key not in (*_KEPT, "command", "name")}
         return cls(
-            name=held.get("name", Path(folder).name),
+            name=name,
             parts=held["measures"],
             tables=tables,
             denominators=held["denominators"],
             skipped=held.get("skipped", {}),
-            baselines={method: cls(method, parts, {}) for method, parts in held.get("baselines", {}).items()},
+            baselines={
+                method: cls(method, parts, {}, cost=costs.get(method, {}))
+                for method, parts in held.get("baselines", {}).items()
+            },
+            cost=costs.get(name, {}),
             about=about,
             settings=held["config"],
             error_model=ErrorModel.saved(Path(folder) / "error_model.json"),
@@ -207,6 +227,7 @@ class Result:
             denominators={**other.denominators, **self.denominators},
             skipped={**self.skipped, **other.skipped},
             about={**self.about, **other.about},
+            cost={**other.cost, **self.cost},
             error_model=self.error_model or other.error_model,
             refinement=self.refinement or other.refinement,
         )

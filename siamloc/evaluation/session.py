@@ -16,6 +16,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps import RefinedPoses, Refinement, Retrieval, VisualMap, frame_distances, headings, match
+from siamloc.stopwatch import Stopwatch
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | str | Descriptor
 
@@ -31,6 +32,7 @@ class Search:
         refinement: how poses finer than the map are made; None for none.
         with_distances: whether the distances to all map frames are kept, n x m float64; infinite where excluded.
         excluded: (n, m) map frames that a frame is not compared with; None if there are none.
+        clock: counts what the steps "search" and "heading" take.
     """
 
     known: VisualMap
@@ -39,6 +41,7 @@ class Search:
     refinement: Refinement | None = None
     with_distances: bool = False
     excluded: NDArray[np.bool_] | None = None
+    clock: Stopwatch = field(default_factory=Stopwatch)
     _found: list[Retrieval] = field(default_factory=list)
     _turned: list[NDArray[np.float64]] = field(default_factory=list)
     _apart: list[NDArray[np.float64]] = field(default_factory=list)
@@ -48,9 +51,11 @@ class Search:
         """Look for the next frames."""
         start = sum(map(len, self._found))
         barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
-        found = match(self.known, queries, self.k, excluded=barred)
+        with self.clock.of("search", len(queries)):
+            found = match(self.known, queries, self.k, excluded=barred)
         self._found.append(found)
-        self._turned.append(headings(self.known, queries, found)[:, 0])
+        with self.clock.of("heading", len(queries)):
+            self._turned.append(headings(self.known, queries, found)[:, 0])
         if self.refinement is not None:
             self._refined.append(self.refinement.poses(self.known, queries, found))
         if self.with_distances:
@@ -157,20 +162,27 @@ class Session:
             return self.known
         return maps.build(other, self.images, self.known.frames)
 
-    def parts_of(self, by: VisualMap | Descriptor, frames: FrameTable, what: str) -> Iterable[Description]:
+    def parts_of(
+        self, by: VisualMap | Descriptor, frames: FrameTable, what: str, clock: Stopwatch | None = None
+    ) -> Iterable[Description]:
         """Return descriptions of frames, in one part unless the descriptor compares after turning.
 
         The parts of such descriptors are large, so that only those of a batch are there at once.
         """
-        parts = maps.describe(by, self.images, frames, progress=f"describing {what}")
+        parts = maps.describe(by, self.images, frames, progress=f"describing {what}", clock=clock)
         return parts if by.aligned else [Description.concatenate(list(parts))]
 
     def run(
-        self, by: VisualMap | Descriptor, frames: FrameTable, searches: Mapping[str, Search], what: str
+        self,
+        by: VisualMap | Descriptor,
+        frames: FrameTable,
+        searches: Mapping[str, Search],
+        what: str,
+        clock: Stopwatch | None = None,
     ) -> NDArray[np.float32] | None:
         """Describe frames and look for them; return the position parts, or None where they are too large to keep."""
         start, vectors = 0, []
-        for part in self.parts_of(by, frames, what):
+        for part in self.parts_of(by, frames, what, clock):
             for search in searches.values():
                 inside = search.rows[(search.rows >= start) & (search.rows < start + len(part))] - start
                 if len(inside):
@@ -257,6 +269,28 @@ class Session:
                 "protocol.apart_seconds=T or protocol.apart_metres=D (in Python protocol=Protocol(apart_metres=D)), or "
                 "say protocol.kind=same_run (protocol='same_run')"
             )
+
+
+def cost(known: VisualMap, clock: Stopwatch) -> dict[str, Any]:
+    """Return what a method takes and keeps ([T] figures 3.17-3.47, table 5.19), for "cost" in `results.json`.
+
+    Returns:
+        describe_ms, search_ms, heading_ms: for one image, in batches as they came; decoding does not count. None for
+        what was not done.
+        numbers: in the position part of a descriptor.
+        bytes: of a map frame, with what its heading is found by.
+        map_frames: that were searched.
+    """
+    turning = known.orientation if known.heading is None else known.heading.values
+    kept: list[NDArray[Any]] = [known.descriptors]
+    if turning is not None and not np.shares_memory(turning, known.descriptors):
+        kept.append(turning)
+    return {
+        **{f"{step}_ms": clock.ms(step) for step in ("describe", "search", "heading")},
+        "numbers": known.width,
+        "bytes": sum(array.nbytes for array in kept) // len(known),
+        "map_frames": len(known),
+    }
 
 
 def shared_with(known: FrameTable, frames: FrameTable) -> str:

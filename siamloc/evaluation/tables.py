@@ -15,7 +15,12 @@ Measures = Mapping[str, Any]
 
 
 def text_of(
-    name: str, parts: Measures, baselines: Mapping[str, Measures], skipped: Mapping[str, str], located: int = 0
+    name: str,
+    parts: Measures,
+    baselines: Mapping[str, Measures],
+    skipped: Mapping[str, str],
+    located: int = 0,
+    costs: Mapping[str, Measures] | None = None,
 ) -> str:
     """Return a result's tables, what they rest on, and what could not be measured.
 
@@ -25,6 +30,7 @@ def text_of(
         baselines: those of the other methods, by name.
         skipped: what could not be measured, with the reason.
         located: how many queries were located without a score.
+        costs: what methods take and keep, by name.
     """
     lines: list[str] = []
     if "absolute" in parts or "room_retrieval" in parts:
@@ -33,6 +39,7 @@ def text_of(
     for part, write in _WRITERS.items():
         if part in parts:
             lines += write(name, {"unit": unit, **parts[part]})
+    lines += [_cost(method, taken) for method, taken in (costs or {}).items()]
     lines += [f"{what} left out: {reason}" for what, reason in skipped.items()]
     if located:
         lines.append(f"located without a score: {located} queries, in located.csv")
@@ -53,6 +60,7 @@ def _localization(name: str, first: Measures, baselines: Mapping[str, Measures])
         unit = absolute["unit"]
         for head in ("mean", "median", "95 %", "floor", "excess"):
             _number_column(table, f"{head}\n[{unit}]")
+        _number_column(table, "hit\nrate")
         for radius in absolute["radii"]:
             _number_column(table, f"recall@1\n{radius:g} {unit}")
         if with_heading:
@@ -102,12 +110,13 @@ def _cells(measures: Measures, lighting: str, first: Measures, with_heading: boo
             yield _number(value)
         yield _number(absolute["floor"]["mean"])
         yield _number(absolute["excess"]["mean"])
+        yield _percent(absolute["hit_rate"][0]["rate"]) if "hit_rate" in absolute else "-"  # not of finer poses
         yield from (_percent(recall["recall"]) for recall in absolute["recall"] if recall["k"] == 1)
         if with_heading:
             yield _number(absolute["heading_error"]["mean"], 1) if "heading_error" in absolute else "-"
         yield str(absolute["queries"])
     elif "absolute" in first:
-        yield from ["-"] * (6 + len(first["absolute"]["radii"]) + with_heading)
+        yield from ["-"] * (7 + len(first["absolute"]["radii"]) + with_heading)
     if "room_retrieval" in first:
         values = (
             (rooms["accuracy"], rooms["top"]["5"], rooms["mean_average_precision"], rooms["chance"]) if rooms else ()
@@ -117,6 +126,12 @@ def _cells(measures: Measures, lighting: str, first: Measures, with_heading: boo
             yield str(rooms["queries"]) if rooms else "-"
     if "room_pairs" in first:
         yield from (_percent(pairs["same"]), _percent(pairs["different"])) if pairs else ("-", "-")
+
+
+def _cost(name: str, taken: Measures) -> str:
+    steps = ("describe", "rank", "search", "heading")
+    ms = [f"{taken[f'{step}_ms']:.3g} ms to {step}" for step in steps if taken.get(f"{step}_ms") is not None]
+    return f"cost of a query, {name}: {', '.join(ms)}; a map frame: {taken['numbers']} numbers, {taken['bytes']} bytes"
 
 
 def _calibration(name: str, measures: Measures) -> list[str]:

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.heading import HeadingPart, NetworkHeading, WithHeading
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
+from siamloc.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
     from torch import nn
@@ -24,6 +28,7 @@ def build(
     frames: FrameTable,
     *,
     heading: Descriptor | str | None = None,
+    distance: str | None = None,
     device: str | None = None,
     made: Mapping[str, Any] | None = None,
     progress: bool = True,
@@ -36,12 +41,13 @@ def build(
         frames: those of the map; the ones whose image cannot be read are left out.
         heading: what finds headings beside a network: an analytic descriptor, or its name. If None, a network with the
             head `fourier` or `magnitudes` that wraps around finds them itself, others find none.
+        distance: how descriptors are compared, a name in `analytic.DISTANCES`; the descriptor's own if None.
         device: where descriptors are computed, such as "cuda"; where they are if None.
         made: further plain values for the record (`VisualMap.made`).
         progress: whether to show how far the work is.
 
     Raises:
-        ConfigError: an unknown name, or two descriptors that do not work together.
+        ConfigError: an unknown name or distance, or two descriptors that do not work together.
         DataError: no image can be read, or descriptors that are not finite.
 
     Example:
@@ -85,7 +91,7 @@ def build(
         described.position,
         readable,
         {**by.identity, "images": images.preprocessing.parameters()},
-        by.default_distance,
+        by.default_distance if distance is None else distance,
         unit=readable.unit,
         made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **(made or {})},
         orientation=None if turning is not None or by_network else described.orientation,
@@ -95,7 +101,12 @@ def build(
 
 
 def describe(
-    by: VisualMap | Descriptor, images: PanoramaLibrary, frames: FrameTable, *, progress: str | None = None
+    by: VisualMap | Descriptor,
+    images: PanoramaLibrary,
+    frames: FrameTable,
+    *,
+    progress: str | None = None,
+    clock: Stopwatch | None = None,
 ) -> Iterator[Description]:
     """Yield the descriptions of frames batch by batch, in order: `Description.concatenate(list(...))` joins them.
 
@@ -107,6 +118,7 @@ def describe(
         images: panoramas of the frames.
         frames: n frames, all readable.
         progress: the work in words, to show how far it is; None to show nothing.
+        clock: counts what describing takes, decoding aside, as its step "describe".
 
     Raises:
         ConfigError: the map cannot describe, or its panoramas were made in another way.
@@ -114,8 +126,14 @@ def describe(
     if isinstance(by, VisualMap):
         by.check_images(images.preprocessing.parameters())
         by = by.describer
-    parts = (by.describe(batch) for batch in images.batches(frames))
+    clock = Stopwatch() if clock is None else clock
+    parts = (_timed(clock, by, batch) for batch in images.batches(frames))
     return parts if progress is None else track(parts, len(frames), progress, size=len)
+
+
+def _timed(clock: Stopwatch, by: Descriptor, batch: NDArray[np.uint8]) -> Description:
+    with clock.of("describe", len(batch)):
+        return by.describe(batch)
 
 
 def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool = True, device: str | None = None) -> Descriptor:

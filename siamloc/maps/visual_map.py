@@ -48,7 +48,7 @@ class VisualMap:
 
     Raises:
         DataError: no frames, not as many descriptors or heading parts as frames, or values that are not finite.
-        ConfigError: an unknown distance.
+        ConfigError: an unknown distance, or one that says nothing of so few numbers.
 
     Example:
         >>> known = VisualMap([[0.0, 1.0], [1.0, 0.0]], FrameTable(path=["a.png", "b.png"], x=[0, 5], y=[0, 0]))
@@ -82,8 +82,7 @@ class VisualMap:
                 f"{len(bad)} of {len(descriptors)} map descriptors hold values that are not finite, the first that of "
                 f"{self.frames.path[bad[0]]}: look at the model and at this image"
             )
-        if self.distance not in DISTANCES:
-            raise ConfigError(f"unknown distance {self.distance!r}: {hint(self.distance, DISTANCES)}")
+        _check_distance(self.distance, descriptors.shape[1])
         descriptors.flags.writeable = False
         object.__setattr__(self, "descriptors", descriptors)
         if self.unit is None:
@@ -153,8 +152,8 @@ class VisualMap:
 
     @cached_property
     def digest(self) -> str:
-        """What changes with the map's descriptors, frames or descriptor; what gives headings does not count."""
-        digest = hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode())
+        """What changes with the map's descriptors, how they are compared, frames or descriptor; not with headings."""
+        digest = hashlib.sha256(json.dumps([self.identity, self.distance], sort_keys=True).encode())
         digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
         for array in (self.descriptors, self.frames.xy):
             digest.update(array.tobytes())
@@ -212,6 +211,19 @@ class VisualMap:
         images = {key: value for key, value in self.identity.items() if key == "images"}
         self.check_describer({**descriptor.identity, **images})
         return replace(self, describes=descriptor)
+
+    def with_distance(self, distance: str | None) -> VisualMap:
+        """Return the map whose descriptors are compared by another distance; the map itself if None.
+
+        Raises:
+            ConfigError: an unknown distance, or one that says nothing of the map's descriptors.
+
+        Example:
+            >>> known = VisualMap([[0.0, 1.0], [1.0, 0.0]], FrameTable(path=["a.png", "b.png"]))
+            >>> known.with_distance("cosine").search([[3.0, 0.0]]).distances
+            array([[0.]])
+        """
+        return self if distance in (None, self.distance) else replace(self, distance=distance)
 
     def with_heading(self, heading: Descriptor | None) -> VisualMap:
         """Return the map that gives headings by this descriptor; if None, by its own alone, where it has any.
@@ -459,3 +471,15 @@ def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _shown(identity: Mapping[str, Any], key: str) -> str:
     return repr(identity[key]) if key in identity else "absent"
+
+
+def _check_distance(name: str, width: int) -> None:
+    """Refuse a distance that is none, or by which all descriptors are alike."""
+    if name not in DISTANCES:
+        raise ConfigError(f"unknown distance {name!r}: {hint(str(name), DISTANCES)}")
+    least = {"cosine": 2, "correlation": 3}.get(name, 1)
+    if width < least:
+        raise ConfigError(
+            f"distance={name} needs descriptors of {least} numbers or more, and these have {width}: use euclidean or "
+            "manhattan"
+        )

@@ -102,15 +102,15 @@ def test_a_map_of_several_buildings_is_split(table, maps, tmp_path):
     ],
 )
 def test_the_nearest_node_of_compact_maps_decides(table, maps, tmp_path, build, nodes):
-    assert main(words(table, tmp_path, maps, *build, "task.distance=cosine", "task.plots=false")) == 0
+    assert main(words(table, tmp_path, maps, *build, "distance=cosine", "task.plots=false")) == 0
     name = build[0].partition("=")[2]
-    folder = tmp_path / "evaluation" / f"buildings-hog-{name}"
+    folder = tmp_path / "evaluation" / f"buildings-hog-cosine-{name}"
     found, columns = read_results(folder)["measures"]["buildings"], read_rows(folder)
     assert found["distance"] == "cosine"
     assert [one["representatives"] for one in found["maps"].values()] == nodes
     images = np.stack([cv2.imread(path)[..., ::-1].transpose(2, 0, 1) for path in columns["path"].tolist()])
     queries = analytic.descriptor("hog").describe(images).position
-    layers = [CoarseLayer.load(tmp_path / f"layers/hog-{building}-{name}/layer.npz") for building in BUILDINGS]
+    layers = [CoarseLayer.load(tmp_path / f"layers/hog-cosine-{building}-{name}/layer.npz") for building in BUILDINGS]
     apart = [analytic.distance("cosine")(queries, layer.representatives) for layer in layers]
     for building, distance in zip(BUILDINGS, apart, strict=True):
         np.testing.assert_allclose(columns[f"distance_{building}"], distance.min(axis=1), atol=1e-5)
@@ -151,10 +151,13 @@ def test_an_aligned_descriptor_chooses_by_its_own_distance(table, tmp_path, caps
     assert main(words(table, tmp_path / "out", maps, *more, descriptor="briefgist")) == 0
     found = read_results(tmp_path / "out/evaluation/buildings-briefgist")["measures"]["buildings"]
     assert found["lighting"]["cloudy"]["accuracy"] > 0.9
-    for wrong in ("build=rooms", "task.distance=cosine"):
-        assert "compared after turning" in refused(
-            capsys, words(table, tmp_path, maps, *more, wrong, descriptor="briefgist")
-        )
+    refusal = refused(capsys, words(table, tmp_path, maps, *more, "build=rooms", descriptor="briefgist"))
+    assert "compared after turning" in refusal
+    assert main(words(table, tmp_path / "out", maps, *more, "distance=cosine", descriptor="briefgist")) == 0
+    assert (
+        read_results(tmp_path / "out/evaluation/buildings-briefgist-cosine")["measures"]["buildings"]["distance"]
+        == "cosine"
+    )
 
 
 def refused(capsys, given):
@@ -175,7 +178,10 @@ def test_mistakes_are_one_line(table, maps, tmp_path, capsys):
         ([f"task.maps=[{north},{north}]"], "two of the maps are of building 'north'"),
         ([f"task.maps=[{north},{tmp_path / 'none'}]"], "holds no map by hog: make it with `siamloc map run="),
         ([maps, "descriptor.bins=16"], "bins is 32 in the map, 16 here"),
-        ([maps, "task.distance=cosin"], "did you mean 'cosine'"),
+        (
+            [maps, "distance=cosin"],
+            "distance must be manhattan or euclidean or correlation or cosine, or null, got 'cosin'",
+        ),
         ([maps, "build.name=spectrum"], "did you mean 'spectral'"),
         ([maps, "task.baselines=[gist]"], "unknown configuration key 'task.baselines'"),
         ([maps, "protocol.query.sequences=[north_first]"], "'north_first' is in the map and among the queries"),

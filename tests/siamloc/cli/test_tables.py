@@ -45,7 +45,7 @@ def test_rooms_count_under_lightings_without_any_position():
     fs = {**measured(0), **rooms}
     lines = [line.split() for line in said({**measured(10), **rooms}, fs=fs) if line.startswith(("hog", "fs "))]
     assert [line[1] for line in lines] == ["cloudy", "night", "all"] * 2
-    assert lines[0][2:] == ["-"] * 7 + cells("50.0")
+    assert lines[0][2:] == ["-"] * 8 + cells("50.0")
     assert lines[1][-9:] == ["32", *cells("100.0")]
     assert lines[2][-9:] == ["32", *cells("75.0")]
-    assert lines[3][2:] == ["-"] * 7 + cells("50.0")
+    assert lines[3][2:] == ["-"] * 8 + cells("50.0")

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import analytic
 from siamloc import evaluation, maps
 from siamloc.data import PanoramaLibrary, Protocol
 from siamloc.errors import ConfigError, DataError
@@ -343,3 +344,62 @@ def test_panoramas_made_in_another_way_than_those_of_the_map_are_refused_by_ever
     for task in (evaluation.localization, evaluation.robustness):
         with pytest.raises(ConfigError, match=r"images\.height is 8 in the map, 16 here"):
             task(known, larger, tuesday)
+
+
+def test_every_result_says_what_its_methods_take_and_keep(world, tmp_path):
+    images, _, tuesday, _, known = world
+    result = evaluation.localization(known, images, tuesday, baselines=["hog"])
+    hog = result.baselines["hog"].cost
+    assert hog["describe_ms"] > 0
+    assert hog["search_ms"] > 0
+    assert hog["heading_ms"] > 0
+    described = maps.build("hog", images, known.frames, progress=False)
+    assert (hog["numbers"], hog["map_frames"]) == (described.width, len(known))
+    assert hog["bytes"] == (described.descriptors.nbytes + described.orientation.nbytes) // len(known)
+    assert result.cost["bytes"] == 4 * known.width
+    assert "cost of a query, hog: " in result.table()
+    result.save(tmp_path, pictures=False)
+    again = Result.load(tmp_path)
+    assert again.cost == result.cost
+    assert again.baselines["hog"].cost == hog
+    layer = maps.group(known, "sample", nodes=4)
+    both = evaluation.hierarchical(known, images, tuesday, layer).cost
+    assert min(both[f"{step}_ms"] for step in ("describe", "rank", "search", "whole_search")) > 0
+
+
+@pytest.mark.parametrize("distance", ["manhattan", "euclidean", "correlation", "cosine"])
+def test_a_distance_is_a_setting_of_maps_and_tasks(world, distance):
+    images, _, tuesday, _, _ = world
+    known = maps.build("hog", images, world[1], distance=distance, progress=False)
+    assert known.distance == distance
+    other = maps.build("hog", images, world[1], progress=False).with_distance(distance)
+    found = evaluation.localization(other, images, tuesday)
+    vectors = known.descriptor.describe(images.batch(images.rows(tuesday))).position
+    nearest = analytic.distance(distance)(vectors, known.descriptors).min(axis=1)
+    # Euclidean distances are square roots of what float32 vectors leave of float64: 1e-6 of the values is kept.
+    np.testing.assert_allclose(found.columns["descriptor_distance"], nearest, atol=1e-6)
+
+
+def test_a_distance_that_says_nothing_of_the_descriptors_is_refused(world):
+    known = world[-1]
+    with pytest.raises(ConfigError, match="unknown distance 'cosin': did you mean 'cosine'"):
+        known.with_distance("cosin")
+    one = replace(known, descriptors=known.descriptors[:, :1], describes=None, identity={})
+    with pytest.raises(ConfigError, match="distance=cosine needs descriptors of 2 numbers or more, and these have 1"):
+        one.with_distance("cosine")
+    assert known.with_distance(None) is known
+    assert known.with_distance("cosine").digest != known.digest
+
+
+def test_the_hit_rate_counts_answers_that_are_the_nearest_frame(world):
+    images, _, tuesday, _, known = world
+    result = evaluation.localization(known, images, tuesday, radii=(0.5, 2.0))
+    columns, rates = result.columns, result.measures["hit_rate"]
+    assert [one["tolerance"] for one in rates] == [0.0, 0.5, 2.0]
+    map_xy, xy = known.frames.xy, np.column_stack([columns["x"], columns["y"]])
+    apart = np.hypot(*(xy[:, None, :] - map_xy[None, :, :]).transpose(2, 0, 1))
+    for one in rates:
+        found = np.take_along_axis(apart, columns["match"][:, None], axis=1)[:, 0]
+        hits = int((found - apart.min(axis=1) <= one["tolerance"] + 1e-9).sum())
+        assert (one["hits"], one["rate"], one["queries"]) == (hits, hits / len(tuesday), len(tuesday))
+    assert 0 < rates[0]["rate"] <= rates[1]["rate"] <= rates[2]["rate"]

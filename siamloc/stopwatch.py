@@ -1,0 +1,40 @@
+"""`Stopwatch`: what each step of some work takes for one image."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from statistics import median
+
+
+@dataclass
+class Stopwatch:
+    """Seconds and images of each batch, by step.
+
+    Example:
+        >>> clock = Stopwatch()
+        >>> with clock.of("search", images=4):
+        ...     _ = sum(range(1000))
+        >>> 0 < clock.ms("search") < 1000
+        True
+    """
+
+    batches: dict[str, list[tuple[float, int]]] = field(default_factory=dict)
+
+    @contextmanager
+    def of(self, step: str, images: int) -> Iterator[None]:
+        """Count the time of the block as that of so many images."""
+        start = time.perf_counter()
+        yield
+        if images:
+            self.batches.setdefault(step, []).append((time.perf_counter() - start, images))
+
+    def ms(self, step: str) -> float | None:
+        """Return the milliseconds that a step took for one image; None where it was not taken.
+
+        It is the median over the batches; the first of several, in which everything is loaded, does not count.
+        """
+        batches = self.batches.get(step, [])
+        return median(1000 * seconds / images for seconds, images in batches[1:] or batches) if batches else None
