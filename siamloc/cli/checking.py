@@ -221,7 +221,7 @@ def training_of(config: DictConfig) -> Training:
     return Training.of(values)
 
 
-TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "robustness", "buildings")
+TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "compact", "robustness", "buildings")
 _BASELINES: dict[str, Any] = {"plots": bool, "baselines": tuple[str, ...]}
 _MORE: dict[str, dict[str, Any]] = {
     "absolute": _BASELINES,
@@ -229,6 +229,7 @@ _MORE: dict[str, dict[str, Any]] = {
     "robustness": {"names": tuple[str, ...], **_BASELINES},
     "hierarchical": {"names": tuple[str, ...], "plots": bool},
     "mapping": {"names": tuple[str, ...], "plots": bool},
+    "compact": {"names": tuple[str, ...], "plots": bool, "clusters": str | None},
     "buildings": {
         "names": tuple[str, ...],
         "plots": bool,
@@ -245,6 +246,7 @@ def settings_of(task: Mapping[str, Any]) -> Settings | None:
         ConfigError: an unknown task or key, a value of another type or out of range, or tasks that are not measured
             together.
     """
+    from siamloc.evaluation.compact_maps import Compact
     from siamloc.evaluation.disturbed import Robustness
     from siamloc.evaluation.hierarchy import Hierarchical
     from siamloc.evaluation.layers import MapMeasures
@@ -257,10 +259,22 @@ def settings_of(task: Mapping[str, Any]) -> Settings | None:
     if len(names) != 1 and set(names) != {"absolute", "room_retrieval"}:
         raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
     name = names[0]
-    own = {"hierarchical": "coarse", "mapping": "closure_radius", "robustness": "robustness", "buildings": "maps"}
+    own = {
+        "hierarchical": "coarse",
+        "mapping": "closure_radius",
+        "compact": "clusters",
+        "robustness": "robustness",
+        "buildings": "maps",
+    }
     if name in own and own[name] not in task:
         raise ConfigError(f"{name} has settings of its own: choose it with task={name}")
-    kinds = {"hierarchical": Hierarchical, "mapping": MapMeasures, "robustness": Robustness, "buildings": None}
+    kinds = {
+        "hierarchical": Hierarchical,
+        "mapping": MapMeasures,
+        "compact": Compact,
+        "robustness": Robustness,
+        "buildings": None,
+    }
     kind: type[Settings] | None = kinds.get(name, Localization)
     values: dict[str, Any] = dict(task)
     more = {key: values.pop(key) for key in _MORE[name] if key in values}

@@ -153,7 +153,8 @@ COMMANDS = {
 
         run=FOLDER                        the run; analytic descriptors need none
         protocol.query.sequences=[...]    the frames to be located
-        task=localization|absolute|room_retrieval|hierarchical|mapping|robustness|buildings
+        task=localization|absolute|room_retrieval|hierarchical|mapping|compact|robustness|buildings
+        distance=cosine                   how descriptors are compared: manhattan, euclidean, correlation or cosine
         task.radii=[0.5,1.0]              recall: how near a map frame must be
         task.baselines=[hog,thumbnail,untrained]
         descriptor=pretrained|hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
@@ -174,6 +175,9 @@ COMMANDS = {
                                           the nearest, where they lie in another node
         task.coarse.descriptor=hog_mapping task.coarse.by=representatives|vote
                                           how nodes are ranked
+        task=compact task.nodes=[10,20,40] task.ways=[spectral,som,sample]
+                                          how well maps of so few nodes locate, each with one descriptor;
+                                          task.clusters=gist groups the frames by another descriptor
         task=mapping build=incremental    measure the nodes of a map instead: see `siamloc map --help`
         task=robustness                   error against noise, occlusion, turns and effects
         task=buildings task.maps=[runs/a,runs/b]

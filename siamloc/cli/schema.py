@@ -37,6 +37,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
     from analytic.descriptors.registry import DESCRIPTORS, parameters
     from siamloc.data.pairs import PairSettings
     from siamloc.data.places import PlaceSettings
+    from siamloc.evaluation.compact_maps import Compact
     from siamloc.evaluation.disturbed import Robustness
     from siamloc.evaluation.hierarchy import Hierarchical
     from siamloc.evaluation.layers import MapMeasures
@@ -57,6 +58,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
         "localization": defaults_of(Localization),
         "hierarchical": defaults_of(Hierarchical),
         "mapping": defaults_of(MapMeasures),
+        "compact": defaults_of(Compact),
         "robustness": {"robustness": defaults_of(Robustness)},
     }
     return {

@@ -27,6 +27,7 @@ from siamloc.cli.objects import (
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
 from siamloc.errors import ConfigError
 from siamloc.evaluation import Result
+from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.disturbed import Robustness
 from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.layers import MapMeasures
@@ -42,6 +43,8 @@ def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
         return _mapping(config, run, settings)
     if isinstance(settings, Hierarchical):
         return _hierarchical(config, run, settings)
+    if isinstance(settings, Compact):
+        return _compact(config, run, settings)
     if isinstance(settings, Robustness):
         return _robustness(config, run, settings)
     if isinstance(settings, Localization):
@@ -121,6 +124,25 @@ def _mapping(config: DictConfig, run: Run, settings: MapMeasures) -> tuple[str, 
     name = f"{label_of(config.build)} over {label}"
     result = evaluation.mapping(known, built, name=name, settings=settings)
     return f"mapping-{label}-{label_of(config.build)}", replace(result, layer=folder)
+
+
+def _compact(config: DictConfig, run: Run, settings: Compact) -> tuple[str, Result]:
+    known, images, roles = _known(config, run, "query")
+    name, other, clusters = _named(config), config.task.clusters, None
+    if other is not None and other != label_of(config.descriptor):
+        name = f"{name}-by-{other}"
+        clusters = maps.build(descriptor_of(config, run, options_of(other)), images, known.frames)
+    result = evaluation.compact(
+        known,
+        images,
+        roles["query"],
+        clusters=clusters,
+        protocol=_protocol(config),
+        name=name,
+        seed=config.seed,
+        settings=settings,
+    )
+    return f"compact-{name}", result
 
 
 def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:

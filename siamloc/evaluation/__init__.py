@@ -15,6 +15,7 @@ from siamloc.lazy import lazy
 if TYPE_CHECKING:
     from siamloc.evaluation import metrics
     from siamloc.evaluation.building_choice import buildings, by_building
+    from siamloc.evaluation.compact_maps import compact
     from siamloc.evaluation.disturbed import robustness
     from siamloc.evaluation.hierarchy import hierarchical
     from siamloc.evaluation.layers import mapping
@@ -27,6 +28,7 @@ __all__ = [
     "Session",
     "buildings",
     "by_building",
+    "compact",
     "error_model",
     "hierarchical",
     "localization",
@@ -41,6 +43,7 @@ _HOMES = {
     "Session": "session",
     "buildings": "building_choice",
     "by_building": "building_choice",
+    "compact": "compact_maps",
     "error_model": "localize",
     "hierarchical": "hierarchy",
     "localization": "localize",

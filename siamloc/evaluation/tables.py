@@ -196,6 +196,28 @@ def _mapping(name: str, measures: Measures) -> list[str]:
     return [_text(table)]
 
 
+def _compact(name: str, measures: Measures) -> list[str]:
+    """Return a row for each compact map and lighting: both errors, how compact the nodes are, and the time."""
+    unit = measures["unit"]
+    table = _table("nodes by", "lighting")
+    _number_column(table, "nodes")
+    for head in ("mean", "median", "floor", "in frames"):
+        _number_column(table, f"{head}\n[{unit}]")
+    for head in ("silhouette", "inertia", "search\n[µs]", "built\nin [s]"):
+        _number_column(table, head)
+    lightings = {"all": measures["curves"], **measures["lighting"]}
+    for lighting, curves in lightings.items() if len(lightings) > 2 else [("all", measures["curves"])]:
+        for one in curves:
+            errors = [one["error"]["mean"], one["error"]["median"], one["floor"], one["error_frames"]["mean"]]
+            compactness = [_number(one["silhouette"]), _number(one["inertia"])]
+            times = [_number(1000 * one["search_ms"], 1), _number(one["build_seconds"], 2)]
+            cells = [str(one["nodes"]), *map(_number, errors), *compactness, *times]
+            table.add_row(one["way"], lighting, *cells)
+    made_of = f"{measures['map_frames']} frames, grouped by {measures['clustered']}"
+    title = f"localization in compact maps, {name}, {measures['distance']} distance"
+    return [title, _text(table), f"map: {made_of}; {measures['queries']} queries"]
+
+
 def _buildings(name: str, measures: Measures) -> list[str]:
     labels, maps = measures["confusion"]["labels"], measures["maps"]
     table = _table("lighting")
@@ -233,6 +255,7 @@ _WRITERS: dict[str, Callable[[str, Measures], list[str]]] = {
     "calibration": _calibration,
     "hierarchical": _hierarchical,
     "mapping": _mapping,
+    "compact": _compact,
     "buildings": _buildings,
     "robustness": _robustness,
 }

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from siamloc.report.draw.calibration import calibration_curve
+from siamloc.report.draw.compact import compact_curves
 from siamloc.report.draw.decision import explain, instructive
 from siamloc.report.draw.errors import error_curve, estimate_curve
 from siamloc.report.draw.floor_plan import floor_plan
@@ -42,8 +43,8 @@ def pictures(
     Returns:
         Of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "tracked_curve",
         "refined_plan", "tracked_plan", "calibration", "node_errors", "confusion", "confusion_by_lighting", "pairs",
-        "robustness", "nodes" and "decision" those that there are numbers for, each with a function of no arguments that
-        returns a matplotlib figure.
+        "robustness", "compact", "nodes" and "decision" those that there are numbers for, each with a function of no
+        arguments that returns a matplotlib figure.
 
     Raises:
         FormatError: of a compact map: measures or columns are missing, or the layer is damaged or another one.
@@ -70,6 +71,8 @@ def pictures(
         made["pairs"] = partial(pair_curves, measures["room_pairs"])
     if "robustness" in measures:
         made["robustness"] = partial(robustness_curves, measures["robustness"])
+    if "compact" in measures:
+        made["compact"] = partial(compact_curves, measures["compact"])
     if "mapping" in measures and {"frames", "nodes"} <= set(tables):
         plan = node_plan(measures["mapping"], tables["frames"], tables["nodes"], name)
         made["nodes"] = partial(nodes_on_plan, plan)

@@ -16,7 +16,7 @@ from siamloc.results import FURTHER, Columns, read_results, read_rows, rows_by_l
 from siamloc.runs import Run
 
 ALL = "all"
-_KINDS = ("localization", "hierarchical", "robustness", "mapping", "buildings")
+_KINDS = ("localization", "hierarchical", "robustness", "mapping", "compact", "buildings")
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
 
 

@@ -17,7 +17,8 @@ from siamloc.report.page.plan import Plan, error_classes
 from siamloc.results import FURTHER, Columns
 
 _KNOWN_MEASURES = (
-    *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration", "mapping", "buildings"),
+    *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration", "mapping", "compact"),
+    "buildings",
     *(f"absolute_{name}" for name in FURTHER),
 )
 _LED_TO = {

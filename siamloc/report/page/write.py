@@ -11,6 +11,7 @@ from siamloc import __version__
 from siamloc.errors import ConfigError, DataError
 from siamloc.files import write_text
 from siamloc.report.page import rooms, sections
+from siamloc.report.page.compact import compact
 from siamloc.report.page.compared import comparison
 from siamloc.report.page.estimates import expected_errors, further_estimate
 from siamloc.report.page.gathered import Evaluation, RunFiles, gather
@@ -144,6 +145,7 @@ def _evaluation(part: Part, large: dict[tuple[int, str], str], sheets: list[Shee
         "summary": sections.summary(evaluation),
         "nodes": hierarchical(part),
         "compact map": mapping(part),
+        "compact maps": compact(part),
         "buildings": rooms.buildings(part),
         "floor plan": sections.floor_plan(evaluation, part.plan, part.number, notes),
         "cumulative errors": sections.cumulative(part),

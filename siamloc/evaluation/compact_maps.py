@@ -1,0 +1,302 @@
+"""Localization in compact maps, against the number of nodes ([C] 5.2-5.4)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic import Description, clustering
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.protocol import Protocol
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.metrics import error_floor, localization_error, summarize
+from siamloc.evaluation.result import Result
+from siamloc.evaluation.session import Session, cost
+from siamloc.maps import HierarchicalSearch, NodeRanking, Retrieval, VectorIndex, VisualMap, group, match
+from siamloc.maps.coarse import CoarseLayer
+from siamloc.progress import track
+from siamloc.results import Columns, rows_by_label
+from siamloc.settings import Count, Settings, takes
+from siamloc.stopwatch import Stopwatch
+
+_REPEATED, _SHORT = 9, 0.2  # searches, and seconds
+
+Way = Literal["spectral", "som", "sample"]
+
+
+@dataclass(frozen=True)
+class Compact(Settings):
+    """Which compact maps are made.
+
+    Attributes:
+        nodes: how many nodes each of them has; a self-organizing map has a grid of about as many.
+        ways: how frames become nodes: "spectral" clustering, a self-organizing map ("som"), or plain sampling
+            ("sample"), where one frame of each run of frames is kept as it is.
+    """
+
+    WHERE = "task"
+
+    nodes: tuple[Count, ...] = (10, 20, 30, 40, 50, 60, 70, 80, 90, 100)
+    ways: tuple[Way, ...] = ("spectral", "sample")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("nodes", "ways"):
+            values = getattr(self, name)
+            if not values or len(set(values)) < len(values):
+                raise ConfigError(f"task.{name} must name one or more, none of them twice, got {list(values)}")
+
+
+@takes(Compact)
+def compact(
+    known: VisualMap,
+    images: PanoramaLibrary,
+    queries: FrameTable,
+    *,
+    clusters: VisualMap | None = None,
+    protocol: Protocol | Mapping[str, Any] | str = "cross_run",
+    name: str | None = None,
+    seed: int = 0,
+    settings: Compact,
+) -> Result:
+    """Locate queries in maps of fewer and fewer nodes, each of which one descriptor stands for.
+
+    A query has two errors: to the position of the node whose representative is most like it, as [C] has it, and to the
+    most similar frame inside that node, for a robot that keeps the frames as well.
+
+    Args:
+        known: the map, whose descriptors the representatives are made of; frames without a position are left out.
+        images: panoramas of the queries.
+        queries: frames to be located; those without a position are left out.
+        clusters: a map of the same frames by another descriptor, whose descriptors are clustered ([C] 5.3: nodes by
+            gist, representatives by another descriptor); `known` if None.
+        protocol: who may be compared with whom; see `localization`.
+        name: what the results are called.
+        seed: of the clusterings.
+        settings: instead of its fields as keywords.
+
+    Returns:
+        The tables "compact", a row for each way, number of nodes and lighting, and "answers", a row for each query as
+        well.
+
+    Raises:
+        ConfigError: more nodes than frames, or descriptors that have to be turned first, whose means have no meaning.
+        DataError: clusters over other frames, or nothing has a position.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+        >>> known = siamloc.maps.build("hog", images, monday, progress=False)
+        >>> result = compact(known, images, tuesday, nodes=(2, 6), ways=("sample",))
+        >>> [round(one["error"]["mean"], 3) for one in result.measures["curves"]]
+        [2.0, 0.5]
+    """
+    session = Session(known, images, queries, protocol=protocol, name=name, seed=seed)
+    session.refuse_exclusion("localization in compact maps")
+    if clusters is not None and clusters.frames.identities() != known.frames.identities():
+        raise DataError("the map whose descriptors are clustered must hold the map's frames in the same order")
+    placed = known.frames.has_position
+    known, clusters = known.placed(), (known if clusters is None else clusters).take(placed)
+    scored = session.queries.take(session.queries.has_position)
+    for has, what in ((placed, "map frames"), (session.queries.has_position, "queries")):
+        if text := session.lacking(has, f"{what} have no position"):
+            if not has.any():
+                raise DataError(f"{text}: add x and y to the data")
+            session.skipped[f"compact, {what}"] = text
+    _check(settings, known, clusters)
+    clock = Stopwatch()
+    described = Description.concatenate(list(session.parts_of(known, scored, f"the queries, {session.name}", clock)))
+    asked = [(way, nodes) for way in settings.ways for nodes in settings.nodes]
+    made = [
+        _located(known, clusters, scored, described, way, nodes, seed)
+        for way, nodes in track(asked, len(asked), "compact maps")
+    ]
+    curves = [row for one in made for row in one.rows(known)]
+    return Result(
+        name=session.name,
+        parts={
+            "compact": {
+                "unit": known.unit,
+                "queries": len(scored),
+                "map_frames": len(known),
+                "clustered": clusters.descriptor.name,
+                "distance": known.distance,
+                "curves": [_nested(row) for row in curves if row["lighting"] == "all"],
+                "lighting": {
+                    label: [_nested(row) for row in curves if row["lighting"] == label]
+                    for label in rows_by_label(scored.lighting)
+                },
+            }
+        },
+        tables={
+            "compact": {key: np.array([row[key] for row in curves]) for key in curves[0]},
+            "answers": {key: np.concatenate([one.answers[key] for one in made]) for key in made[0].answers},
+        },
+        denominators={"queries": len(scored), "map_frames": len(known), "maps": len(made)},
+        skipped=session.skipped,
+        cost=cost(known, clock),
+        about={**session.about(), "clustered_descriptor": clusters.descriptor.identity},
+        settings=session.settings(settings),
+    )
+
+
+def _check(settings: Compact, known: VisualMap, clusters: VisualMap) -> None:
+    if max(settings.nodes) > len(known):
+        raise ConfigError(f"task.nodes asks for {max(settings.nodes)} nodes, and the map has {len(known)} frames")
+    means = [way for way in settings.ways if way != "sample"]
+    for one in (known, clusters):
+        if means and one.aligned:
+            raise ConfigError(
+                f"descriptors of {one.descriptor.name} are compared after turning, so that their means have no "
+                "meaning: use task.ways=[sample], or another descriptor"
+            )
+
+
+@dataclass(frozen=True)
+class _Located:
+    """What became of the queries in one compact map."""
+
+    answers: Columns
+    measures: dict[str, Any]
+
+    def rows(self, known: VisualMap) -> list[dict[str, Any]]:
+        """Return a row for all queries, and one for each lighting where there are several."""
+        groups = {"all": np.arange(len(self.answers["error"])), **rows_by_label(self.answers["lighting"])}
+        return [{**self.measures, **self._errors(label, rows)} for label, rows in groups.items()]
+
+    def _errors(self, label: str, rows: NDArray[np.int64]) -> dict[str, Any]:
+        errors = {name: summarize(self.answers[name][rows]) for name in ("error", "error_frames")}
+        return {
+            "lighting": label,
+            "queries": len(rows),
+            **{key: errors["error"][key] for key in ("mean", "median", "p95")},
+            "floor": float(self.answers["floor"][rows].mean()),
+            "mean_frames": errors["error_frames"]["mean"],
+            "median_frames": errors["error_frames"]["median"],
+        }
+
+
+def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row of the table as `results.json` has it."""
+    errors = {key: row[key] for key in ("mean", "median", "p95")}
+    frames = {key: row[f"{key}_frames"] for key in ("mean", "median")}
+    flat = (*errors, *(f"{key}_frames" for key in frames))
+    return {**{key: value for key, value in row.items() if key not in flat}, "error": errors, "error_frames": frames}
+
+
+def _located(
+    known: VisualMap,
+    clusters: VisualMap,
+    queries: FrameTable,
+    described: Description,
+    way: str,
+    nodes: int,
+    seed: int,
+) -> _Located:
+    clock = Stopwatch()
+    with clock.of("build", len(known)):
+        labels = _labels(clusters, way, nodes, seed)
+    if way == "sample":  # the frames that are kept stand for themselves
+        kept = clustering.sample_rows(len(known), nodes)
+        standing = known.take(kept)
+        positions, numbers = standing.frames.xy, nodes * known.width
+        nearest = _nearest(lambda: match(standing, described, 1), clock, len(described))
+        layer = CoarseLayer.of_labels(known, labels) if not known.aligned else None
+    else:
+        layer = CoarseLayer.of_labels(known, labels)
+        positions, numbers = layer.positions, layer.representatives.size
+        index = VectorIndex(layer.representatives, known.distance)
+        nearest = _nearest(lambda: index.search(described.position, 1), clock, len(described))
+    with clock.of("descend", len(described)):
+        frame = _inside(known, layer, labels, described, nearest)
+    error = localization_error(positions[nearest], queries.xy)
+    answers: Columns = {
+        "way": np.full(len(queries), way),
+        "nodes": np.full(len(queries), len(positions)),
+        "path": queries.path,
+        "lighting": queries.lighting,
+        "room": queries.room,
+        "node": nearest,
+        "match_path": known.frames.path[frame],
+        "error": error,
+        "error_frames": localization_error(known.frames.xy[frame], queries.xy),
+        # At most the error: rounding must not make it larger.
+        "floor": np.minimum(error_floor(positions, queries.xy), error),
+    }
+    measures = {
+        "way": way,
+        "nodes": len(positions),
+        "build_seconds": clock.batches["build"][0][0],
+        "search_ms": clock.ms("search"),
+        "descend_ms": clock.ms("descend"),
+        "numbers": int(numbers),
+        **_compactness(known, clusters, labels),
+    }
+    return _Located(answers, measures)
+
+
+def _nearest(search: Callable[[], Retrieval], clock: Stopwatch, queries: int) -> NDArray[np.int64]:
+    """Search, again and again where that is short, so that its time means something; return the nearest (n,)."""
+    start = time.perf_counter()
+    for _ in range(_REPEATED):
+        with clock.of("search", queries):
+            found = search()
+        if time.perf_counter() - start > _SHORT:
+            break
+    return found.indices[:, 0]
+
+
+def _labels(clusters: VisualMap, way: str, nodes: int, seed: int) -> NDArray[np.int64]:
+    if way == "sample":
+        return clustering.sample(len(clusters), nodes)
+    asked: dict[str, Any] = {"grid": grid_of(nodes)} if way == "som" else {"nodes": nodes}
+    return group(clusters, way, seed=seed, progress=False, **asked).layer.labels
+
+
+def grid_of(nodes: int) -> tuple[int, int]:
+    """Return the grid of a self-organizing map with about so many places, as square as can be.
+
+    Example:
+        >>> grid_of(40), grid_of(10), grid_of(7)
+        ((7, 6), (3, 3), (3, 2))
+    """
+    rows = max(1, math.isqrt(nodes))
+    columns = max(1, round(nodes / rows))
+    return max(rows, columns), min(rows, columns)
+
+
+def _inside(
+    known: VisualMap,
+    layer: CoarseLayer | None,
+    labels: NDArray[np.int64],
+    described: Description,
+    nearest: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """Return the most similar frame of the node that was found for each query (n,)."""
+    if layer is None:  # descriptors that are turned first have no layer of means
+        barred = labels[None, :] != nearest[:, None]
+        return match(known, described, 1, excluded=barred).indices[:, 0]
+    ranking = NodeRanking(nearest[:, None], np.full(len(nearest), len(layer)))
+    return HierarchicalSearch(known, layer, candidates=1).search(described, ranking, 1).found.indices[:, 0]
+
+
+def _compactness(known: VisualMap, clusters: VisualMap, labels: NDArray[np.int64]) -> dict[str, float]:
+    """Return how compact the nodes are, on the floor and in the space of the descriptors ([C] eq. 7-11)."""
+    from analytic import measures
+
+    several = len(np.unique(labels)) > 1
+    return {
+        "silhouette": measures.silhouette(known.frames.xy, labels) if several else math.nan,
+        "descriptor_silhouette": measures.silhouette(clusters.descriptors, labels)
+        if several and not clusters.aligned
+        else math.nan,
+        "inertia": measures.moment_of_inertia(known.frames.xy, labels),
+    }
