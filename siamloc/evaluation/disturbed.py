@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,16 +15,17 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.columns import room_names
-from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
+from siamloc.evaluation.metrics import error_floor, heading_error, localization_error, recall_from_ranks, summarize
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Baselines, Session
-from siamloc.maps import Retrieval, VisualMap, match
+from siamloc.evaluation.session import Baselines, Session, cost
+from siamloc.maps import Retrieval, VisualMap, headings, match
 from siamloc.progress import track
 from siamloc.results import Columns
 from siamloc.settings import Count, NotNegative, Rule, Settings, takes
+from siamloc.stopwatch import Stopwatch
 
 Images = NDArray[np.uint8]
-Locate = Callable[[Images], Retrieval]
+Locate = Callable[[Images], "Answer"]
 _NAMES = {"noise": "variance", "occlusion": "share of the columns", "turn": "degrees"}
 _KINDS = ("noise", "occlusion", "turn", "effect")
 
@@ -129,11 +130,13 @@ def robustness(
     scored = session.queries.take(in_queries)
     rows = np.arange(0, len(scored), settings.every)
     asked = scored.take(rows)
-    parts, tables = [], []
+    parts, tables, costs = [], [], {}
     for label, other in {session.name: known.descriptor, **session.baselines}.items():
         own = session.map_by(other).take(in_map)
         excluded = session.excluded(asked, own.frames)
-        found = _located(session, own, asked, rows, excluded, disturbances, label)
+        clock = Stopwatch()
+        found = _located(session, own, asked, rows, excluded, disturbances, label, clock)
+        costs[label] = cost(own, clock)
         parts.append(answers(label, own.frames, asked, found, by_room, excluded))
         tables.append(curves(parts[-1], settings.radius, len(own)))
     table = concatenated(tables)
@@ -150,7 +153,36 @@ def robustness(
         skipped=session.skipped,
         about=session.about(),
         settings=session.settings(settings),
+        cost=costs.pop(session.name),
+        baselines={label: Result(label, {}, {}, cost=taken) for label, taken in costs.items()},
     )
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a descriptor says of images.
+
+    Attributes:
+        nearest: rows of the most similar map frames (B,).
+        heading: by them (B,), rad; NaN where it gives none.
+        heading_nearest: by the geometrically nearest map frames (B,), rad ([T] 3.5.3-3.5.4).
+
+    Headings that are left out are NaN.
+    """
+
+    nearest: NDArray[np.int64]
+    heading: NDArray[np.float64] = None  # type: ignore[assignment]
+    heading_nearest: NDArray[np.float64] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for name in ("heading", "heading_nearest"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(len(self.nearest), np.nan))
+
+    @staticmethod
+    def concatenate(parts: Sequence[Answer]) -> Answer:
+        """Return the answers for one batch of queries after the other."""
+        return Answer(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Answer)))
 
 
 @dataclass(frozen=True)
@@ -251,8 +283,8 @@ def locate_disturbed(
     rows: NDArray[np.int64],
     disturbances: Sequence[Disturbance],
     seed: int = 0,
-) -> dict[tuple[str, float], NDArray[np.int64]]:
-    """Return the nearest map frame (B,) of each query by disturbance and level.
+) -> dict[tuple[str, float], Answer]:
+    """Return what is answered for each query by disturbance and level.
 
     Levels that leave the images as they are share one search.
 
@@ -263,25 +295,34 @@ def locate_disturbed(
         disturbances: what happens to them.
         seed: of all draws.
     """
-    clean: NDArray[np.int64] | None = None
-    found: dict[tuple[str, float], NDArray[np.int64]] = {}
+    clean: Answer | None = None
+    found: dict[tuple[str, float], Answer] = {}
     for disturbance in disturbances:
         for level in disturbance.levels:
             changed = disturbance.apply(images, level, rows, seed)
             if not np.array_equal(changed, images):
-                found[disturbance.name, level] = locate(changed).indices[:, 0]
+                found[disturbance.name, level] = _unturned(locate(changed), disturbance, level)
                 continue
             if clean is None:
-                clean = locate(images).indices[:, 0]
-            found[disturbance.name, level] = clean
+                clean = locate(images)
+            found[disturbance.name, level] = _unturned(clean, disturbance, level)
     return found
+
+
+def _unturned(answer: Answer, disturbance: Disturbance, level: float) -> Answer:
+    """Return headings of the robot before it turned on the spot, which are what the true ones are."""
+    if disturbance.kind != "turn":
+        return answer
+    turned = np.radians(level)
+    before = (np.pi - np.remainder(np.pi - one + turned, 2 * np.pi) for one in (answer.heading, answer.heading_nearest))
+    return Answer(answer.nearest, *before)
 
 
 def answers(
     method: str,
     known: FrameTable,
     queries: FrameTable,
-    found: Mapping[tuple[str, float], NDArray[np.int64]],
+    found: Mapping[tuple[str, float], Answer],
     by_room: bool = False,
     excluded: NDArray[np.bool_] | None = None,
 ) -> Columns:
@@ -291,7 +332,7 @@ def answers(
         method: name of the descriptor.
         known: m map frames with positions.
         queries: n frames with positions.
-        found: by disturbance and level the nearest map frame of each query (n,).
+        found: by disturbance and level what was answered for each query (n,).
         by_room: judge by rooms instead of positions: the error is 1 in a wrong room.
         excluded: (n, m) map frames that a query was not compared with; its floor leaves them out too.
 
@@ -307,7 +348,8 @@ def answers(
     else:
         floor = error_floor(known.xy, queries.xy, excluded)
     parts = []
-    for (name, level), row in found.items():
+    for (name, level), answer in found.items():
+        row = answer.nearest
         error = (known_rooms[row] != rooms).astype(float) if by_room else localization_error(known.xy[row], queries.xy)
         parts.append(
             {
@@ -320,9 +362,18 @@ def answers(
                 "match_path": known.path[row],
                 "error": error,
                 "floor": np.minimum(floor, error),
+                "heading_error": np.degrees(_turned_wrongly(answer.heading, queries.theta)),
+                "heading_error_nearest": np.degrees(_turned_wrongly(answer.heading_nearest, queries.theta)),
             }
         )
     return concatenated(parts)
+
+
+def _turned_wrongly(estimated: NDArray[np.float64], theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the errors of headings (n,) in rad, NaN where the estimated or the true one is not known."""
+    error, known = np.full(len(theta), np.nan), np.isfinite(estimated) & np.isfinite(theta)
+    error[known] = heading_error(estimated[known], theta[known])
+    return error
 
 
 def concatenated(parts: Sequence[Mapping[str, NDArray]]) -> Columns:
@@ -340,6 +391,8 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
 
     Returns:
         method, disturbance, level, queries, map_frames; mean, median, p95 of the errors, floor (mean), excess (mean);
+        hit_rate, the share of queries whose answer is the geometrically nearest map frame; heading and heading_nearest,
+        mean errors in degrees by the frame found and by the nearest one, NaN where no heading is known;
         radius, within (queries), share (of all queries), answerable (queries with a map frame that near).
 
     Raises:
@@ -365,6 +418,9 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
                 **{key: errors[key] for key in ("mean", "median", "p95")},
                 "floor": float(floor.mean()),
                 "excess": float((error - floor).mean()),
+                "hit_rate": float((error - floor <= 1e-9).mean()),
+                "heading": _mean(columns["heading_error"][group == i]),
+                "heading_nearest": _mean(columns["heading_error_nearest"][group == i]),
                 "radius": float(radius),
                 "within": near.hits,
                 "share": near.recall,
@@ -372,6 +428,12 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
             }
         )
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    """Return the mean of the values that are known; NaN where none is."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else np.nan
 
 
 def measures(
@@ -408,19 +470,46 @@ def _located(
     excluded: NDArray[np.bool_] | None,
     disturbances: list[Disturbance],
     name: str,
-) -> dict[tuple[str, float], NDArray[np.int64]]:
+    clock: Stopwatch,
+) -> dict[tuple[str, float], Answer]:
     """Locate queries, batch by batch, at every level of every disturbance."""
-    describer: Descriptor = known.descriptor
+    describer: Descriptor = known.describer
     barred: NDArray[np.bool_] | None = None
+    nearest = _geometrically_nearest(known.frames, queries, excluded)
+    asked = slice(0)
 
-    def locate(images: Images) -> Retrieval:
-        return match(known, describer.describe(images), 1, excluded=barred)
+    def locate(images: Images) -> Answer:
+        with clock.of("describe", len(images)):
+            described = describer.describe(images)
+        with clock.of("search", len(images)):
+            answer = match(known, described, 1, excluded=barred)
+        with clock.of("heading", len(images)):
+            turned = headings(known, described, answer)[:, 0]
+        if nearest is None:
+            return Answer(answer.indices[:, 0], turned)
+        row = nearest[asked, None]
+        by_nearest = headings(known, described, Retrieval(row, np.zeros(row.shape)))[:, 0]
+        return Answer(answer.indices[:, 0], turned, by_nearest)
 
     batches = track(session.images.batches(queries), len(queries), f"disturbed queries, {name}", size=len)
     found, start = [], 0
     for images in batches:
         part = rows[start : start + len(images)]
-        barred = None if excluded is None else excluded[start : start + len(images)]
+        asked = slice(start, start + len(images))
+        barred = None if excluded is None else excluded[asked]
         found.append(locate_disturbed(locate, images, part, disturbances, session.seed))
         start += len(images)
-    return {key: np.concatenate([part[key] for part in found]) for key in found[0]}
+    return {key: Answer.concatenate([part[key] for part in found]) for key in found[0]}
+
+
+def _geometrically_nearest(
+    known: FrameTable, queries: FrameTable, excluded: NDArray[np.bool_] | None
+) -> NDArray[np.int64] | None:
+    """Return the map frame (n,) that lies nearest to each query; None where positions are not known."""
+    if not known.has_position.all() or not queries.has_position.all():
+        return None
+    rows = np.empty(len(queries), dtype=np.int64)
+    for i, xy in enumerate(queries.xy):
+        apart = np.hypot(*(known.xy - xy).T)
+        rows[i] = np.argmin(apart if excluded is None else np.where(excluded[i], np.inf, apart))
+    return rows

@@ -239,14 +239,20 @@ def _buildings(name: str, measures: Measures) -> list[str]:
 def _robustness(name: str, measures: Measures) -> list[str]:
     unit = measures["unit"]
     table = _table("method", "disturbance", "level")
-    for head in (f"mean [{unit}]", f"median [{unit}]", f"floor [{unit}]", f"within {measures['radius']:g} {unit}"):
+    entries = [one for by_name in measures["methods"].values() for levels in by_name.values() for one in levels]
+    turned = [key for key in ("heading", "heading_nearest") if any(_number(one.get(key)) != "-" for one in entries)]
+    says = {"heading": "heading\n[deg]", "heading_nearest": "by the nearest\nframe [deg]"}
+    for head in (f"mean [{unit}]", f"median [{unit}]", f"floor [{unit}]", "hit rate"):
+        _number_column(table, head)
+    for head in (f"within {measures['radius']:g} {unit}", *(says[key] for key in turned)):
         _number_column(table, head)
     for method, by_name in measures["methods"].items():
         for disturbance, levels in by_name.items():
             for entry in levels:
                 share = f"{_percent(entry['share'])} ({entry['within']})"
                 cells = [_number(entry[key]) for key in ("mean", "median", "floor")]
-                table.add_row(method, disturbance, f"{entry['level']:g}", *cells, share)
+                cells += [_percent(entry.get("hit_rate")), share, *(_number(entry.get(key), 1) for key in turned)]
+                table.add_row(method, disturbance, f"{entry['level']:g}", *cells)
     counted = f"queries: {measures['queries']} (one in {measures['every']}), map: {measures['map_frames']} frames"
     return [_text(table), counted]
 

@@ -33,8 +33,9 @@ def robustness_section(title: str, found: Mapping[str, Any], figure: Markup | No
     every = "" if found["every"] == 1 else f", one in {found['every']} of all"
     text = (
         f"{count(found['queries'])} queries{every}, with disturbed images, in a map of {count(found['map_frames'])} "
-        "frames that stays as it is. Full lines are mean errors, dashed ones medians. The tables give the mean error "
-        f"and the share of the queries within {radius:g} {unit}."
+        "frames that stays as it is. Full lines are mean errors, dashed ones medians; of headings, full lines are "
+        "those by the frame found, dashed ones by the map frame that is geometrically nearest. The tables give the "
+        f"mean error and the share of the queries within {radius:g} {unit}."
     )
     width = f"--table:{90 + 96 * len(found['methods'])}px"
     blocks = (tag("div", tag("h4", _title(kind)), _table(kind, found)) for kind in found["disturbances"])

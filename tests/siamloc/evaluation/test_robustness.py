@@ -1,14 +1,16 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
+import siamloc
 from analytic import disturb
 from augment import AugmentError
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.disturbed import Disturbance, answers, concatenated, curves, locate_disturbed, measures
-from siamloc.maps import Retrieval
+from siamloc.evaluation.disturbed import Answer, Disturbance, answers, concatenated, curves, locate_disturbed, measures
 
 ROWS = np.array([4, 9, 11])
 
@@ -96,28 +98,31 @@ def test_what_makes_no_sense_is_refused(arguments: tuple, error: type[Exception]
 def test_unchanged_images_are_located_once(images: np.ndarray) -> None:
     asked = []
 
-    def locate(changed: np.ndarray) -> Retrieval:
+    def locate(changed: np.ndarray) -> Answer:
         asked.append(changed)
-        return Retrieval(np.full((3, 1), len(asked)), np.zeros((3, 1)))
+        return Answer(np.full(3, len(asked)), np.zeros(3))
 
     wanted = [Disturbance("noise", (0, 0.01), "noise"), Disturbance("turn", (0, 90, 360), "turn")]
     found = locate_disturbed(locate, images, ROWS, wanted)
     assert len(asked) == 3
     assert list(found) == [("noise", 0), ("noise", 0.01), ("turn", 0), ("turn", 90), ("turn", 360)]
-    assert found["turn", 0] is found["noise", 0] is found["turn", 360]
-    assert found["turn", 90][0] != found["noise", 0.01][0]
+    assert found["turn", 0].nearest is found["noise", 0].nearest is found["turn", 360].nearest
+    assert found["turn", 90].nearest[0] != found["noise", 0.01].nearest[0]
+    # What a robot that turned left by 90 degrees sees is told of as its heading before it turned.
+    np.testing.assert_allclose(found["turn", 90].heading, -np.pi / 2)
+    np.testing.assert_allclose(found["turn", 0].heading, 0)
 
 
 def test_curves_are_those_of_a_loop_over_the_answers() -> None:
     rng = np.random.default_rng(1)
     known, queries = frames([0, 1, 2, 3]), frames([0.2, 1.4, 2.9, 8.0])
     wanted = [Disturbance("noise", (0, 0.5), "noise"), Disturbance("bulb", (0, 1), "effect")]
-    found = {(one.name, level): rng.integers(0, 4, 4) for one in wanted for level in one.levels}
+    found = {(one.name, level): Answer(rng.integers(0, 4, 4)) for one in wanted for level in one.levels}
     columns = concatenated([answers("a", known, queries, found), answers("b", known, queries, found)])
     table = curves(columns, 0.5, 4)
     assert len(table["method"]) == 8
     for i in range(8):
-        match = found[table["disturbance"][i], table["level"][i]]
+        match = found[table["disturbance"][i], table["level"][i]].nearest
         errors = [abs(known.x[m] - x) for m, x in zip(match, queries.x, strict=True)]
         assert table["mean"][i] == pytest.approx(sum(errors) / 4)
         assert table["median"][i] == pytest.approx(sum(sorted(errors)[1:3]) / 2)
@@ -126,6 +131,7 @@ def test_curves_are_those_of_a_loop_over_the_answers() -> None:
         assert (table["queries"][i], table["map_frames"][i], table["answerable"][i]) == (4, 4, 3)
         assert table["floor"][i] == pytest.approx((0.2 + 0.4 + 0.1 + 5) / 4)
         assert table["excess"][i] == pytest.approx(table["mean"][i] - table["floor"][i])
+        assert table["hit_rate"][i] == sum(m == n for m, n in zip(match, (0, 1, 3, 3), strict=True)) / 4
     told = measures(table, wanted, "m", 2)
     assert told["queries"] == 4
     assert told["radius"] == 0.5
@@ -135,7 +141,7 @@ def test_curves_are_those_of_a_loop_over_the_answers() -> None:
 
 def test_a_perfect_search_stays_at_the_floor() -> None:
     known, queries = frames([0, 1, 2]), frames([0.1, 1.2])
-    table = curves(answers("a", known, queries, {("turn", 90.0): np.array([0, 1])}), 0, 3)
+    table = curves(answers("a", known, queries, {("turn", 90.0): Answer(np.array([0, 1]))}), 0, 3)
     assert table["mean"][0] == pytest.approx(0.15)
     assert table["excess"][0] == 0
     assert table["within"][0] == 0
@@ -144,13 +150,38 @@ def test_a_perfect_search_stays_at_the_floor() -> None:
 def test_errors() -> None:
     known = frames([0, 1])
     with pytest.raises(DataError, match="at least one query"):
-        answers("a", known, frames([]), {("turn", 0.0): np.zeros(0, dtype=int)})
+        answers("a", known, frames([]), {("turn", 0.0): Answer(np.zeros(0, dtype=int))})
     with pytest.raises(DataError, match="unknown or not finite"):
-        answers("a", known, frames([np.nan]), {("turn", 0.0): np.zeros(1, dtype=int)})
+        answers("a", known, frames([np.nan]), {("turn", 0.0): Answer(np.zeros(1, dtype=int))})
     with pytest.raises(ConfigError, match="radius"):
-        curves(answers("a", known, known, {("turn", 0.0): np.arange(2)}), -1, 2)
+        curves(answers("a", known, known, {("turn", 0.0): Answer(np.arange(2))}), -1, 2)
 
 
 def test_the_published_levels() -> None:
     Disturbance("noise", disturb.NOISE_LEVELS, "noise")
     Disturbance("occlusion", disturb.OCCLUSION_LEVELS, "occlusion")
+
+
+def test_headings_are_measured_by_the_frame_found_and_by_the_nearest_one() -> None:
+    images = siamloc.data.example()
+    monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+    known = siamloc.maps.build("hog", images, monday, progress=False)
+    result = siamloc.evaluation.robustness(known, images, tuesday, every=1, noise=(0, 0.01), occlusion=(), turn=(90,))
+    rows, hog = result.tables["answers"], known.descriptor
+    drawn = {"noise": Disturbance("noise", (0, 0.01), "noise"), "turn": Disturbance("turn", (90,), "turn")}
+    panoramas = images.batch(images.rows(tuesday))
+    for name, level in (("noise", 0), ("noise", 0.01), ("turn", 90)):
+        part = (rows["disturbance"] == name) & (rows["level"] == level)
+        described = hog.describe(drawn[name].apply(panoramas, level, np.arange(len(tuesday))))
+        for i in range(len(tuesday)):
+            apart = [math.dist(xy, tuesday.xy[i]) for xy in monday.xy.tolist()]
+            nearest = monday.path.tolist().index(rows["match_path"][part][i])
+            for column, frame in (("heading_error", nearest), ("heading_error_nearest", int(np.argmin(apart)))):
+                one = hog.relative_heading(described.take([i]), known.description.take(np.array([frame])))[0]
+                turned = math.radians(level) if name == "turn" else 0.0
+                wrong = math.degrees(monday.theta[frame] + one - turned - tuesday.theta[i])
+                wrong = abs((wrong + 180) % 360 - 180)
+                assert rows[column][part][i] == pytest.approx(wrong, abs=1e-6)
+    told = result.measures["methods"]["hog"]["noise"][0]
+    assert told["heading_nearest"] == pytest.approx(rows["heading_error_nearest"][:12].mean())
+    assert result.cost["describe_ms"] > 0

@@ -101,7 +101,13 @@ def write_robustness(folder: Path, queries: FrameTable, known: FrameTable, worse
                 vectors = scenes.describe(queries, seed=3, noise=0.3 + worse * rank + i) + 0.01 * rng.normal()
                 distance = np.linalg.norm(vectors[:, None, :2] - known.xy[None], axis=2)
                 found[one.name, level] = distance.argmin(axis=1)
-        tables.append(disturbed.curves(disturbed.answers(method, known, queries, found), 0.5, len(known)))
+        tables.append(
+            disturbed.curves(
+                disturbed.answers(method, known, queries, {key: disturbed.Answer(row) for key, row in found.items()}),
+                0.5,
+                len(known),
+            )
+        )
     table = disturbed.concatenated(tables)
     parts = {"robustness": disturbed.measures(table, DISTURBANCES, "m", 5)}
     _save(folder, Result("network", parts, {"robustness": table}), "network")
