@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from siamloc.data.checks import check, summary
+from siamloc.data.checks import check, room_sizes, summary
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.examples import example
 from siamloc.data.frames import FrameTable, concatenate
@@ -45,6 +45,7 @@ __all__ = [
     "example",
     "expand",
     "read",
+    "room_sizes",
     "summary",
     "unwrap",
 ]

@@ -42,13 +42,14 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
 
 
 def summary(frames: FrameTable) -> str:
-    """Describe a data set in a line for each drive: frames, lighting, rooms, and how far apart the frames lie.
+    """Describe a data set in a line for each drive and each room: frames, lighting, and how far apart the frames lie.
 
     Example:
         >>> frames = FrameTable(path=["1.jpg", "2.jpg"], x=[0, 1], y=[0, 0], room=["hall"] * 2, sequence=["monday"] * 2)
         >>> print(summary(frames))
         2 frames
           monday: 2 frames, lighting unknown, 1 room (hall), path of 1.0 m, median step 1 m
+          room hall: 2 frames, the farthest two 1.00 m apart
     """
     lines = [f"{len(frames)} frames"]
     for name, rows in frames.rows_by("sequence").items():
@@ -57,7 +58,30 @@ def summary(frames: FrameTable) -> str:
         rooms = sorted(set(part.room.tolist()) - {""})
         named = f"{len(rooms)} room{'s' * (len(rooms) > 1)} ({', '.join(rooms)})" if rooms else "no rooms"
         lines.append(f"  {name or '(no sequence)'}: {len(part)} frames, {lightings}, {named}, {_spacing(part)}")
+    for room, (count, largest) in room_sizes(frames).items():
+        apart = f", the farthest two {largest:.2f} {frames.unit} apart" if np.isfinite(largest) else ""
+        lines.append(f"  room {room}: {count} frames{apart}")
     return "\n".join(lines)
+
+
+def room_sizes(frames: FrameTable) -> dict[str, tuple[int, float]]:
+    """Return of each room its frames and the largest distance between two of them ([T] table 5.5).
+
+    Distances are in the unit of the positions, and NaN where fewer than two frames have one.
+
+    Example:
+        >>> room_sizes(FrameTable(path=["1.jpg", "2.jpg"], x=[0, 3], y=[0, 4], room=["hall", "hall"]))
+        {'hall': (2, 5.0)}
+    """
+    found = {}
+    for place, rows in frames.rows_by("place").items():
+        part = frames.take(rows)
+        xy, largest = part.xy[part.has_position], np.nan
+        if len(xy) > 1:
+            largest = max(float(np.hypot(*(xy[i + 1 :] - one).T).max()) for i, one in enumerate(xy[:-1]))
+        if part.room[0] != "":
+            found[place] = (len(part), largest)
+    return found
 
 
 def _spacing(frames: FrameTable) -> str:

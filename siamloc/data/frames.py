@@ -158,17 +158,19 @@ class FrameTable:
             mask &= np.isin(values, sorted(chosen))
         return self.take(mask)
 
-    def every(self, k: int) -> FrameTable:
-        """Return every k-th frame of each sequence, beginning with its first.
+    def every(self, k: int, offset: int = 0) -> FrameTable:
+        """Return every k-th frame of each sequence, beginning with its first, or so many frames later.
 
         Raises:
-            ConfigError: k is not a positive whole number.
+            ConfigError: k is not a positive whole number, or the offset none from 0 to k - 1.
         """
         if k != int(k) or k < 1:
             raise ConfigError(f"every k-th frame needs a whole k >= 1, got {k}")
+        if offset != int(offset) or not 0 <= offset < k:
+            raise ConfigError(f"of every {k} frames the first one kept is 0 to {k - 1}, got offset={offset}")
         keep = np.zeros(len(self), dtype=bool)
         for rows in self.rows_by("sequence").values():
-            keep[rows[:: int(k)]] = True
+            keep[rows[int(offset) :: int(k)]] = True
         return self.take(keep)
 
     def spaced(self, metres: float) -> FrameTable:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable, concatenate, html_table
 from siamloc.errors import ConfigError, DataError
-from siamloc.settings import Count, Positive, Settings
+from siamloc.settings import Count, Natural, Positive, Settings
 
 ROLES = ("train", "validation", "map", "query")
 
@@ -25,22 +25,29 @@ class Role(Settings):
         lightings: keep these lightings; all if None.
         rooms: keep these rooms; all if None.
         every: keep every k-th frame of a sequence; all if None.
+        offset: with `every`, how many frames of a sequence come before the first one kept.
         spacing: keep frames at least this far apart along a sequence, in the unit of the positions; all if None.
+        rest: keep the frames that `every` or `spacing` would leave out instead: the queries where a map takes every
+            k-th frame of the same drive ([C] 5.1).
 
     Raises:
-        ConfigError: both `every` and `spacing`, or a value of another type.
+        ConfigError: both `every` and `spacing`, an offset or a rest without them, or a value of another type.
 
     Example:
         >>> frames = FrameTable(path=["1.jpg", "2.jpg", "3.jpg"], sequence=["day", "day", "night"])
         >>> Role(sequences="day", every=2).select(frames).path.tolist()
         ['1.jpg']
+        >>> Role(sequences="day", every=2, rest=True).select(frames).path.tolist()
+        ['2.jpg']
     """
 
     sequences: tuple[str, ...] | None = None
     lightings: tuple[str, ...] | None = None
     rooms: tuple[str, ...] | None = None
     every: Count | None = None
+    offset: Natural = 0
     spacing: Positive | None = None
+    rest: bool = False
 
     def __post_init__(self) -> None:
         for name in ("sequences", "lightings", "rooms"):
@@ -49,10 +56,15 @@ class Role(Settings):
         super().__post_init__()
         if self.every is not None and self.spacing is not None:
             raise ConfigError("a role takes every k-th frame or frames at a spacing, not both: set one of them to null")
+        if self.offset and (self.every is None or self.offset >= self.every):
+            every = "null" if self.every is None else self.every
+            raise ConfigError(f"offset={self.offset} goes with an every that is larger, got every={every}")
+        if self.rest and self.every is None and self.spacing is None:
+            raise ConfigError("rest=true keeps what every or spacing leaves out: set one of them")
 
     def __str__(self) -> str:
         """Say what is selected: "sequences a, every 5"; the empty text where nothing is set."""
-        given = {name: value for name, value in self.plain().items() if value is not None}
+        given = {name: value for name, value in self.plain().items() if value not in (None, 0, False)}
         return ", ".join(
             f"{name} {' '.join(value) if isinstance(value, list) else value}" for name, value in given.items()
         )
@@ -65,11 +77,15 @@ class Role(Settings):
             frames = frames.select(lighting=self.lightings)
         if self.rooms is not None:
             frames = frames.select(room=self.rooms)
+        kept = frames
         if self.every is not None:
-            frames = frames.every(self.every)
+            kept = frames.every(self.every, self.offset)
         if self.spacing is not None:
-            frames = frames.spaced(self.spacing)
-        return frames
+            kept = frames.spaced(self.spacing)
+        if self.rest:
+            taken = set(kept.identities())
+            return frames.take([row for row, key in enumerate(frames.identities()) if key not in taken])
+        return kept
 
 
 @dataclass(frozen=True, repr=False)

@@ -134,7 +134,8 @@ def measures_of(
     """Return all measures from the columns of `queries.csv`, pooled over queries.
 
     Returns:
-        unit, map_frames, radii, ks, and the groups "overall", "lighting" (by label) and "room" (by label). A group
+        unit, map_frames, radii, ks, the groups "overall", "lighting" (by label) and "room" (by label), and
+        "room_by_lighting" ([T] table 5.15): by room and lighting `queries`, `error` and `floor`. A group
         holds `queries`; `error`, `floor` and `excess` (error - floor) as summaries; `hit_rate`, a list of `tolerance`,
         `rate`, `hits` and `queries`, for the tolerance 0 and each of the radii; `recall` as a list of
         `metrics.Recall` as dictionaries, one per radius and k; `recall_at_one_percent`, one per radius;
@@ -154,7 +155,17 @@ def measures_of(
         "overall": group(np.arange(len(columns["error"]))),
         "lighting": {label: group(rows) for label, rows in rows_by_label(columns["lighting"]).items()},
         "room": {label: group(rows) for label, rows in rows_by_label(columns["room"]).items()},
+        "room_by_lighting": _room_by_lighting(columns),
     }
+
+
+def _room_by_lighting(columns: Mapping[str, NDArray]) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {}
+    for room, inside in rows_by_label(columns["room"]).items():
+        for lighting, rows in rows_by_label(columns["lighting"][inside]).items():
+            both = {name: summarize(columns[name][inside][rows]) for name in ("error", "floor")}
+            found.setdefault(room, {})[lighting] = {"queries": len(rows), **both}
+    return found
 
 
 def rank_column(radius: float) -> str:

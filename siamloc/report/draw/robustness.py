@@ -44,7 +44,11 @@ def robustness_curves(found: Mapping[str, Any]) -> Picture:
     entries = [entry for curves in methods.values() for one in curves.values() for entry in one]
     top = 1.06 * max(float(np.nanmax(column(entries, which))) for which in ("mean", "median"))
     turned = [value for key in _HEADINGS for value in _known(entries, key)]
-    names = [f"error [{unit}]", f"within {found['radius']:g} {unit} [%]", *(["heading [deg]"] if turned else [])]
+    names = [
+        f"error [{unit}]",
+        f"within {found['radius']:g} {unit} [%]",
+        *(["heading [deg]\ndashed: nearest"] if turned else []),
+    ]
     high = len(names)
     figure = Picture(figsize=(2.5 * columns + 0.9, (4.0 if high == 2 else 5.6) * blocks + 0.9))
     panels = figure.subplots(high * blocks, columns, squeeze=False, height_ratios=([1.25] + [1] * (high - 1)) * blocks)

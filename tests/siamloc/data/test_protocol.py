@@ -182,3 +182,27 @@ def test_a_protocol_shows_what_is_set_alone():
     assert repr(Protocol()) == "Protocol(cross_run)"
     assert "<td>sequences b, every 5</td>" in given._repr_html_()
     assert Protocol.of(given.plain()) == given
+
+
+def test_a_role_begins_later_or_takes_the_rest():
+    frames = FrameTable(
+        path=[f"{i}.png" for i in range(14)], sequence=["a"] * 7 + ["b"] * 7, x=np.arange(14), y=[0] * 14
+    )
+
+    def numbers(**settings):
+        return [int(path.partition(".")[0]) for path in Role(sequences=("*",), **settings).select(frames).path]
+
+    assert numbers(every=3, offset=1) == [1, 4, 8, 11]
+    assert numbers(every=3, offset=1, rest=True) == [0, 2, 3, 5, 6, 7, 9, 10, 12, 13]
+    assert numbers(spacing=2.5, rest=True) == [1, 2, 4, 5, 8, 9, 11, 12]
+    for wrong, says in (
+        ({"offset": 1}, "offset=1 goes with an every that is larger, got every=null"),
+        ({"every": 3, "offset": 3}, "goes with an every that is larger, got every=3"),
+        ({"rest": True}, "rest=true keeps what every or spacing leaves out"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            numbers(**wrong)
+    assert str(Role(sequences=("a",), every=3, rest=True)) == "sequences a, every 3, rest True"
+    both = Protocol(kind="same_run", map=Role(("a",), every=3), query=Role(("a",), every=3, rest=True))
+    known, queries = both.frames("map", frames), both.frames("query", frames)
+    assert sorted([*known.path, *queries.path]) == sorted(frames.path[:7])
