@@ -1,0 +1,249 @@
+"""What experiments measure: each kind is a call or two of the library, and returns records.
+
+Nothing here knows what was published: measured numbers come from images alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analytic import Description, Descriptor, descriptor
+from siamloc import evaluation, maps
+from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Role, room_sizes
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.absolute import evaluate_absolute
+from siamloc.maps import VisualMap, headings, match
+from siamloc.reproduce.published import Record
+from siamloc.reproduce.recipe_book import Job, data_named
+from siamloc.stopwatch import Stopwatch
+
+
+@dataclass
+class Data:
+    """A data set, opened when something of it is needed.
+
+    Attributes:
+        name: a name in `recipes.yaml`.
+        root: where it lies.
+        image_size: rows and columns of a panorama.
+    """
+
+    name: str
+    root: Path
+    image_size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        if not self.root.is_dir():
+            raise DataError(
+                f"{data_named(self.name)['title']} is looked for in {self.root}, which does not exist: {self._how}"
+            )
+
+    @property
+    def _how(self) -> str:
+        return str(data_named(self.name)["how"])
+
+    @cached_property
+    def settings(self) -> DataSettings:
+        """How it is read."""
+        size = self.image_size
+        return DataSettings.of({"kind": "cold", "name": self.name, "root": str(self.root), "image_size": list(size)})
+
+    @cached_property
+    def frames(self) -> FrameTable:
+        """All frames."""
+        return self.settings.read()
+
+    @cached_property
+    def images(self) -> PanoramaLibrary:
+        """Their panoramas."""
+        return self.settings.library(self.frames, data_named(self.name)["unwrap"])
+
+    def role(self, role: Mapping[str, Any]) -> FrameTable:
+        """Return the frames of a role.
+
+        Raises:
+            DataError: a run that is not there.
+        """
+        names, chosen = data_named(self.name)["runs"], dict(role)
+        runs = chosen.pop("runs")
+        missing = [run for run in runs if run not in names]
+        if missing:
+            raise DataError(f"{data_named(self.name)['title']} has no run {missing[0]}: {self._how}")
+        patterns = tuple(names[run] for run in runs)
+        try:
+            found = Role.of({**chosen, "sequences": list(patterns)}).select(self.frames)
+        except ConfigError as error:
+            raise DataError(f"{self.root} lacks a drive that the recipe needs ({error}): {self._how}") from error
+        return self.images.readable(found)
+
+
+Measured = Iterator[Record]
+
+
+def retrieval(job: Job, data: Data) -> Measured:
+    """Find the nearest map frame by each distance ([T] 3.5.1-3.5.2): hit rate, error, time and size."""
+    frames, clock = data.role(job.roles["query"]), Stopwatch()
+    own = _described(job.options["descriptor"], job, data)
+    queries = Description.concatenate(list(maps.describe(own, data.images, frames, clock=clock)))
+    described = clock.ms("describe") or 0.0
+    for distance in job.options.get("distances") or [own.distance]:
+        place, search = own.with_distance(distance), Stopwatch()
+        with search.of("search", len(frames)):
+            found = match(place, queries, min(20, len(own)))
+        turned = headings(place, queries, found)[:, 0]
+        result = evaluate_absolute(place, None, frames, (0.5, 1.0), (1,), found, turned)
+        overall, settings = result.measures, {**job.settings, "distance": distance}
+        yield Record("hit_rate", overall["hit_rate"][0]["rate"], settings)
+        yield Record("hit_rate_0_5_m", overall["hit_rate"][1]["rate"], settings)
+        yield Record("error", overall["error"]["mean"], {**settings, "lighting": "overall"})
+        for lighting, group in overall["lighting"].items():
+            yield Record("error", group["error"]["mean"], {**settings, "lighting": lighting})
+        yield Record("floor", overall["floor"]["mean"], settings)
+        yield Record("seconds", (described + (search.ms("search") or 0.0)) / 1000, settings)
+        yield Record("descriptor_size", place.width, settings)
+
+
+def disturbed(job: Job, data: Data) -> Measured:
+    """Disturb the queries ([T] 3.5.2-3.5.4): errors of the position, and of the heading by the nearest frame."""
+    frames, options = data.role(job.roles["query"]), job.options
+    own = _described(options["descriptor"], job, data)
+    for distance in options.get("distances") or [own.distance]:
+        result = evaluation.robustness(
+            own.with_distance(distance),
+            data.images,
+            frames,
+            every=1,
+            noise=tuple(options.get("noise", ())),
+            occlusion=tuple(options.get("occlusion", ())),
+            turn=(),
+            name="measured",
+        )
+        cost = result.cost
+        for name, curve in result.measures["methods"]["measured"].items():
+            for one in curve:
+                level = {name: one["level"]} if one["level"] else {"noise": 0, "occlusion": 0}
+                settings = {**job.settings, "distance": distance, **level}
+                yield Record("error", one["mean"], settings)
+                if one["heading_nearest"] == one["heading_nearest"]:
+                    yield Record("heading_error", one["heading_nearest"], settings)
+        if cost["heading_ms"] is not None:
+            yield Record("heading_seconds", cost["heading_ms"] / 1000, {**job.settings, "distance": distance})
+
+
+def mapping(job: Job, data: Data) -> Measured:
+    """Group a drive into nodes ([T] 4.5-4.6, [I] 6): silhouette, nodes, frames in none, time."""
+    known = _described(job.options["descriptor"], job, data)
+    way = dict(job.options["build"])
+    built = maps.group(known, way.pop("name"), progress=False, **way)
+    measures = evaluation.mapping(known, built).parts["mapping"]
+    yield Record("silhouette", measures["silhouette"]["pooled"], job.settings)
+    yield Record("silhouette_nearest", measures["silhouette"]["nearest"], job.settings)
+    yield Record("nodes", measures["nodes"], job.settings)
+    yield Record("unassigned", measures["unassigned"]["share"], job.settings)
+    yield Record("clustering_seconds", float(built.seconds.sum()), job.settings)
+    yield Record("frames", len(known), job.settings)
+
+
+def growing(job: Job, data: Data) -> Measured:
+    """Count the nodes while a map grows ([T] figures 4.13-4.15)."""
+    from analytic.mapper import IncrementalMapper
+
+    known = _described(job.options["descriptor"], job, data)
+    way = {key: value for key, value in job.options["build"].items() if key != "name"}
+    mapper = IncrementalMapper(known.descriptor, **way)
+    marks = {round(share * len(known) / job.options["steps"]) for share in range(1, job.options["steps"] + 1)}
+    poses = np.column_stack([known.frames.xy, known.frames.theta])
+    for row in range(len(known)):
+        mapper.add(known.description.take(slice(row, row + 1)), poses[row].tolist())
+        if row + 1 in marks:
+            yield Record("nodes", len(mapper.nodes), {**job.settings, "frames_seen": row + 1})
+
+
+def compact(job: Job, data: Data) -> Measured:
+    """Locate in compact maps ([C] 5.2-5.4): error to the node's position and inside it, compactness, times."""
+    frames, options = data.role(job.roles["query"]), job.options
+    own = _described(options["descriptor"], job, data)
+    clusters = None
+    if "clusters" in options:
+        clusters = _described(options["clusters"], job, data)
+    nodes = tuple(n for n in options["nodes"] if n <= len(own))
+    for distance in options.get("distances") or [own.distance]:
+        result = evaluation.compact(
+            own.with_distance(distance),
+            data.images,
+            frames,
+            clusters=clusters,
+            protocol="same_run" if job.same_run else "cross_run",
+            nodes=nodes,
+            ways=tuple(options["ways"]),
+        )
+        asked = [(way, n) for way in options["ways"] for n in nodes]
+        for (way, n), one in zip(asked, result.measures["curves"], strict=True):
+            method = {"method": {"sample": "sampling"}.get(way, way), "clusters": n}
+            settings = {**job.settings, "distance": distance, **method}
+            yield Record("error", one["error"]["mean"], settings)
+            yield Record("error_frames", one["error_frames"]["mean"], settings)
+            yield Record("floor", one["floor"], settings)
+            yield Record("seconds", (result.cost["describe_ms"] + one["search_ms"]) / 1000, settings)
+            if way != "sample":
+                yield Record("silhouette", one["silhouette"], settings)
+                yield Record("descriptor_silhouette", one["descriptor_silhouette"], settings)
+                yield Record("inertia", one["inertia"], settings)
+                yield Record("clustering_seconds", one["build_seconds"], settings)
+
+
+def rooms(job: Job, data: Data) -> Measured:
+    """Measure how large rooms are ([T] table 5.5)."""
+    for room, (frames, largest) in room_sizes(data.role(job.roles["map"])).items():
+        code = room.rpartition("/")[2]
+        yield Record("room_diameter", largest, {**job.settings, "room": code})
+        yield Record("frames", frames, {**job.settings, "room": code})
+
+
+KINDS: dict[str, Callable[[Job, Data], Measured]] = {
+    "retrieval": retrieval,
+    "disturbed": disturbed,
+    "mapping": mapping,
+    "growing": growing,
+    "compact": compact,
+    "rooms": rooms,
+}
+
+
+def measured(job: Job, data: Data) -> Sequence[Record]:
+    """Return the records of a job; values that are not finite are left out.
+
+    Raises:
+        SiamlocError: data that lack what the job needs.
+    """
+    return [one for one in KINDS[job.kind](job, data) if np.isfinite(one.value)]
+
+
+def _described(options: Mapping[str, Any], job: Job, data: Data) -> VisualMap:
+    """Return the map of a job by a descriptor."""
+    return maps.build(described_by(options), data.images, data.role(job.roles["map"]), progress=False)
+
+
+def image_size(job: Job) -> tuple[int, int]:
+    """Return the rows and columns of the panoramas that a job takes: the published ones, but for our own network."""
+    from siamloc.models.registry import PRETRAINED_SIZE
+
+    named = job.options.get("descriptor", {}).get("name")
+    return PRETRAINED_SIZE if named == "pretrained" else (128, 512)
+
+
+def described_by(options: Mapping[str, Any]) -> Descriptor:
+    """Return a descriptor by its name and parameters; "pretrained" is the network that comes with siamloc."""
+    values = dict(options)
+    name = values.pop("name")
+    if name == "pretrained":
+        from siamloc.models import as_descriptor, pretrained
+
+        return as_descriptor(pretrained())
+    return descriptor(name, **values)

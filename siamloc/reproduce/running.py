@@ -1,0 +1,392 @@
+"""`reproduce`: run a recipe, put its numbers beside the published ones, and hold the claims against them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import platform
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from siamloc.errors import ConfigError, FormatError, hint
+from siamloc.files import content_key, read_json, write_json, write_text
+from siamloc.progress import track
+from siamloc.reproduce.claims import Claim, claim, holds
+from siamloc.reproduce.published import Record, measures, published
+from siamloc.reproduce.recipe_book import SCALES, Job, Recipe, data_named, data_names, experiment, recipe
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from siamloc.reproduce.experiments import Data
+
+_VERSION = 1
+"""Of what the experiments measure: records by another version are measured again."""
+
+VERDICTS = MappingProxyType({True: "holds", False: "does not hold", None: "not decidable at this scale"})
+
+
+@dataclass(frozen=True)
+class Row:
+    """A published number beside ours.
+
+    Attributes:
+        published: as it was published; None where only we have one.
+        ours: as measured; None where the recipe has none.
+    """
+
+    published: Record | None
+    ours: Record | None
+
+    @property
+    def measure(self) -> str:
+        """What both measure."""
+        one = self.published or self.ours
+        assert one is not None
+        return one.measure
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """What both were measured with."""
+        ours = {} if self.ours is None else self.ours.settings
+        return {**ours, **({} if self.published is None else self.published.settings)}
+
+    @property
+    def difference(self) -> float | None:
+        """Ours minus the published one, in the measure's unit; None where one of them is missing."""
+        return None if self.published is None or self.ours is None else self.ours.value - self.published.value
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a claim.
+
+    Attributes:
+        claim: it.
+        ours: whether our numbers bear it out; None where they do not decide.
+        printed: whether the document's own numbers do; None where they were not printed.
+    """
+
+    claim: Claim
+    ours: bool | None
+    printed: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class Reproduction:
+    """A recipe's numbers.
+
+    Attributes:
+        recipe: what was run.
+        data: name of the data set.
+        scale: "smoke", "short" or "full".
+        records: measured numbers.
+        beside: those of our own recipe, on the same frames.
+        seconds: what measuring them took, whenever that was.
+    """
+
+    recipe: Recipe
+    data: str
+    scale: str
+    records: tuple[Record, ...]
+    beside: tuple[Record, ...]
+    seconds: float
+
+    def __repr__(self) -> str:
+        return f"Reproduction({self.recipe.id}: {len(self.records)} numbers on {self.data}, {self.scale})"
+
+    @property
+    def rows(self) -> list[Row]:
+        """The published numbers, each beside ours where the recipe measures it."""
+        ours = _best(self.records, self.recipe)
+        found = []
+        for entry in self.recipe.entries:
+            for one in published(entry).records():
+                found.append(Row(one, next((our for our in ours if _same(one, our, self.recipe.join)), None)))
+        return found
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """The claims, each held against our numbers."""
+        named = [claim(id) for id in self.recipe.claims]
+        return [Verdict(one, holds(one.check, self.records), one.printed()) for one in named]
+
+    def table(self) -> str:
+        """Return published and measured numbers as a Markdown table; our own alone where nothing was printed."""
+        lines = [f"### {self.recipe.title}", "", f"{self._where()}", ""]
+        rows = self.rows
+        if rows:
+            heads = _told_apart(rows)
+            lines += _markdown(
+                [*heads, "measure", "published", "ours", "difference"],
+                [
+                    [
+                        *(_shown(row.settings.get(name)) for name in heads),
+                        row.measure,
+                        _printed(row.published),
+                        _number(row.ours),
+                        "" if row.difference is None else f"{row.difference:+.3g}",
+                    ]
+                    for row in rows
+                ],
+            )
+        best = self._best_table()
+        if best:
+            lines += ["", *best]
+        if self.recipe.claims:
+            lines += [
+                "",
+                *_markdown(["claim", "printed numbers", "ours"], [_verdict_row(one) for one in self.verdicts]),
+            ]
+        if self.recipe.notes:
+            lines += ["", *(f"- {note}" for note in self.recipe.notes)]
+        return "\n".join(lines) + "\n"
+
+    def as_csv(self) -> str:
+        """Return every number as a row: published ones with ours, and all others measured."""
+        rows = self.rows
+        joined = {id(row.ours) for row in rows}
+        rows += [Row(None, one) for one in (*self.records, *self.beside) if id(one) not in joined]
+        heads = list(dict.fromkeys(name for row in rows for name in row.settings))
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow([*heads, "measure", "unit", "published", "ours", "difference", "protocol", "data", "scale"])
+        units = measures()
+        protocol = "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol.items())
+        for row in rows:
+            writer.writerow(
+                [
+                    *("" if row.settings.get(name) is None else row.settings[name] for name in heads),
+                    row.measure,
+                    units.get(row.measure, {}).get("unit", ""),
+                    "" if row.published is None else row.published.value,
+                    "" if row.ours is None else row.ours.value,
+                    "" if row.difference is None else row.difference,
+                    protocol,
+                    self.data,
+                    self.scale,
+                ]
+            )
+        return out.getvalue()
+
+    def plot(self) -> Figure:
+        """Return the figure in the shape of the published one.
+
+        Raises:
+            ConfigError: the recipe has none.
+        """
+        from siamloc.reproduce.drawing import drawn
+
+        if not self.recipe.figure:
+            raise ConfigError(f"{self.recipe.id} has no figure: see its table")
+        return drawn(self.recipe.figure, [*self.records, *self.beside])
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write ID.md, ID.csv, and ID.png where there is a figure; return the files.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / f"{self.recipe.id}.md", folder / f"{self.recipe.id}.csv"]
+        write_text(files[0], self.table())
+        write_text(files[1], self.as_csv())
+        if self.recipe.figure:
+            from siamloc.report.draw.look import save
+
+            files.append(save(self.plot(), folder / f"{self.recipe.id}.png"))
+        return files
+
+    def _where(self) -> str:
+        said = "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol.items())
+        source, title = self.recipe.source, data_named(self.data)["title"]
+        where = f"table {source.table}" if source.table else f"figures {source.figures}" if source.figures else ""
+        place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", where]))
+        return f"{place}. On {title}; {said}. Scale {self.scale}, {self.seconds:.0f} s."
+
+    def _best_table(self) -> list[str]:
+        """Return our best numbers by what the figures tell apart, where nothing was printed to join them with."""
+        names = [panel["measure"] for panel in self.recipe.figure] or ([self.recipe.best] if self.recipe.best else [])
+        lines: list[list[str]] = []
+        for name in dict.fromkeys(names):
+            found = [one for one in (*self.records, *self.beside) if one.measure == name]
+            key = "descriptor" if len({one.settings.get("descriptor") for one in found}) > 1 else _series(self.recipe)
+            for value in dict.fromkeys(one.settings.get(key) for one in found):
+                part = [one for one in found if one.settings.get(key) == value]
+                low, high = min(part, key=lambda one: one.value), max(part, key=lambda one: one.value)
+                settings = [_settings(one, key) for one in (low, high)]
+                lines.append([name, _shown(value), f"{low.value:.3g}", settings[0], f"{high.value:.3g}", settings[1]])
+        heads = ["measure", _series(self.recipe), "smallest", "with", "largest", "with"]
+        return _markdown(heads, lines) if lines else []
+
+
+def reproduce(
+    id: str | Recipe,
+    *,
+    data: str = "freiburg_sim",
+    root: str | Path | None = None,
+    scale: str = "short",
+    out: str | Path = "reproduced",
+    progress: bool = True,
+) -> Reproduction:
+    """Measure what a recipe asks for; what was measured before on the same data is read from `out`.
+
+    Args:
+        id: of the recipe, such as "figure_3_11", or one of your own.
+        data: "cold", "freiburg_sim" or "mini".
+        root: where the data lie; where the data set usually lies if None.
+        scale: "smoke" (seconds), "short" (minutes) or "full" (as published).
+        out: folder of the measured numbers; every job is kept there as soon as it is done.
+        progress: whether to show how far the work is.
+
+    Raises:
+        ConfigError: an unknown recipe, data set or scale.
+        DataError: data that are not there, or lack a drive; the sentence says where they should lie.
+
+    Example:
+        >>> reproduce("table_5_77")
+        Traceback (most recent call last):
+        siamloc.errors.ConfigError: there is no recipe 'table_5_77'; did you mean 'table_5_7'? ...
+    """
+    chosen = recipe(id) if isinstance(id, str) else id
+    if scale not in SCALES:
+        raise ConfigError(f"unknown scale {scale!r}: {hint(str(scale), SCALES)}")
+    if data not in data_names():
+        raise ConfigError(f"recipes run on no data set {data!r}; {hint(str(data), data_names())}")
+    jobs, opened = chosen.jobs(scale), _Opened(data, None if root is None else Path(root), scale)
+    records: list[Record] = []
+    beside: list[Record] = []
+    seconds = 0.0
+    for job in track(jobs, len(jobs), f"measuring {chosen.id}") if progress else jobs:
+        done = _done(job, opened, Path(out), data)
+        (beside if experiment(job.experiment).beside else records).extend(done["records"])
+        seconds += done["seconds"]
+    return Reproduction(chosen, data, scale, tuple(records), tuple(beside), seconds)
+
+
+class _Opened:
+    """The data sets that jobs need, opened once."""
+
+    def __init__(self, name: str, root: Path | None, scale: str) -> None:
+        self.name, self.root, self.scale = name, root, scale
+        self._held: dict[tuple[bool, tuple[int, int]], Data] = {}
+
+    def of(self, job: Job) -> Data:
+        from siamloc.reproduce.experiments import Data, image_size
+
+        key = job.dense, image_size(job)
+        if key not in self._held:
+            about = data_named(self.name)
+            if self.root is None and about["root"] is None:
+                raise ConfigError(f"say where {about['title']} lies: root=FOLDER. {about['how']}")
+            root = self.root or Path(about["root"])
+            if job.dense and about.get("dense"):
+                root = root.parent / "dense" / root.name
+            self._held[key] = Data(self.name, root, key[1])
+        return self._held[key]
+
+
+def _done(job: Job, opened: _Opened, out: Path, data: str) -> dict[str, Any]:
+    """Return the records of a job, and what they took; measured now, or read where they were measured before."""
+    held = opened.of(job)
+    wanted = {"version": _VERSION, "data": data, "frames": _fingerprint(job, held), **job.plain()}
+    path = out / "measured" / job.experiment / f"{content_key(wanted)}.json"
+    if path.is_file():
+        try:
+            kept = read_json(path)
+            return {"records": [_of_plain(one) for one in kept["records"]], "seconds": float(kept["seconds"])}
+        except (FormatError, KeyError, TypeError, ValueError):
+            pass  # cut short, or by another version: measured again
+    from siamloc.reproduce.experiments import measured
+
+    start = time.monotonic()
+    records = list(measured(job, held))
+    seconds = time.monotonic() - start
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(
+        path,
+        {
+            "job": wanted,
+            "seconds": seconds,
+            "machine": platform.processor() or platform.machine(),
+            "records": [{"measure": r.measure, "value": r.value, "settings": dict(r.settings)} for r in records],
+        },
+    )
+    return {"records": records, "seconds": seconds}
+
+
+def _fingerprint(job: Job, data: Data) -> str:
+    """Return what changes with the frames that a job takes: their names, poses and rooms."""
+    told = []
+    for name, role in sorted(job.roles.items()):
+        frames = data.role(role)
+        told.append([name, frames.identities(), frames.xy.tolist(), frames.room.tolist()])
+    return content_key(told)
+
+
+def _of_plain(one: Mapping[str, Any]) -> Record:
+    return Record(str(one["measure"]), float(one["value"]), MappingProxyType(dict(one["settings"])))
+
+
+def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:
+    """Return the records, of those with the same `join` settings only the ones beside the largest `best`."""
+    if chosen.best is None or chosen.join is None:
+        return list(records)
+    kept: dict[tuple[Any, ...], Record] = {}
+    for one in records:
+        key = tuple(one.settings.get(name) for name in chosen.join)
+        if one.measure == chosen.best and (key not in kept or one.value > kept[key].value):
+            kept[key] = one
+    return [one for one in records if any(dict(one.settings) == dict(best.settings) for best in kept.values())]
+
+
+def _same(one: Record, ours: Record, join: Sequence[str] | None) -> bool:
+    """Return whether a published and a measured number are of the same thing."""
+    if one.measure != ours.measure:
+        return False
+    names = join if join is not None else [name for name in one.settings if name in ours.settings]
+    return bool(names) and all(one.settings.get(name) == ours.settings.get(name) for name in names)
+
+
+def _told_apart(rows: Sequence[Row]) -> list[str]:
+    """Return the settings in which rows differ."""
+    names = dict.fromkeys(name for row in rows for name in row.settings)
+    return [name for name in names if len({_shown(row.settings.get(name)) for row in rows}) > 1]
+
+
+def _series(chosen: Recipe) -> str:
+    return str(chosen.figure[0].get("series", "descriptor")) if chosen.figure else "descriptor"
+
+
+def _settings(one: Record, but: str) -> str:
+    hidden = {but, "data", "size", "lighting"}
+    return ", ".join(f"{name} {_shown(value)}" for name, value in one.settings.items() if name not in hidden)
+
+
+def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def _verdict_row(one: Verdict) -> list[str]:
+    printed = "" if one.printed is None else VERDICTS[one.printed]
+    reading = f" *({one.claim.reading})*" if one.claim.reading else ""
+    return [f"{one.claim.sentence}{reading}", printed, VERDICTS[one.ours]]
+
+
+def _shown(value: Any) -> str:
+    return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _printed(one: Record | None) -> str:
+    if one is None:
+        return ""
+    return f"{'' if one.relation == '=' else one.relation}{one.value:.4g}"
+
+
+def _number(one: Record | None) -> str:
+    return "" if one is None else f"{one.value:.4g}"
