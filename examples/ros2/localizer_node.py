@@ -63,7 +63,11 @@ def main() -> None:
             self.create_subscription(Image, "image", self.located, qos_profile_sensor_data)
 
         def located(self, image: Image) -> None:
-            location = self.localizer.locate(pixels(image))
+            try:
+                location = self.localizer.locate(pixels(image))
+            except ValueError as error:  # a picture of another kind: the next one may do
+                self.get_logger().error(str(error), throttle_duration_sec=5.0)
+                return
             if location.lost or math.isnan(location.x):
                 self.get_logger().warning("lost", throttle_duration_sec=5.0)
                 return

@@ -67,7 +67,14 @@ def _dispatch(words: list[str]) -> int:
     from siamloc.cli import commands
     from siamloc.cli.compose import run
 
+    if key := COMMANDS[command].takes:
+        overrides = [_with_key(key, word) for word in overrides]
     return run(command, getattr(commands, COMMANDS[command].function), overrides)
+
+
+def _with_key(key: str, word: str) -> str:
+    """Return a word that stands alone as the value of a key."""
+    return "list=true" if word == "--list" else word if word.startswith("-") or "=" in word else f"{key}={word}"
 
 
 def _command(words: list[str]) -> tuple[str | None, list[str]]:

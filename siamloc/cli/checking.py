@@ -134,6 +134,18 @@ class Compare(Settings):
 
 
 @dataclass(frozen=True)
+class Reproduce(Settings):
+    """The keys of `conf/reproduce/reproduce.yaml`."""
+
+    id: Text | None = None
+    list: bool = False
+    data: Literal["cold", "freiburg_sim", "mini"] = "freiburg_sim"
+    root: Text | None = None
+    scale: Literal["smoke", "short", "full"] = "short"
+    out: Folder = "reproduced"
+
+
+@dataclass(frozen=True)
 class Expand(Settings):
     """The keys of `conf/expand.yaml` that belong to no group."""
 
@@ -169,6 +181,7 @@ _OWN: dict[str, type[Settings]] = {
     "pretrain": Pretrain,
     "report": Report,
     "compare": Compare,
+    "reproduce": Reproduce,
     "expand": Expand,
     "preview": Preview,
     "demo": Demo,

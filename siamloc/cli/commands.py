@@ -220,6 +220,35 @@ def compare(config: DictConfig) -> None:
         print(f"table: {found.save(config.out)}")
 
 
+def reproduce(config: DictConfig) -> None:
+    """Measure a published table or figure again, or all of them."""
+    from siamloc.errors import DataError
+    from siamloc.reproduce import listing, recipes, write_report
+    from siamloc.reproduce import reproduce as measure_again
+
+    if config.list or config.id is None:
+        print(listing(config.data, config.scale))
+        return
+    options = {key: config[key] for key in ("data", "root", "scale", "out")}
+    results, missing = [], {}
+    for id in [one.id for one in recipes()] if config.id == "all" else [config.id]:
+        try:
+            results.append(measure_again(id, **options))
+        except DataError as error:  # the others can be measured all the same
+            if config.id != "all":
+                raise
+            missing[id] = str(error)
+            print(f"{id} left out: {error}")
+            continue
+        files = results[-1].save(config.out)
+        print(results[-1].table() if config.id != "all" else f"{results[-1].summary()}: {files[0]}")
+    if config.id == "all" and results:
+        print(f"report: {write_report(results, Path(config.out) / 'report.md', missing)}")
+    elif config.id != "all":
+        for path in files:
+            print(f"written: {path}")
+
+
 def expand(config: DictConfig) -> None:
     """Write an augmented data set in the layout of the one it is made of."""
     from siamloc import data

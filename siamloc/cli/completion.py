@@ -30,7 +30,7 @@ siamloc completion: complete commands, groups and keys with the tab key
   zsh    eval "$(siamloc completion zsh)"        in ~/.zshrc
   fish   siamloc completion fish | source        in ~/.config/fish/config.fish"""
 
-_INTERNAL = ("hydra", "settings", "parameters", "building", "simulate", "demo")
+_INTERNAL = ("hydra", "settings", "parameters", "building", "simulate", "demo", "reproduce")
 
 
 def completion(words: list[str]) -> str:

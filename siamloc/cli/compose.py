@@ -46,7 +46,7 @@ def run(command: str, main: Main, words: list[str]) -> int:
     """
     _check_words(words)
     given = words = [_network_of_a_run(word) for word in words]
-    words = _sweep(words) if {"-m", "--multirun"} & set(words) else words
+    words = _sweep(words, COMMANDS[command].takes is None) if {"-m", "--multirun"} & set(words) else words
     words = _flags_first([*_HYDRA, *words])
     import hydra
 
@@ -180,7 +180,7 @@ def folder_of(name: str) -> Path:
     return folder if folder.is_dir() else config_folder()
 
 
-def _sweep(words: list[str]) -> list[str]:
+def _sweep(words: list[str], writes_run: bool = True) -> list[str]:
     """Let the folders of a sweep's jobs lie in the run's folder, named by what is swept alone."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
@@ -195,7 +195,7 @@ def _sweep(words: list[str]) -> list[str]:
         f"hydra.sweep.dir={_quoted(folder or 'runs/sweep')}",
         f"hydra.job.config.override_dirname.exclude_keys=[{','.join(map(_quoted, fixed))}]",
     ]
-    return [*settings, *([] if folder else ["run=runs/sweep"]), *words]
+    return [*settings, *([] if folder or not writes_run else ["run=runs/sweep"]), *words]
 
 
 def _check_words(words: list[str]) -> None:

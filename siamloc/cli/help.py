@@ -19,6 +19,7 @@ class Command:
     inherits: bool = False  # takes its settings from the run that is named
     config: str | None = "config"  # the configuration file it begins with; None where Hydra is not needed
     reads_data: bool = True  # needs to know where the data are
+    takes: str | None = None  # the key of a word that stands alone, and --list is list=true
 
     @property
     def begins_with(self) -> str:
@@ -221,7 +222,7 @@ COMMANDS = {
         run=FOLDER               the run whose bundle is used
         bundle=FOLDER            another bundle, or FILE.zip
         top=3                    map frames to list
-        track=true               follow the robot from image to image, where the bundle compares images with map frames
+        track=true               follow the robot from image to image; each folder, video and camera is a drive
         format=table|jsonl|csv   lines to read, or for other programs
         out=FILE                 a .csv or .jsonl file as well; locations.csv where lines to read are printed
         on_error=skip|raise      go on after an image that cannot be read, or stop there
@@ -278,6 +279,25 @@ COMMANDS = {
         """,
         "siamloc compare runs=runs/sweep out=sweep.csv",
         config="compare",
+    ),
+    "reproduce": Command(
+        "reproduce",
+        "measure a published table or figure again",
+        """
+        Runs the experiments of a published table or figure, writes ours beside the published numbers (ID.md, ID.csv,
+        ID.png) and says which claims of the text our numbers bear out. What was measured before on the same data is not
+        measured again.
+
+        ID                     such as table_4_2 or figure_3_11; all for everything, with a report
+        --list                 what there is, and what each needs
+        data=freiburg_sim      or mini, small and quick, or cold, with root=FOLDER
+        scale=short            smoke takes seconds, short minutes, full what was published
+        out=reproduced         where to
+        """,
+        "siamloc reproduce figure_3_11 data=mini scale=smoke",
+        config="reproduce",
+        reads_data=False,
+        takes="id",
     ),
     "augment expand": Command(
         "expand",

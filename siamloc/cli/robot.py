@@ -108,6 +108,10 @@ def localize(words: Sequence[str]) -> int:
                     off.append(one.off_by)
         except KeyboardInterrupt:
             stopped = True
+        except DataError:
+            if count and target is not None:
+                print(f"{count - faults} of {count} images located before this: {target}", file=sys.stderr)
+            raise
     if count == faults and not stopped:
         raise DataError(f"none of the {count} images could be read")
     if target is not None and run is not None and target.parent == run.folder:
@@ -160,6 +164,9 @@ def live(words: Sequence[str]) -> int:
                 time.sleep(60)
         except KeyboardInterrupt:
             return 130
+        except DataError:
+            time.sleep(1)  # whoever watches is told why, too
+            raise
 
 
 def values_of(words: Sequence[str], kind: type[Settings]) -> dict[str, Any]:

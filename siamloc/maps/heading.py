@@ -14,8 +14,7 @@ from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.errors import ConfigError, DataError
 from siamloc.files import plain
-
-_EXPONENT = 14
+from siamloc.maps.packing import packed
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +56,9 @@ class HeadingPart:
         Raises:
             DataError: values that are not finite.
         """
-        if np.iscomplexobj(orientation):
-            orientation = np.stack([orientation.real, orientation.imag], axis=-1)
         if not np.isfinite(orientation).all():
             raise DataError(f"the orientation parts of {descriptor.name} hold values that are not finite")
-        largest = np.abs(orientation).reshape(len(orientation), -1).max(axis=1)
-        scale = np.ldexp(1.0, _EXPONENT - np.frexp(largest.astype(np.float64))[1])
-        scaled = orientation * scale.reshape(-1, *[1] * (orientation.ndim - 1))
-        return cls(descriptor.identity, scaled.astype(np.float16))
+        return cls(descriptor.identity, packed("values", orientation, "float16")["values"])
 
     def __len__(self) -> int:
         return len(self.values)

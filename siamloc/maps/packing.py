@@ -51,5 +51,6 @@ def unpacked(values: NDArray, scale: NDArray) -> NDArray:
     """
     if values.dtype not in (np.int8, np.float16) or scale.shape != values.shape[:1] or scale.dtype != np.float32:
         raise ValueError(f"values {values.dtype} {values.shape} with a scale {scale.dtype} {scale.shape}")
-    full = values.astype(np.float32) * scale.reshape(-1, *[1] * (values.ndim - 1))
+    full = values.astype(np.float32)
+    full *= scale.reshape(-1, *[1] * (values.ndim - 1))  # in place: maps are large
     return full.view(np.complex64)[..., 0] if full.ndim == 4 and full.shape[3] == 2 else full

@@ -22,7 +22,8 @@ from siamloc.errors import ConfigError, DataError, hint
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and its answer
 _BYTES_PER_PAIR = 80  # of rows in which everything ties: score, mask, two indices, distance, and sorting them
-_REFERENCES_PER_BLOCK = 4096  # prepared at once
+_REFERENCES_PER_BLOCK = 4096  # compared at once
+_VALUES_PER_BLOCK = 2**18  # 2 MiB of float64, prepared at once
 _VALUES_PER_SLICE = 2**15  # 256 KiB of float64, which the second level of a cache holds
 _SAMPLE = 4096  # references whose mean is the centre
 _ROUNDOFF = float(np.finfo(np.float32).eps)
@@ -176,10 +177,12 @@ class VectorIndex:
         # A power of two, so that scaling rounds nothing.
         self._scale = float(np.exp2(-np.ceil(np.log2(largest)))) if largest > 1e-290 else 1.0
         # Any centre gives the right answer, so a sample of a large map will do.
-        self._centre = self._embed(self._references[:: -(-m // _SAMPLE)], is_query=False).mean(axis=0)
+        sample, rows = self._references[:: -(-m // _SAMPLE)], max(1, _VALUES_PER_BLOCK // self._references.shape[1])
+        sums = [self._embed(sample[part], is_query=False).sum(axis=0) for part in _slices(len(sample), rows)]
+        self._centre = np.sum(sums, axis=0) / len(sample)
         self._product = np.empty((m, len(self._centre) + 1), dtype=np.float32)
         squares = np.empty(m)
-        for part in _slices(m, _REFERENCES_PER_BLOCK):
+        for part in _slices(m, rows):
             product = self._product[part, :-1]
             product[:] = (self._embed(self._references[part], is_query=False) - self._centre) * self._scale
             squares[part] = np.einsum("ij,ij->i", product, product, dtype=np.float64)

@@ -232,9 +232,7 @@ def _steps(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 
 def _transitions(frames: FrameTable, sigma: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    from scipy.spatial import cKDTree
-
-    near = cKDTree(frames.xy).query_pairs(_REACH * sigma, output_type="ndarray").astype(np.int64)
+    near = _near(frames.xy, _REACH * sigma)
     near = near[frames.building[near[:, 0]] == frames.building[near[:, 1]]]
     own = np.arange(len(frames))
     source = np.concatenate([own, near[:, 0], near[:, 1]])
@@ -242,6 +240,18 @@ def _transitions(frames: FrameTable, sigma: float) -> tuple[NDArray[np.int64], N
     squared = np.square(frames.xy[source] - frames.xy[target]).sum(axis=1)
     weight = np.exp(-squared / (2 * sigma**2)) if sigma > 0 else np.ones(len(source))
     return source, target, weight / np.bincount(source, weight, minlength=len(frames))[source]
+
+
+def _near(xy: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
+    """Return the pairs of positions (p, 2) that lie within a reach, each once, the smaller row first."""
+    try:
+        from scipy.spatial import cKDTree
+    except ImportError:  # as on a robot
+        found = [np.flatnonzero(np.square(xy[row + 1 :] - one).sum(axis=1) <= reach**2) for row, one in enumerate(xy)]
+        rows = np.repeat(np.arange(len(xy)), [len(part) for part in found])
+        return np.column_stack([rows, rows + 1 + np.concatenate(found)]).astype(np.int64)
+    pairs: NDArray[np.int64] = cKDTree(xy).query_pairs(reach, output_type="ndarray").astype(np.int64)
+    return pairs
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,21 @@ from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
     from siamloc.reproduce.claims import holds
+    from siamloc.reproduce.page import write_report
     from siamloc.reproduce.recipe_book import Recipe, recipe, recipes
-    from siamloc.reproduce.running import Reproduction, reproduce
+    from siamloc.reproduce.running import Reproduction, listing, reproduce
 
 _HOMES = {
     "Recipe": "recipe_book",
     "Reproduction": "running",
     "holds": "claims",
+    "listing": "running",
     "recipe": "recipe_book",
     "recipes": "recipe_book",
     "reproduce": "running",
+    "write_report": "page",
 }
 
-__all__ = ["Recipe", "Reproduction", "holds", "recipe", "recipes", "reproduce"]
+__all__ = ["Recipe", "Reproduction", "holds", "listing", "recipe", "recipes", "reproduce", "write_report"]
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -92,8 +92,8 @@ def retrieval(job: Job, data: Data) -> Measured:
     own = _described(job.options["descriptor"], job, data)
     queries = Description.concatenate(list(maps.describe(own, data.images, frames, clock=clock)))
     described = clock.ms("describe") or 0.0
-    for distance in job.options.get("distances") or [own.distance]:
-        place, search = own.with_distance(distance), Stopwatch()
+    for place in _compared(own, job.options):
+        distance, search = place.distance, Stopwatch()
         with search.of("search", len(frames)):
             found = match(place, queries, min(20, len(own)))
         turned = headings(place, queries, found)[:, 0]
@@ -113,9 +113,10 @@ def disturbed(job: Job, data: Data) -> Measured:
     """Disturb the queries ([T] 3.5.2-3.5.4): errors of the position, and of the heading by the nearest frame."""
     frames, options = data.role(job.roles["query"]), job.options
     own = _described(options["descriptor"], job, data)
-    for distance in options.get("distances") or [own.distance]:
+    for place in _compared(own, options):
+        distance = place.distance
         result = evaluation.robustness(
-            own.with_distance(distance),
+            place,
             data.images,
             frames,
             every=1,
@@ -138,7 +139,7 @@ def disturbed(job: Job, data: Data) -> Measured:
 
 def mapping(job: Job, data: Data) -> Measured:
     """Group a drive into nodes ([T] 4.5-4.6, [I] 6): silhouette, nodes, frames in none, time."""
-    known = _described(job.options["descriptor"], job, data)
+    known = next(_compared(_described(job.options["descriptor"], job, data), {}))
     way = dict(job.options["build"])
     built = maps.group(known, way.pop("name"), progress=False, **way)
     measures = evaluation.mapping(known, built).parts["mapping"]
@@ -173,9 +174,10 @@ def compact(job: Job, data: Data) -> Measured:
     if "clusters" in options:
         clusters = _described(options["clusters"], job, data)
     nodes = tuple(n for n in options["nodes"] if n <= len(own))
-    for distance in options.get("distances") or [own.distance]:
+    for place in _compared(own, options):
+        distance = place.distance
         result = evaluation.compact(
-            own.with_distance(distance),
+            place,
             data.images,
             frames,
             clusters=clusters,
@@ -225,9 +227,19 @@ def measured(job: Job, data: Data) -> Sequence[Record]:
     return [one for one in KINDS[job.kind](job, data) if np.isfinite(one.value)]
 
 
+def _compared(own: VisualMap, options: Mapping[str, Any]) -> Iterator[VisualMap]:
+    """Yield the map by each distance that is asked for, but for those that say nothing of so few numbers."""
+    for distance in options.get("distances") or [own.descriptor.default_distance]:
+        try:
+            yield own.with_distance(distance)
+        except ConfigError:
+            continue
+
+
 def _described(options: Mapping[str, Any], job: Job, data: Data) -> VisualMap:
     """Return the map of a job by a descriptor."""
-    return maps.build(described_by(options), data.images, data.role(job.roles["map"]), progress=False)
+    frames = data.role(job.roles["map"])
+    return maps.build(described_by(options), data.images, frames, distance="euclidean", progress=False)
 
 
 def image_size(job: Job) -> tuple[int, int]:

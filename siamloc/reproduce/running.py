@@ -17,7 +17,7 @@ from siamloc.files import content_key, read_json, write_json, write_text
 from siamloc.progress import track
 from siamloc.reproduce.claims import Claim, claim, holds
 from siamloc.reproduce.published import Record, measures, published
-from siamloc.reproduce.recipe_book import SCALES, Job, Recipe, data_named, data_names, experiment, recipe
+from siamloc.reproduce.recipe_book import SCALES, Job, Recipe, data_named, data_names, experiment, recipe, recipes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,6 +99,12 @@ class Reproduction:
     def __repr__(self) -> str:
         return f"Reproduction({self.recipe.id}: {len(self.records)} numbers on {self.data}, {self.scale})"
 
+    def summary(self) -> str:
+        """Say in one line what was measured, and what became of the claims."""
+        verdicts = [VERDICTS[one.ours] for one in self.verdicts]
+        said = ", ".join(f"{verdicts.count(word)} {word}" for word in VERDICTS.values() if word in verdicts)
+        return f"{self.recipe.id}, {len(self.records)} numbers{'; claims: ' + said if said else ''}"
+
     @property
     def rows(self) -> list[Row]:
         """The published numbers, each beside ours where the recipe measures it."""
@@ -122,7 +128,7 @@ class Reproduction:
         if rows:
             heads = _told_apart(rows)
             lines += _markdown(
-                [*heads, "measure", "published", "ours", "difference"],
+                [*heads, "measure", "published", "ours", "difference", *(["ours with"] if self.recipe.best else [])],
                 [
                     [
                         *(_shown(row.settings.get(name)) for name in heads),
@@ -130,13 +136,13 @@ class Reproduction:
                         _printed(row.published),
                         _number(row.ours),
                         "" if row.difference is None else f"{row.difference:+.3g}",
+                        *([_settings(row.ours, *(self.recipe.join or ()))] if self.recipe.best else []),
                     ]
                     for row in rows
                 ],
             )
-        best = self._best_table()
-        if best:
-            lines += ["", *best]
+        if self.recipe.figure:
+            lines += ["", *self._best_table()]
         if self.recipe.claims:
             lines += [
                 "",
@@ -211,7 +217,7 @@ class Reproduction:
 
     def _best_table(self) -> list[str]:
         """Return our best numbers by what the figures tell apart, where nothing was printed to join them with."""
-        names = [panel["measure"] for panel in self.recipe.figure] or ([self.recipe.best] if self.recipe.best else [])
+        names = [panel["measure"] for panel in self.recipe.figure]
         lines: list[list[str]] = []
         for name in dict.fromkeys(names):
             found = [one for one in (*self.records, *self.beside) if one.measure == name]
@@ -267,6 +273,20 @@ def reproduce(
         (beside if experiment(job.experiment).beside else records).extend(done["records"])
         seconds += done["seconds"]
     return Reproduction(chosen, data, scale, tuple(records), tuple(beside), seconds)
+
+
+def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
+    """Return what can be reproduced: a line for each id with its title, its source, its jobs and what it needs."""
+    lines = []
+    for one in recipes():
+        jobs = one.jobs(scale)
+        dense = ", frames every 5 cm" if any(job.dense for job in jobs) and data_named(data).get("dense") else ""
+        source = one.source
+        where = f"table {source.table}" if source.table else f"figure {source.figures}" if source.figures else ""
+        place = f"[{source.document}] {where or source.section}"
+        lines.append(f"{one.id:<15} {place:<22} {one.title} ({len(jobs)} jobs at {scale}{dense})")
+    about = data_named(data)
+    return "\n".join([*lines, f"data={data} is {about['title']}: {about['how']}"])
 
 
 class _Opened:
@@ -363,8 +383,11 @@ def _series(chosen: Recipe) -> str:
     return str(chosen.figure[0].get("series", "descriptor")) if chosen.figure else "descriptor"
 
 
-def _settings(one: Record, but: str) -> str:
-    hidden = {but, "data", "size", "lighting"}
+def _settings(one: Record | None, *but: str) -> str:
+    """Return what a number was measured with, but for some settings."""
+    hidden = {*but, "data", "size", "lighting", "method", "version"}
+    if one is None:
+        return ""
     return ", ".join(f"{name} {_shown(value)}" for name, value in one.settings.items() if name not in hidden)
 
 

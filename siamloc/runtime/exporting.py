@@ -180,9 +180,9 @@ class _Ingredients:
         about["sha256"] = {file: file_hash(fresh / file) for file in PARTS if (fresh / file).is_file()}
         write_json(fresh / DESCRIPTION, {"parity": _UNKNOWN, **about})  # to be opened, and compared
         if known is not None:
-            apart = _check_alike(fresh, self.given, known, precision)
-            if module is None:
-                write_json(fresh / DESCRIPTION, {**about, "parity": apart})
+            apart = _check_alike(fresh, self.given, known, precision, self.images)
+            if module is None or precision != "float32":
+                write_json(fresh / DESCRIPTION, {**about, "parity": {**about.get("parity", {}), **apart}})
 
     def write_smallest(self, fresh: Path, images: PanoramaLibrary, frames: FrameTable) -> None:
         """Write the smallest bundle that loses at most `LOSS` of the localization error of frames."""
@@ -240,11 +240,13 @@ def _written(path: Path) -> Iterator[Path]:
                     shutil.copyfileobj(held, member, 1 << 20)
 
 
-def _check_alike(folder: Path, original: Descriptor, known: VisualMap, precision: Precision) -> dict[str, Any]:
+def _check_alike(
+    folder: Path, original: Descriptor, known: VisualMap, precision: Precision, images: PanoramaLibrary | None
+) -> dict[str, Any]:
     """Open what was written as the robot does, and compare it with what it was made of.
 
-    With fewer digits descriptors and map frames are others, and how many is measured elsewhere; but the bundle has to
-    work.
+    With fewer digits descriptors are others, and by how much is said; the bundle has to work. They are compared on
+    panoramas of the map where there are images, which digits are chosen for, and else on noise.
 
     Returns:
         How far its descriptors are, as `siamloc.runtime.parity` says it.
@@ -255,6 +257,8 @@ def _check_alike(folder: Path, original: Descriptor, known: VisualMap, precision
     localizer = Localizer(folder)
     rows, columns = localizer.bundle.image_size
     panoramas = np.random.default_rng(0).integers(0, 256, (_TRIED, 3, rows, columns), dtype=np.uint8)
+    if precision != "float32" and images is not None:
+        panoramas = spread(images, known.frames, _TRIED)[0]
     asked, answered = original.describe(panoramas), localizer.describe(panoramas)
     expected, got = asked.position, answered.position
     apart, norm = np.linalg.norm(got - expected, axis=1), np.linalg.norm(expected, axis=1)

@@ -216,7 +216,11 @@ class Live:
         @web.middleware
         async def guarded(request: web.Request, handler: Any) -> web.StreamResponse:
             # A page from elsewhere may lead a browser here by a name of its own, which it then would read.
-            if self.host in _LOOPBACK and request.url.host not in _LOOPBACK:
+            try:
+                asked = request.url.host
+            except ValueError as error:
+                raise web.HTTPBadRequest(text="this is no address") from error
+            if self.host in _LOOPBACK and asked not in _LOOPBACK:
                 raise web.HTTPForbidden(text="this page is for this machine alone")
             answer: web.StreamResponse = await handler(request)
             return answer
@@ -278,7 +282,7 @@ class Live:
         await response.prepare(request)
         told, last, first = None, 0, True
         with suppress(ConnectionError):
-            while not self._stopped.is_set():
+            while not self._stopped.is_set() or told is not self._state:  # the last word is sent in any case
                 changed = self._changed
                 with self._lock:
                     state = self._state

@@ -18,12 +18,16 @@ from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
     HierarchicalSearch,
     LayerSearch,
+    MotionModel,
     PoseFilter,
     RefinedPoses,
     Retrieval,
+    SequenceFilter,
     VisualMap,
+    frame_distances,
     headings,
     match,
+    temperature_of_map,
 )
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.describing import Describer, analytic_descriptor
@@ -96,6 +100,34 @@ class Location:
         return f"{position}{heading}{room}{expected}{lost}; nearest {others}; {self.ms:.1f} ms"
 
 
+class FrameFilter:
+    """Where a robot is among the frames of a map, given one image after the other: `siamloc.maps.SequenceFilter`.
+
+    Args:
+        known: m frames, all with positions.
+        step: how far the robot goes between two images, about; as far as the map's from frame to frame if None.
+
+    Raises:
+        ConfigError: a step that is not positive.
+    """
+
+    def __init__(self, known: VisualMap, step: float | None = None) -> None:
+        self._filter = SequenceFilter(MotionModel.learn(known.frames, step=step), temperature_of_map(known))
+
+    def reset(self) -> None:
+        """Forget all images: the robot may be anywhere."""
+        self._filter.reset()
+
+    def step(self, distances: NDArray[np.float64]) -> tuple[int, float]:
+        """Take in the distances of an image to all frames (m,); return the likeliest frame, and how far off it may be.
+
+        That is the root mean square distance of where the robot may be from that frame.
+        """
+        belief, xy = self._filter.step(distances), self._filter.motion.xy
+        best = int(belief.argmax())
+        return best, float(np.sqrt(belief @ np.square(xy - xy[best]).sum(axis=1)))
+
+
 class Localizer:
     """Locates images by a bundle that `siamloc.runtime.export` wrote.
 
@@ -136,8 +168,6 @@ class Localizer:
         self._top = top
         self._describer = Describer(self.bundle, known, threads, providers)
         self.map = self._describer.known
-        if not self.map.aligned:
-            self.map.index  # noqa: B018 (prepared here, and not with the first image)
         self._search = self._layered(hierarchical)
         self._errors, self._refinement = self.bundle.load_errors(), self.bundle.load_refinement()
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
@@ -154,32 +184,36 @@ class Localizer:
             )
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
         self._wanted = max(top, *looked_at, 1)
+        for one in {id(one): one for one in (self.map, self._placed) if one is not None}.values():
+            match(one, one.description.take(slice(0, 1)))  # made ready here, and not with the first image
 
     @property
     def unit(self) -> str:
         """What x and y count in."""
         return self.map.unit
 
-    def tracker(self, step: float | None = None) -> PoseFilter:
+    def tracker(self, step: float | None = None) -> PoseFilter | FrameFilter:
         """Return what follows a robot from image to image, for `locate`; one for each drive.
+
+        Poses that are made by comparison with map frames are followed as such (`siamloc.maps.PoseFilter`), others from
+        map frame to map frame (`siamloc.maps.SequenceFilter`).
 
         Args:
             step: how far the robot goes between two images, about; as far as the map's from frame to frame if None.
 
         Raises:
-            ConfigError: the bundle's poses are not made by comparison, or a step that is not positive.
+            ConfigError: no map frame has a position, or a step that is not positive.
         """
-        if self._refinement is None or self._refinement.method != "relative":
-            raise ConfigError(
-                f"{self.bundle.path} cannot follow a robot, since it does not compare images with map frames: evaluate "
-                "with task.refine=relative, then export again"
-            )
-        return PoseFilter(_spacing(self.map.placed()) if step is None else step)
+        if self._placed is None:
+            raise ConfigError(f"{self.bundle.path} cannot follow a robot: none of its map frames has a position")
+        if self._refinement is not None and self._refinement.method == "relative":
+            return PoseFilter(_spacing(self._placed) if step is None else step)
+        return FrameFilter(self._placed, step)
 
     def locate(
         self,
         image: str | Path | NDArray[np.uint8],
-        tracker: PoseFilter | None = None,
+        tracker: PoseFilter | FrameFilter | None = None,
         seen: Callable[[NDArray[np.uint8]], None] | None = None,
     ) -> Location:
         """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as the camera gives them.
@@ -200,7 +234,7 @@ class Localizer:
             seen(panorama)
         return self._located(panorama, self.describe(panorama[None]), tracker, start)
 
-    def locate_panorama(self, panorama: NDArray[np.uint8], tracker: PoseFilter | None = None) -> Location:
+    def locate_panorama(self, panorama: NDArray[np.uint8], tracker: PoseFilter | FrameFilter | None = None) -> Location:
         """Locate a panorama (3, H, W), uint8, RGB, of the bundle's size; see `locate`."""
         start = time.perf_counter()
         return self._located(panorama, self.describe(panorama[None]), tracker, start)
@@ -229,7 +263,7 @@ class Localizer:
         return [replace(one, ms=mean) for one in found]
 
     def _located(
-        self, panorama: NDArray[np.uint8], query: Description, tracker: PoseFilter | None, start: float
+        self, panorama: NDArray[np.uint8], query: Description, tracker: PoseFilter | FrameFilter | None, start: float
     ) -> Location:
         found = self._found(panorama, query)
         frames = self.map.frames
@@ -246,6 +280,8 @@ class Localizer:
         )
         best = candidates[0]
         pose, error, lost = self._estimates(query, found)
+        if isinstance(tracker, FrameFilter):
+            return self._followed(query, tracker, candidates, error, lost, start)
         if pose is not None and tracker is not None:
             pose = tracker.step(pose)
         return Location(
@@ -259,6 +295,32 @@ class Localizer:
             ms=1000 * (time.perf_counter() - start),
             covariance=None if pose is None else _told(pose),
             agreement=math.nan if pose is None else float(pose.agreement[0]),
+        )
+
+    def _followed(
+        self,
+        query: Description,
+        tracker: FrameFilter,
+        candidates: tuple[Candidate, ...],
+        error: float,
+        lost: bool | None,
+        start: float,
+    ) -> Location:
+        """Return the likeliest map frame of a robot on its way."""
+        assert self._placed is not None
+        row, spread = tracker.step(frame_distances(self._placed, query)[0])
+        frames, found = self._placed.frames, Retrieval(np.array([[row]]), np.zeros((1, 1)))
+        variance = spread**2 / 2  # of x and of y
+        return Location(
+            x=float(frames.x[row]),
+            y=float(frames.y[row]),
+            theta=float(headings(self._placed, query, found)[0, 0]),
+            room=str(frames.room[row]),
+            error_m=error,
+            lost=lost,
+            candidates=candidates,
+            ms=1000 * (time.perf_counter() - start),
+            covariance=((variance, 0.0), (0.0, variance)),
         )
 
     def describe(self, panoramas: NDArray[np.uint8]) -> Description:
@@ -322,14 +384,17 @@ class Localizer:
         if isinstance(image, (str, Path)):
             try:
                 return self.bundle.preprocessing.panorama(image)
-            except UnreadableImageError as error:
+            except (UnreadableImageError, ConfigError) as error:  # damaged, or too small for the camera's ring
                 raise DataError(f"{image} cannot be located: {error}") from error
         pixels = np.asarray(image)
         if pixels.size == 0:
             raise DataError("the image is empty: the camera gave no picture")
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
-        return self.bundle.preprocessing.prepare(pixels)
+        try:
+            return self.bundle.preprocessing.prepare(pixels)
+        except ConfigError as error:
+            raise DataError(f"an image of {pixels.shape[0]} x {pixels.shape[1]} cannot be located: {error}") from error
 
 
 def _spacing(known: VisualMap) -> float:

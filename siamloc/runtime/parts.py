@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import stat
 import zipfile
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Collection
-from pathlib import Path, PurePosixPath
+from collections.abc import Collection, Iterator
+from pathlib import Path
 
 from siamloc.errors import FormatError
 from siamloc.files import file_hash
@@ -16,6 +17,7 @@ from siamloc.files import file_hash
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that a part may have anyway, and for each byte of its own in the archive
 _DAMAGE = (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 _AT_ONCE = 1 << 20
+_FOLDER = re.compile(r"(?!\.{1,2}/)[^/\\:]+/|")  # the top of an archive, or one folder by a plain name
 
 
 class Parts(ABC):
@@ -111,7 +113,7 @@ class Archive(Parts):
         except _DAMAGE as error:
             raise FormatError(f"{path} is no zip archive, or not a whole one ({error}): export again") from error
         tops = [member.filename[: -len(marker)] for member in members if member.filename.endswith(marker)]
-        top = next((top for top in tops if len(PurePosixPath(top).parts) < 2), "")
+        top = next((top for top in tops if _FOLDER.fullmatch(top)), "")
         self._members: dict[str, zipfile.ZipInfo] = {}
         for member in members:
             name = member.filename.removeprefix(top)
@@ -142,14 +144,13 @@ class Archive(Parts):
         """Return how many bytes a file has, in the archive."""
         return self._members[name].compress_size
 
-    def _blocks(self, name: str) -> list[bytes]:
+    def _blocks(self, name: str) -> Iterator[bytes]:
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as held:
-                blocks, left = [], self._members[name].file_size
+                left = self._members[name].file_size
                 while left > 0 and (block := held.read(min(_AT_ONCE, left))):
-                    blocks.append(block)
+                    yield block
                     left -= len(block)
                 held.read(1)  # at the end the checksum is compared
         except _DAMAGE as error:
             raise FormatError(f"{name} in {self.path} is damaged or cut short ({error}): export again") from error
-        return blocks

@@ -50,8 +50,9 @@ class Measured:
         bytes: of the whole bundle.
         ms: median time of an image, from the panorama on.
         change: median distance between its descriptors and the original's, of their length.
-        error: mean localization error, in units of x and y.
+        error: mean localization error, in units of x and y; an image without a position counts with the map's size.
         images: that it was measured with.
+        located: those of them that got a position.
     """
 
     precision: Precision
@@ -60,6 +61,7 @@ class Measured:
     change: float
     error: float
     images: int
+    located: int = 0
 
     def plain(self) -> dict[str, Any]:
         """Return it as plain values."""
@@ -69,6 +71,11 @@ class Measured:
 def smallest(rows: Sequence[Measured]) -> Measured:
     """Return the smallest bundle that loses at most `LOSS` of the error of the one in float32."""
     full = next(row for row in rows if row.precision == "float32")
+    if not full.located:
+        raise ConfigError(
+            f"precision=auto compares localization errors, and none of the {full.images} validation images finds a map "
+            "frame with a position: use other frames, or name a precision"
+        )
     good = [row for row in rows if row.error <= (1 + LOSS) * full.error]
     return min(good, key=lambda row: row.bytes)
 
@@ -119,13 +126,17 @@ def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], x
     found = [localizer.locate_panorama(panorama) for panorama in panoramas]
     expected = original.describe(panoramas).position
     apart = localizer.describe(panoramas).position - expected
+    errors = np.hypot(*(np.array([[one.x, one.y] for one in found]) - xy).T)
+    known = localizer.map.frames.xy
+    farthest = float(np.hypot(*(np.nanmax(known, axis=0) - np.nanmin(known, axis=0))))
     return Measured(
         localizer.bundle.about["precision"],
         localizer.bundle.bytes,
         statistics.median(one.ms for one in found),
         float(np.median(np.linalg.norm(apart, axis=1) / np.linalg.norm(expected, axis=1))),
-        float(np.nanmean(np.hypot(*(np.array([[one.x, one.y] for one in found]) - xy).T))),
+        float(np.where(np.isfinite(errors), errors, farthest).mean()),
         len(found),
+        int(np.isfinite(errors).sum()),
     )
 
 

@@ -6,7 +6,9 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -154,7 +156,9 @@ def _files(name: str | Path) -> list[Path] | None:
             raise DataError(f"{path} holds no images")
         return files
     if not path.is_file():
-        raise DataError(f"there is no image {path}")
+        number = re.fullmatch(r"/dev/video(\d+)", str(name))
+        there = f"the camera {path} is called {CAMERA}{number[1]} here" if number else f"there is no image {path}"
+        raise DataError(there)
     return None if path.suffix.lower() in VIDEOS else [path]
 
 
@@ -166,7 +170,8 @@ def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8], None]]:
     number = name.removeprefix(CAMERA)
     if live and not number.isdigit():
         raise ConfigError(f"{name} is no camera: give its number, such as {CAMERA}0")
-    film = cv2.VideoCapture(int(number) if live else name)
+    with _quiet():
+        film = cv2.VideoCapture(int(number) if live else name)
     given = 0
     try:
         while film.isOpened():
@@ -183,10 +188,25 @@ def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8], None]]:
         raise DataError(f"{name} gives no more pictures after {given}: look at its plug")
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence OpenCV's own lines about a camera or a video that is not there: the sentence here says it."""
+    import cv2
+
+    log = cv2.utils.logging
+    level = log.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        log.setLogLevel(level)
+
+
 def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, None, None]:
     """Pass locations on, and write each into a file, which is there when the last has been passed on.
 
-    A caller that stops before the end gets the file of what it was given.
+    A caller that stops before the end gets the file of what it was given, and so does one who is interrupted, or whose
+    images end in an error after the first of them.
 
     Args:
         path: a table with `COLUMNS`, name.csv, or a line of JSON for each, name.jsonl.
@@ -200,14 +220,20 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
     if path.suffix not in LINES:
         raise ConfigError(f"{path} must be a table, .csv, or lines of JSON, .jsonl")
     line = LINES[path.suffix]()
+    count, stopped = 0, None
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         file.write(line.head)
         try:
             for one in located:
                 file.write(line(one))
+                count += 1
                 yield one
-        except GeneratorExit:
-            pass
+        except (GeneratorExit, KeyboardInterrupt, DataError) as stop:
+            if not count and not isinstance(stop, GeneratorExit):
+                raise
+            stopped = stop
+    if stopped is not None and not isinstance(stopped, GeneratorExit):
+        raise stopped
 
 
 class CsvLines:

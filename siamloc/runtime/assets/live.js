@@ -61,6 +61,7 @@ function drawScale(plan, box, extent) {
 }
 
 function drawWay() {
+  if (!layers.way) return; // a map without positions has no plan
   const paths = layers.way.children, step = Math.ceil(track.length / AGES) || 1;
   for (let age = 0; age < AGES; age++) {
     // Each shade begins with the last pose of the one before, so that the way has no gaps.

@@ -231,6 +231,37 @@ def test_who_stops_early_has_what_there_was(tmp_path):
     assert len((tmp_path / "locations.csv").read_text().splitlines()) == 4
 
 
+@pytest.mark.parametrize("stop", [KeyboardInterrupt("stop"), DataError("camera:0 gives no more pictures")])
+def test_what_was_located_before_an_interrupt_or_an_error_is_kept(tmp_path, stop):
+    def located(count):
+        for number in range(count):
+            yield Located(f"{number}.png", None, "why")
+        raise stop
+
+    target = tmp_path / "locations.csv"
+    with pytest.raises(type(stop)):
+        list(written(target, located(3)))
+    assert [line.partition(",")[0] for line in target.read_text().splitlines()] == ["image", "0.png", "1.png", "2.png"]
+    with pytest.raises(type(stop)):
+        list(written(target, located(0)))
+    assert "2.png" in target.read_text(), "where nothing was located, what is there stays"
+    assert [path.name for path in tmp_path.iterdir()] == ["locations.csv"]
+
+
+def test_a_picture_that_does_not_fit_the_camera_does_not_end_the_drive(bundle, tmp_path):
+    ring = Preprocessing.checked((32, 128), {"kind": "polar", "centre": [120, 120], "inner": 50, "outer": 110})
+    localizer = Localizer(bundle)
+    localizer.bundle = replace(localizer.bundle, about={**localizer.bundle.about, "preprocessing": ring.parameters()})
+    small, large = tmp_path / "small.png", tmp_path / "large.png"
+    cv2.imwrite(str(small), np.full((20, 20, 3), 90, np.uint8))
+    cv2.imwrite(str(large), np.full((240, 240, 3), 90, np.uint8))
+    first, second = locate_all(localizer, [small, large])
+    assert "small.png cannot be located" in first.fault
+    assert second.location is not None
+    with pytest.raises(DataError, match="an image of 20 x 20 cannot be located"):
+        localizer.locate(np.full((20, 20, 3), 90, np.uint8))
+
+
 def test_files_folders_and_videos_are_located_in_order(bundle, tmp_path):
     pictures, localizer = drive(2)[0][:4], Localizer(bundle)
     photos = tmp_path / "photos"

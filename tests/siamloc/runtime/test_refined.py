@@ -14,7 +14,18 @@ import torch
 import siamloc
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.files import file_hash, read_json, write_json
-from siamloc.maps import ErrorModel, HeadingPart, PoseFilter, Refinement, VisualMap, match
+from siamloc.maps import (
+    ErrorModel,
+    HeadingPart,
+    MotionModel,
+    PoseFilter,
+    Refinement,
+    SequenceFilter,
+    VisualMap,
+    frame_distances,
+    match,
+    temperature_of_map,
+)
 from siamloc.maps.heading import NetworkHeading
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Localizer, export, locate_all
@@ -108,8 +119,31 @@ def test_each_folder_is_a_drive(network, known, tmp_path):
     single = [one.location.x for name in "ab" for one in locate_all(localizer, tmp_path / name, track=True)]
     assert both == single
     between = bundled(tmp_path / "between", network, known, method="interpolate")
-    with pytest.raises(ConfigError, match="cannot follow a robot"):
-        list(locate_all(Localizer(between), tmp_path / "a", track=True))
+    followed = [one.location for one in locate_all(Localizer(between), tmp_path / "a", track=True)]
+    assert {(one.x, one.y) for one in followed} <= set(map(tuple, known.frames.xy.tolist()))
+
+
+def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(network, known, tmp_path):
+    plain = siamloc.runtime.export(network, known, tmp_path / "bundle").path
+    pictures, localizer = drive(2)[0], Localizer(plain)
+    tracker = localizer.tracker(step=0.3)
+    found = [localizer.locate(picture, tracker) for picture in pictures]
+    seen = known.describer.describe(pictures.transpose(0, 3, 1, 2))
+    robot = SequenceFilter(MotionModel.learn(known.frames, step=0.3), temperature_of_map(known))
+    expected = robot.run(frame_distances(known, seen), np.full(len(pictures), "drive"))
+    np.testing.assert_allclose([[one.x, one.y] for one in found], known.frames.xy[expected.frame])
+    np.testing.assert_allclose([one.covariance[0][0] for one in found], expected.spread**2 / 2, rtol=1e-3, atol=1e-6)
+    tracker.reset()
+    assert localizer.locate(pictures[0], tracker).x == found[0].x
+
+
+def test_a_map_without_positions_follows_nobody(network, known, tmp_path):
+    bare = replace(
+        known, frames=known.frames.with_columns(x=np.full(len(known), np.nan), y=np.full(len(known), np.nan))
+    )
+    folder = siamloc.runtime.export(network, bare, tmp_path / "bundle").path
+    with pytest.raises(ConfigError, match="cannot follow a robot: none of its map frames has a position"):
+        Localizer(folder).tracker()
 
 
 def test_the_summary_says_that_poses_are_finer(bundle, network, known, tmp_path):

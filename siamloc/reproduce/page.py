@@ -1,0 +1,99 @@
+"""The report: what was reproduced, on which machine, and what became of the claims; one page of Markdown."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from siamloc.files import write_text
+from siamloc.reproduce.recipe_book import data_named
+from siamloc.reproduce.running import VERDICTS, Reproduction
+from siamloc.results import versions
+
+_ABOUT = """\
+Each part below is a published table or figure, measured again: `siamloc reproduce ID data=... scale=...` makes it, and
+`siamloc reproduce --list` names all. Published numbers and claims are those of three texts: **[I]** Román et al. 2020,
+**[C]** Cebollada et al. 2019, **[T]** Román's thesis of 2023. They were measured on other images, partly by other
+protocols, on other machines; each part says what stands for what here. A claim is a sentence of a text with a check
+that numbers can be held against: it *holds*, *does not hold*, or is *not decidable* where the recipe, the data or the
+scale do not have what it compares. Where the printed numbers decide it themselves, their verdict stands beside ours.
+"""
+
+
+def write_report(results: Sequence[Reproduction], path: str | Path, missing: Mapping[str, str] | None = None) -> Path:
+    """Write the page of several reproductions next to their pictures, and return its path.
+
+    Args:
+        results: of one data set and scale; each is saved into the page's folder.
+        path: of the page, name.md.
+        missing: why others could not be measured, by their ids.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    path = Path(path)
+    for one in results:
+        one.save(path.parent)
+    write_text(path, report(results, missing))
+    return path
+
+
+def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = None) -> str:
+    """Return the page of several reproductions."""
+    first = results[0]
+    counted = Counter(VERDICTS[verdict.ours] for verdict in _verdicts(results))
+    said = ", ".join(f"{count} {word}" for word, count in counted.items())
+    made = versions()
+    lines = [
+        f"# Reproduced: {len(results)} tables and figures on {data_named(first.data)['title']}",
+        "",
+        _ABOUT,
+        f"Scale `{first.scale}`; measured in {sum(one.seconds for one in _distinct(results)) / 60:.0f} minutes on "
+        f"{_machine()}; {', '.join(f'{name} {version}' for name, version in made.items())}; "
+        f"{datetime.datetime.now(datetime.timezone.utc):%d %B %Y}.",
+        "",
+        f"Of {sum(counted.values())} claims: {said}.",
+        "",
+        "| | | claims that hold | that do not | not decidable | published numbers beside ours |",
+        "|---|---|---|---|---|---|",
+    ]
+    for one in results:
+        verdicts = Counter(verdict.ours for verdict in one.verdicts)
+        rows = one.rows
+        beside = f"{sum(row.ours is not None for row in rows)} of {len(rows)}" if rows else ""
+        cells = [str(verdicts[key]) if verdicts[key] else "" for key in (True, False, None)]
+        lines.append(f"| [{one.recipe.id}](#{one.recipe.id}) | {one.recipe.title} | {' | '.join(cells)} | {beside} |")
+    for id, reason in (missing or {}).items():
+        lines.append(f"| {id} | not measured: {reason} | | | | |")
+    for one in results:
+        lines += ["", f'<a id="{one.recipe.id}"></a>', "", one.table()]
+        if one.recipe.figure:
+            lines.append(f"![{one.recipe.title}]({one.recipe.id}.png)")
+    return "\n".join(lines) + "\n"
+
+
+def _verdicts(results: Sequence[Reproduction]) -> list:
+    """Return each claim's verdict once."""
+    return list({verdict.claim.id: verdict for one in results for verdict in one.verdicts}.values())
+
+
+def _distinct(results: Sequence[Reproduction]) -> list[Reproduction]:
+    """Return reproductions whose experiments no other one before has: their times are not counted twice."""
+    seen: set[str] = set()
+    found = []
+    for one in results:
+        if not set(one.recipe.experiments) <= seen:
+            found.append(one)
+        seen |= set(one.recipe.experiments)
+    return found
+
+
+def _machine() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{os.cpu_count()} cores of {names[0] if names else platform.processor() or platform.machine()}"
