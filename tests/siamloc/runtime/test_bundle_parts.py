@@ -269,13 +269,15 @@ def smallest_row():
 
 def test_the_smallest_is_chosen_among_those_that_lose_little():
     def row(precision, size, error):
-        return Measured(precision, size, 1.0, 0.0, error, 10)
+        return Measured(precision, size, 1.0, 0.0, error, 10, 10)
 
     full = row("float32", 100, 1.0)
     good, bad = row("int8", 25, 1 + LOSS), row("int8", 25, 1.01 + LOSS)
     assert smallest([full, row("float16", 50, 1.0), good]) == good
     assert smallest([full, row("float16", 50, 1.0), bad]).precision == "float16"
     assert smallest([full, row("float16", 50, 2.0), bad]) == full
+    with pytest.raises(ConfigError, match="none of the 10 validation images finds a map frame with a position"):
+        smallest([replace(full, located=0)])
 
 
 @pytest.mark.parametrize(

@@ -249,9 +249,9 @@ def test_what_was_located_before_an_interrupt_or_an_error_is_kept(tmp_path, stop
 
 
 def test_a_picture_that_does_not_fit_the_camera_does_not_end_the_drive(bundle, tmp_path):
-    ring = Preprocessing.checked((32, 128), {"kind": "polar", "centre": [120, 120], "inner": 50, "outer": 110})
+    ring = Preprocessing.checked((32, 128), {"kind": "polar", "inner": 50})
     localizer = Localizer(bundle)
-    localizer.bundle = replace(localizer.bundle, about={**localizer.bundle.about, "preprocessing": ring.parameters()})
+    localizer.bundle = replace(localizer.bundle, preprocessing=ring)
     small, large = tmp_path / "small.png", tmp_path / "large.png"
     cv2.imwrite(str(small), np.full((20, 20, 3), 90, np.uint8))
     cv2.imwrite(str(large), np.full((240, 240, 3), 90, np.uint8))
