@@ -6,7 +6,7 @@ Nothing here knows what was published: measured numbers come from images alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,13 @@ from siamloc import evaluation, maps
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Role, room_sizes
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.absolute import evaluate_absolute
+from siamloc.files import content_key
 from siamloc.maps import VisualMap, headings, match
 from siamloc.reproduce.published import Record
 from siamloc.reproduce.recipe_book import Job, data_named
 from siamloc.stopwatch import Stopwatch
+
+_REMEMBERED = 3
 
 
 @dataclass
@@ -37,6 +40,7 @@ class Data:
     name: str
     root: Path
     image_size: tuple[int, int]
+    _described: dict[str, VisualMap] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if not self.root.is_dir():
@@ -63,6 +67,21 @@ class Data:
     def images(self) -> PanoramaLibrary:
         """Their panoramas."""
         return self.settings.library(self.frames, data_named(self.name)["unwrap"])
+
+    def described(self, options: Mapping[str, Any], role: Mapping[str, Any]) -> VisualMap:
+        """Return the map of a role's frames by a descriptor; the last few are remembered.
+
+        Args:
+            options: the descriptor's name and parameters.
+            role: frames.
+        """
+        key = content_key([dict(options), dict(role)])
+        if key not in self._described:
+            for oldest in list(self._described)[:-_REMEMBERED]:
+                del self._described[oldest]
+            by = described_by(options)
+            self._described[key] = maps.build(by, self.images, self.role(role), distance="euclidean", progress=False)
+        return self._described[key]
 
     def role(self, role: Mapping[str, Any]) -> FrameTable:
         """Return the frames of a role.
@@ -238,8 +257,7 @@ def _compared(own: VisualMap, options: Mapping[str, Any]) -> Iterator[VisualMap]
 
 def _described(options: Mapping[str, Any], job: Job, data: Data) -> VisualMap:
     """Return the map of a job by a descriptor."""
-    frames = data.role(job.roles["map"])
-    return maps.build(described_by(options), data.images, frames, distance="euclidean", progress=False)
+    return data.described(options, job.roles["map"])
 
 
 def image_size(job: Job) -> tuple[int, int]:
