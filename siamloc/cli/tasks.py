@@ -102,8 +102,8 @@ def _hierarchical(config: DictConfig, run: Run, settings: Hierarchical) -> tuple
             "task.coarse.by=vote, or another task.coarse.descriptor"
         )
     built, _ = _layer(config, run, known if coarse is None else coarse, coarse_label)
-    vote = ["vote"] if settings.coarse.by == "vote" else []
-    name = "-".join(dict.fromkeys([label, coarse_label, label_of(config.build), *vote]))
+    by = [] if settings.coarse.by == "representatives" else [settings.coarse.by]
+    name = "-".join(dict.fromkeys([label, coarse_label, label_of(config.build), *by]))
     result = evaluation.hierarchical(
         known,
         images,

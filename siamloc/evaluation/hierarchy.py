@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, cost
 from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, rank_by_position
+from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, Ranking, rank_by_position
 from siamloc.results import Columns, rows_by_label
 from siamloc.settings import Count, Natural, NotNegative, Rule, Settings, takes
 from siamloc.stopwatch import Stopwatch
@@ -35,7 +35,8 @@ class CoarseRanking(Settings):
     """How the nodes are ranked for a query.
 
     Attributes:
-        by: by their "representatives", or by the "vote" of the nearest map frames.
+        by: by their "representatives", by the "vote" of the nearest map frames, or, where they are rooms, by the
+            "classifier" that a network was trained with to name them.
         neighbours: frames that vote.
         ratio: candidates whose representative is farther than so many times the nearest one are not searched, at
             least 1; all of them are if None.
@@ -43,7 +44,7 @@ class CoarseRanking(Settings):
 
     WHERE = "task.coarse"
 
-    by: Literal["representatives", "vote"] = "representatives"
+    by: Ranking = "representatives"
     neighbours: Count = 10
     ratio: Annotated[float, Rule("a number from 1", lambda value: value >= 1)] | None = None
 

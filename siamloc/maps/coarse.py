@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from analytic.arrays_file import DAMAGE, read_arrays
 from siamloc.errors import DataError, FormatError
 from siamloc.files import atomic_path, parsed_json, plain
 from siamloc.maps.visual_map import VisualMap
+from siamloc.models.room_classifier import RoomClassifier
 
 _FORMAT = "siamloc-coarse-layer"
 _VERSION = 1
@@ -32,6 +33,8 @@ class CoarseLayer:
         names: (k,) what nodes are called: rooms by their codes, others by their number.
         edges: (e, 2) nodes that the robot went between, each pair once, the smaller number first.
         made: how the layer was built (method, parameters), and what building it took, as plain values.
+        classifier: what names the node of a descriptor, its classes in the order of the nodes; where the nodes are
+            rooms, and the network that described the map was trained to name them. Else None.
 
     Raises:
         DataError: parts that do not fit each other.
@@ -43,6 +46,7 @@ class CoarseLayer:
     names: NDArray[np.str_]
     edges: NDArray[np.int64]
     made: dict[str, Any] = field(default_factory=dict)
+    classifier: RoomClassifier | None = None
 
     def __post_init__(self) -> None:
         if np.ndim(self.representatives) != 2:
@@ -60,6 +64,11 @@ class CoarseLayer:
             )
         if self.edges.size and not 0 <= self.edges.min() <= self.edges.max() < k:
             raise DataError(f"the edges of a coarse layer lie between its nodes, 0 to {k - 1}")
+        if self.classifier is not None and (
+            self.classifier.names.tolist() != np.asarray(self.names).tolist()
+            or self.classifier.weight.shape[1] != self.representatives.shape[1]
+        ):
+            raise DataError("the classifier of a coarse layer has a class for each node, and reads its descriptors")
         for name in ("labels", "representatives", "positions", "names", "edges"):
             array = np.array(getattr(self, name))
             array.flags.writeable = False
@@ -114,6 +123,8 @@ class CoarseLayer:
     def of_rooms(cls, known: VisualMap) -> CoarseLayer:
         """Build the layer of the rooms; frames without a label are in no node.
 
+        Where the map's network was trained to name them all, the layer has its classifier.
+
         Raises:
             DataError: no frame has a room label.
         """
@@ -123,7 +134,8 @@ class CoarseLayer:
             raise DataError("no map frame has a room label: rooms cannot be the coarse layer of this map")
         number = {name: node for node, name in enumerate(names)}
         labels = np.array([number.get(place, UNASSIGNED) for place in places.tolist()])
-        return cls.of_labels(known, labels, names, {"name": "rooms"})
+        layer = cls.of_labels(known, labels, names, {"name": "rooms"})
+        return replace(layer, classifier=naming(known, layer))
 
     def members(self, node: int) -> NDArray[np.int64]:
         """Return the rows of the map in a node."""
@@ -140,8 +152,12 @@ class CoarseLayer:
             np.savez(
                 file,
                 header=np.array(json.dumps(header, ensure_ascii=False)),
-                **{name: getattr(self, name) for name in _ARRAYS},
+                **self._arrays(),
             )
+
+    def _arrays(self) -> dict[str, Any]:
+        classes = () if self.classifier is None else (self.classifier.weight, self.classifier.bias)
+        return {name: getattr(self, name) for name in _ARRAYS} | dict(zip(_CLASSES, classes, strict=False))
 
     @classmethod
     def load(cls, path: str | Path) -> CoarseLayer:
@@ -184,12 +200,23 @@ class CoarseLayer:
                 f"{path} has format version {header['version']}, this siamloc reads up to {_VERSION}: update siamloc"
             )
         try:
-            return cls(**arrays, made=header.get("made", {}))
-        except DataError as error:
+            classes = [held[name] for name in _CLASSES if name in held]
+            classifier = RoomClassifier(arrays["names"], *classes) if classes else None
+            return cls(**arrays, made=header.get("made", {}), classifier=classifier)
+        except (DataError, TypeError, ValueError) as error:
             raise FormatError(f"{path} is not a whole coarse layer ({error}): build it again") from error
 
 
 _ARRAYS = ("labels", "representatives", "positions", "names", "edges")
+_CLASSES = ("class_weight", "class_bias")
+
+
+def naming(known: VisualMap, layer: CoarseLayer) -> RoomClassifier | None:
+    """Return what names the nodes of a layer by a map's descriptors; None where nothing does, or not all of them."""
+    rooms = getattr(known.describes, "rooms", None)
+    if not isinstance(rooms, RoomClassifier) or not set(layer.names.tolist()) <= set(rooms.names.tolist()):
+        return None
+    return rooms.of(layer.names.tolist())
 
 
 def connections(labels: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:

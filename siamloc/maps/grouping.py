@@ -16,7 +16,7 @@ from analytic.mapper import IncrementalMapper, Parameters
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import read_json, storage_errors, write_json, write_text
 from siamloc.locks import held
-from siamloc.maps.coarse import CoarseLayer
+from siamloc.maps.coarse import CoarseLayer, naming
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
 from siamloc.settings import Count, Positive, Settings
@@ -238,6 +238,8 @@ def _built_before(folder: Path, known: VisualMap, made: dict[str, Any]) -> Built
     except FormatError:
         return None
     same = all(built.layer.made.get(key) == value for key, value in made.items())
+    if made["name"] == "rooms" and built.layer.classifier is None:  # the map's network was not there then
+        same = same and naming(known, built.layer) is None
     return built if same and built.map_digest == known.digest else None
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,11 +19,16 @@ from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.matching import match, nearest_in_rows
 from siamloc.maps.search import Retrieval, VectorIndex, check_neighbours
 from siamloc.maps.visual_map import VisualMap
+from siamloc.models.room_classifier import RoomClassifier
 from siamloc.settings import Count, Natural, Rule, Settings
 
 if TYPE_CHECKING:
     from siamloc.data.frames import FrameTable
     from siamloc.data.library import PanoramaLibrary
+
+Ranking = Literal["representatives", "vote", "classifier"]
+"""How nodes are ranked for a query: by their representatives ([C] 4), by the vote of the nearest map frames, or, where
+they are rooms, by the network that was trained to name them ([T] 5.4.3)."""
 
 _ALIGNED_PAIRS = 1 << 17  # distances at the best turn held at once
 _FOUND = 1 << 21  # neighbours gathered before they are sorted
@@ -121,7 +126,7 @@ class LayerSearch(Settings):
     """How a coarse layer is searched first; see `HierarchicalSearch`.
 
     Attributes:
-        by: how nodes are ranked.
+        by: how nodes are ranked; see `Ranking`.
         candidates: nodes searched for each query.
         neighbours: map frames that vote.
         ratio: candidates whose representative is farther than so many times the nearest one are not searched.
@@ -130,7 +135,7 @@ class LayerSearch(Settings):
 
     WHERE = "search"
 
-    by: Literal["representatives", "vote"] = "representatives"
+    by: Ranking = "representatives"
     candidates: Count = 3
     neighbours: Count = 10
     ratio: Annotated[float, Rule("a number from 1", lambda value: value >= 1)] | None = None
@@ -151,7 +156,7 @@ class HierarchicalSearch:
         known: m frames.
         layer: nodes over the same m frames, built over `coarse`.
         coarse: a map of the same frames by another descriptor, which ranks the nodes; `known` if None.
-        by: how nodes are ranked: by their "representatives" ([C] 4), or by the "vote" of the nearest map frames.
+        by: how nodes are ranked; see `Ranking`.
         candidates: nodes searched for each query; all of them if there are fewer.
         neighbours: map frames that vote.
         ratio: candidates whose representative is farther than so many times the nearest one are not searched, at
@@ -166,7 +171,8 @@ class HierarchicalSearch:
 
     Raises:
         ConfigError: numbers below 1, or below 0 for `along`, an unknown way to rank, a ratio without representatives,
-            or representatives of descriptors that are compared only after turning: their means have no meaning.
+            representatives of descriptors that are compared only after turning, whose means have no meaning, or nodes
+            that no classifier names.
         DataError: a layer or a coarse map of other frames.
 
     Example:
@@ -185,7 +191,7 @@ class HierarchicalSearch:
         layer: CoarseLayer,
         *,
         coarse: VisualMap | None = None,
-        by: Literal["representatives", "vote"] = "representatives",
+        by: Ranking = "representatives",
         candidates: int = 3,
         neighbours: int = 10,
         ratio: float | None = None,
@@ -199,8 +205,10 @@ class HierarchicalSearch:
             )
         if not np.array_equal(self.coarse.frames.path, known.frames.path):
             raise DataError("the map that ranks the nodes must hold the map's frames in the same order")
-        if by not in ("representatives", "vote"):
-            raise ConfigError(f"nodes are ranked by representatives or vote, got {by!r}")
+        if by not in get_args(Ranking):
+            raise ConfigError(f"nodes are ranked by representatives, vote or classifier, got {by!r}")
+        if by == "classifier" and layer.classifier is None:
+            raise ConfigError(_not_naming(self.coarse, layer))
         if by == "representatives" and self.coarse.aligned:
             raise ConfigError(
                 f"descriptors of {self.coarse.descriptor.name} are compared after turning, and their means stand for "
@@ -253,6 +261,9 @@ class HierarchicalSearch:
             return rank_by_vote(
                 match(self.coarse, queries, self._neighbours), self.layer.labels, self._candidates, len(self.coarse)
             )
+        if self._by == "classifier":
+            assert self.layer.classifier is not None
+            return rank_by_classifier(queries.position, self.layer.classifier, self._candidates)
         if self._representatives is None:
             self._representatives = VectorIndex(self.layer.representatives, self.coarse.distance)
         return _nearest_nodes(self._representatives, queries.position, self._candidates, self._ratio)
@@ -371,6 +382,45 @@ def rank_by_representatives(
     """
     index = VectorIndex(representatives, distance)
     return _nearest_nodes(index, queries, _check_candidates(candidates), _check_ratio(ratio))
+
+
+def rank_by_classifier(queries: ArrayLike, classifier: RoomClassifier, candidates: int = 1) -> NodeRanking:
+    """Rank nodes by the probability that a classifier gives each, the most probable first ([T] 5.4.3, "CNN simple").
+
+    Args:
+        queries: (n, D), described by the network that the classifier was trained with.
+        classifier: with a class for each node, that of a `CoarseLayer`.
+        candidates: how many nodes to keep; all of them if there are fewer.
+
+    Raises:
+        ConfigError: a number of candidates below 1.
+        DataError: vectors of another length.
+    """
+    scores, keep = classifier.scores(queries), _check_candidates(candidates)
+    nodes = np.argsort(-scores, axis=1, kind="stable")[:, :keep].astype(np.int64)
+    return NodeRanking(nodes, np.full(len(scores), len(classifier)))
+
+
+def _not_naming(known: VisualMap, layer: CoarseLayer) -> str:
+    """Say why no classifier names the nodes of a layer."""
+    rooms = getattr(known.describes, "rooms", None)
+    if rooms is None:
+        return (
+            "nodes are ranked by a classifier where a network that was trained to name rooms describes them: train one "
+            "with loss=cross_entropy, or rank them by representatives or vote"
+        )
+    if layer.made.get("name") != "rooms":
+        return (
+            "a classifier ranks the nodes that it was trained to name, the rooms: choose build=rooms, or rank nodes by "
+            "representatives or vote"
+        )
+    unknown = [name for name in layer.names.tolist() if name not in rooms.names.tolist()]
+    return (
+        f"the classifier does not know all rooms of the map, it lacks {', '.join(unknown)}: train it on them, leave "
+        "them out of the map (protocol.map.rooms), or rank nodes by representatives or vote"
+        if unknown
+        else "the nodes were built without the classifier: build them again over the map with its network"
+    )
 
 
 def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compared: int | None = None) -> NodeRanking:

@@ -13,6 +13,7 @@ from siamloc.models.registry import BRANCHES, HEADS, Optimizer
 if TYPE_CHECKING:
     from siamloc.models.batch_losses import MetricCalibratedLoss, SoftContrastiveLoss
     from siamloc.models.checkpoint import load
+    from siamloc.models.cross_entropy import CrossEntropyLoss
     from siamloc.models.describing import NetworkDescriptor, as_descriptor
     from siamloc.models.losses import ContrastiveLoss
     from siamloc.models.near_and_far import CircleLoss, MultiSimilarityLoss, TripletLoss
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from siamloc.models.origins import Origins
     from siamloc.models.places import PlaceModule
     from siamloc.models.pretrained_network import pretrained, save_weights
+    from siamloc.models.room_classifier import NamedRooms, RoomClassifier
     from siamloc.models.siamese import SiameseModule
 
 __all__ = [
@@ -28,13 +30,16 @@ __all__ = [
     "HEADS",
     "CircleLoss",
     "ContrastiveLoss",
+    "CrossEntropyLoss",
     "MetricCalibratedLoss",
     "MultiSimilarityLoss",
+    "NamedRooms",
     "Network",
     "NetworkDescriptor",
     "Optimizer",
     "Origins",
     "PlaceModule",
+    "RoomClassifier",
     "SiameseModule",
     "SoftContrastiveLoss",
     "TripletLoss",
@@ -49,12 +54,15 @@ __all__ = [
 _HOMES = {
     "CircleLoss": "near_and_far",
     "ContrastiveLoss": "losses",
+    "CrossEntropyLoss": "cross_entropy",
     "MetricCalibratedLoss": "batch_losses",
     "MultiSimilarityLoss": "near_and_far",
+    "NamedRooms": "room_classifier",
     "Network": "network",
     "NetworkDescriptor": "describing",
     "Origins": "origins",
     "PlaceModule": "places",
+    "RoomClassifier": "room_classifier",
     "SiameseModule": "siamese",
     "SoftContrastiveLoss": "batch_losses",
     "TripletLoss": "near_and_far",

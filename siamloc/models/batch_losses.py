@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from siamloc.errors import ConfigError, hint
+from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.near_and_far import CircleLoss, MultiSimilarityLoss, NearAndFarLoss, TripletLoss
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
 from siamloc.models.registry import MetricCalibrated, SoftContrastive
@@ -170,6 +171,7 @@ LOSSES: dict[str, Callable[..., nn.Module]] = {
     "triplet": TripletLoss,
     "circle": CircleLoss,
     "multi_similarity": MultiSimilarityLoss,
+    "cross_entropy": CrossEntropyLoss,
 }
 """The losses over a batch, by the names that configurations call them."""
 

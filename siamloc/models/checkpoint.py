@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from torch import nn
+import numpy as np
+from torch import Tensor, nn
 
-from siamloc.errors import ConfigError, FormatError, SiamlocError
+from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
 from siamloc.models.checkpoint_file import CONTENT_KEY, network_state, read_checkpoint
 from siamloc.models.network import build
+from siamloc.models.room_classifier import RoomClassifier
 from siamloc.models.weights import mismatch, read_weights
 from siamloc.runs import Run
 
@@ -17,7 +19,8 @@ from siamloc.runs import Run
 def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: nn.Module | None = None) -> nn.Module:
     """Load a trained network, on the CPU and in evaluation mode.
 
-    No code in the file is run, and nothing is downloaded, whatever weights the training started from.
+    No code in the file is run, and nothing is downloaded, whatever weights the training started from. Its `rooms` are
+    the `RoomClassifier` of a training with `CrossEntropyLoss`, and None after others.
 
     Args:
         run_or_checkpoint: a run, its folder, the file of a checkpoint, or one that `save_weights` wrote.
@@ -60,7 +63,24 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     # Losses over batches have a name; the margin of a triplet is none of pairs.
     pairs: Any = about["loss"] if "name" not in about["loss"] else {}
     network.trained_margin = pairs.get("margin")
+    network.rooms = _rooms_in(path, about, content["state_dict"])  # type: ignore[assignment]
     return network.eval()
+
+
+def _rooms_in(path: Path, about: dict[str, Any], state: dict[str, Tensor]) -> RoomClassifier | None:
+    """Return the class layer that was trained with the network; None where none was.
+
+    Raises:
+        FormatError: it is not whole.
+    """
+    if "rooms" not in about:
+        return None
+    try:
+        temperature = float(about["loss"]["temperature"])
+        weight, bias = ((state[f"loss.layer.{part}"].float() / temperature).numpy() for part in ("weight", "bias"))
+        return RoomClassifier(np.array(about["rooms"], dtype=np.str_), weight, bias)
+    except (KeyError, TypeError, ValueError, ZeroDivisionError, DataError) as error:
+        raise FormatError(f"the checkpoint {path} names rooms without a whole class layer: train again") from error
 
 
 def check_architecture(path: Path, module: nn.Module) -> None:

@@ -17,6 +17,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.network import Network
 from siamloc.models.relative import RelativePose
+from siamloc.models.room_classifier import NamedRooms, RoomClassifier
 from siamloc.models.weights_file import state_hash
 
 CHUNK = 64
@@ -53,6 +54,30 @@ class NetworkDescriptor(BetweenColumns):
     def margin(self) -> float | None:
         """Margin of the loss that the network was trained with; None if unknown."""
         return getattr(self.module, "trained_margin", None)
+
+    @property
+    def rooms(self) -> RoomClassifier | None:
+        """What names the room from a descriptor; None unless the network was trained with `CrossEntropyLoss`."""
+        found = getattr(network_of(self.module), "rooms", None)
+        return found if isinstance(found, RoomClassifier) else None
+
+    def classify(self, batch: Any, chunk: int = CHUNK) -> NamedRooms:
+        """Name the rooms that images show.
+
+        Args:
+            batch: as `describe` takes it.
+            chunk: images in one pass.
+
+        Raises:
+            ConfigError: a network that was not trained to name rooms.
+            DataError: as `describe`.
+        """
+        if (rooms := self.rooms) is None:
+            raise ConfigError(
+                "this network does not name rooms: train one with loss=cross_entropy (from Python "
+                "siamloc.models.CrossEntropyLoss)"
+            )
+        return rooms.named(describe(self.module, batch, chunk))
 
     @property
     def identity(self) -> dict[str, Any]:

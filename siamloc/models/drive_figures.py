@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import torch
 from torch import Tensor
@@ -64,17 +64,22 @@ class DriveFigures:
         held = {} if orientation is None else {"orientation": orientation.float()}
         self._parts.append({"descriptors": descriptors.float(), **held, **{name: batch[name] for name in columns}})
 
-    def compute(self, relative: RelativePose | None = None) -> dict[str, Tensor]:
+    def compute(
+        self,
+        relative: RelativePose | None = None,
+        naming: Callable[[Tensor, Tensor], Tensor] | None = None,
+    ) -> dict[str, Tensor]:
         """Look for the queries in the map, and forget them.
 
         Args:
             relative: compares the orientation parts.
+            naming: (descriptors (B, D), room (B,)) -> the share whose room is named.
 
         Returns:
             `error`, the mean distance from the map frame with the nearest descriptor, `median` and `recall`, where
             there are positions; `refined`, the mean error of the pose by comparison with that frame, where parts were
             added and there are headings; `room`, the share of queries whose room it has, where the map has two or more;
-            nothing where nothing was added.
+            `accuracy`, the share whose room is named; nothing where nothing was added.
 
         Raises:
             FloatingPointError: descriptors are not finite.
@@ -111,6 +116,8 @@ class DriveFigures:
         rooms, asked = whole["room"][known], whole["room"][query]
         if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED and bool((asked >= 0).any()):
             figures["room"] = (rooms[apart.argmin(dim=1)] == asked)[asked >= 0].float().mean()
+        if naming is not None and bool((asked >= 0).any()):
+            figures["accuracy"] = naming(whole["descriptors"][query], asked)
         return figures
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -33,7 +34,7 @@ class Head(nn.Module):
 
 
 class FullyConnected(Head):
-    """Three fully connected layers with a ReLU between them ([T] table 5.2).
+    """Two or three fully connected layers with a ReLU between them ([T] table 5.2).
 
     Nothing follows the last layer, and there is no softmax before it: a softmax would press the descriptors of all
     places together, and the published code of the thesis has none.
@@ -41,20 +42,16 @@ class FullyConnected(Head):
     Args:
         name: what the head is called.
         shape: (C, h, w) of the features.
-        widths: neurons of the three layers; the last number is D.
+        widths: neurons of the layers; the last number is D.
     """
 
     def __init__(self, name: str, shape: tuple[int, int, int], widths: tuple[int, ...]) -> None:
         super().__init__(name)
-        first, second, self.outputs = widths
-        self.layers = nn.Sequential(
-            nn.Flatten(),
-            nn.Linear(shape[0] * shape[1] * shape[2], first),
-            nn.ReLU(inplace=True),
-            nn.Linear(first, second),
-            nn.ReLU(inplace=True),
-            nn.Linear(second, self.outputs),
-        )
+        self.outputs = widths[-1]
+        layers: list[nn.Module] = [nn.Flatten()]
+        for inputs, outputs in pairwise((shape[0] * shape[1] * shape[2], *widths)):
+            layers += [nn.Linear(inputs, outputs), nn.ReLU(inplace=True)]
+        self.layers = nn.Sequential(*layers[:-1])
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""

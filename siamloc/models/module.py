@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
+from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import as_float, comparing, identity_of, margin_of, orienting
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
@@ -154,14 +155,15 @@ class NetworkModule(LightningModule):
         return groups[self.optimizer.frozen_stages :]
 
     def content(self) -> dict[str, Any]:
-        """Describe in plain values what is trained: the network, the loss and the optimizer."""
+        """Describe in plain values what is trained: the network, the loss, the rooms it names, and the optimizer."""
         loss: dict[str, Any] = {"class": name_of(self.loss), **getattr(self.loss, "settings", {})}
         if margin_of(self.loss) is not None:
             loss["margin"] = margin_of(self.loss)
         model = getattr(self.network, "settings", None)
         if not isinstance(model, dict) or "branch" not in model:
             model = {"class": name_of(self.network)}
-        return {"model": model, "loss": loss, "optimizer": self.optimizer.plain()}
+        rooms = {"rooms": list(self.loss.rooms)} if isinstance(self.loss, CrossEntropyLoss) else {}
+        return {"model": model, "loss": loss, **rooms, "optimizer": self.optimizer.plain()}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Write what `siamloc.models.load` needs alongside the weights."""
@@ -196,7 +198,8 @@ class NetworkModule(LightningModule):
             ConfigError: the descriptors are not finite.
         """
         try:
-            return self._drive.compute(comparing(self.network))
+            naming = self.loss.accuracy if isinstance(self.loss, CrossEntropyLoss) else None
+            return self._drive.compute(comparing(self.network), naming)
         except FloatingPointError as error:
             raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 

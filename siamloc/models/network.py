@@ -21,6 +21,7 @@ from siamloc.models.orientation import VALUES, Orientation
 from siamloc.models.panoresnet import ResidualBlock, residual_features
 from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
 from siamloc.models.relative import RelativePose
+from siamloc.models.room_classifier import RoomClassifier
 from siamloc.models.weights import fill, find_weights
 from siamloc.models.weights_file import state_hash
 from siamloc.runs import Run
@@ -138,8 +139,11 @@ class Network(nn.Module):
         orientation: what finds headings, where the branch wraps around and the head is `fourier` or `magnitudes`;
             else None.
         relative: the `RelativePose` that compares orientation parts; None for a network that does not.
+        rooms: what names the room from a descriptor, after a training with `CrossEntropyLoss`; else None.
         settings: the arguments of `build` that made it, as plain values.
     """
+
+    rooms: RoomClassifier | None = None
 
     def __init__(
         self,

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss
+from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import as_float, required_comparing
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
@@ -39,7 +40,8 @@ class PlaceModule(NetworkModule):
     learned `train/relative`, the mean error of those within reach; of the validation
     `val/error`, the mean distance from the map frame with the nearest descriptor, `val/median`, `val/recall`, the
     share that lies within a radius of it, `val/room`, the share whose room it has, and `val/refined`, the mean error of
-    the pose by comparison with that frame.
+    the pose by comparison with that frame. With a `CrossEntropyLoss` `train/accuracy` and `val/accuracy` are the shares
+    of images whose room is named.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -79,6 +81,8 @@ class PlaceModule(NetworkModule):
         }  # read at the end of the epoch: no step waits for them
         if hasattr(self.loss, "active"):
             figures["active"] = self.loss.active(seen, origins)
+        if isinstance(self.loss, CrossEntropyLoss):
+            figures["accuracy"] = self.loss.accuracy(seen, origins.room)
         if orientation is not None:
             with torch.autocast(device_type=orientation.device.type, enabled=False):  # its sums need full precision
                 more, figures["relative"] = relative_loss(required_comparing(self.network), orientation.float(), *mine)

@@ -57,15 +57,17 @@ HEADS: dict[str, tuple[int, ...]] = {
     "fc500_100_10": (500, 100, 10),
     "fc1000_1000_10": (1000, 1000, 10),
     "fc4096_4096_1000": (4096, 4096, 1000),
+    "fc4096_4096": (4096, 4096),
     "flat": (256,),
     "gem": (256,),
     "bands": (256,),
     "fourier": (256,),
     "magnitudes": (2048,),
 }
-"""Neurons of the fully connected layers: three in versions 1 to 4 of [T] table 5.2; one in the heads that give
-descriptors of unit length, whose number of outputs can be chosen. `magnitudes` has no neurons, and so many
-outputs where its features give as many numbers."""
+"""Neurons of the fully connected layers: three in versions 1 to 4 of [T] table 5.2; two in the layers that AlexNet has
+before its classes, the descriptor of 4096 numbers in [T] table 5.19; one in the heads that give descriptors of unit
+length, whose number of outputs can be chosen. `magnitudes` has no neurons, and so many outputs where its features give
+as many numbers."""
 
 
 BelowOne = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
@@ -246,12 +248,27 @@ class MultiSimilarity(NearAndFar):
     distance: Closeness = "cosine"
 
 
+@dataclass(frozen=True)
+class CrossEntropy(Settings):
+    """The parameters of `CrossEntropyLoss`.
+
+    Attributes:
+        temperature: what the scores of the rooms are divided by. With heads of unit length a small one, such as 0.1,
+            makes clear answers possible.
+    """
+
+    WHERE = "loss"
+
+    temperature: Positive = 1.0
+
+
 LOSS_SETTINGS: dict[str, type[Settings]] = {
     "soft_contrastive": SoftContrastive,
     "metric_calibrated": MetricCalibrated,
     "triplet": Triplet,
     "circle": Circle,
     "multi_similarity": MultiSimilarity,
+    "cross_entropy": CrossEntropy,
 }
 """The losses over batches of places, by the names that configurations call them, with their parameters."""
 

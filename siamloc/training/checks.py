@@ -17,6 +17,7 @@ from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.models.batch_losses import SoftContrastiveLoss
+from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import comparing, describe
 from siamloc.models.module import name_of
 from siamloc.models.origins import Origins
@@ -24,7 +25,7 @@ from siamloc.models.places import BatchLoss
 from siamloc.models.siamese import Loss
 from siamloc.training.batches import EpochDataModule
 from siamloc.training.lacking import what_is_lacking
-from siamloc.training.place_batches import PlaceDataModule, origins_of
+from siamloc.training.place_batches import PlaceDataModule, origins_of, rooms_of
 from siamloc.training.settings import Monitor, Training
 
 _ROOMS = 2  # that have to be told apart at least
@@ -97,13 +98,35 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
         return
 
 
-def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable) -> None:
-    """Make sure that frames have the rooms that are learned from."""
+def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: FrameTable | None) -> None:
+    """Make sure that frames have the rooms that are learned from, and that the validation asks for those."""
+    if isinstance(loss, CrossEntropyLoss):
+        _check_classes(rooms_of(train), None if validated is None else rooms_of(validated))
     if isinstance(loss, SoftContrastiveLoss) and loss.room > 0 and _rooms(train) < _ROOMS:
         raise DataError(
             f"the loss learns from rooms, loss.room={loss.room:g}, but the training frames have {_rooms(train)}: give "
             "their room labels, or set loss.room to 0"
         )
+
+
+def _check_classes(rooms: list[str], asked: list[str] | None) -> None:
+    """Make sure that there are rooms to name, and that the validation has some of them."""
+    if len(rooms) < _ROOMS:
+        what = f"are all in one room, {rooms[0]}" if rooms else "have no room labels"
+        raise DataError(
+            f"loss=cross_entropy learns to name rooms, and the training frames {what}: give the labels of {_ROOMS} "
+            "rooms or more, or choose another loss"
+        )
+    if asked and not set(asked) & set(rooms):
+        raise DataError(
+            f"the validation frames are in rooms that the training frames lack ({_some(asked)}, and not "
+            f"{_some(rooms)}), which loss=cross_entropy never names: validate in the same rooms, or leave the "
+            "validation out"
+        )
+
+
+def _some(names: list[str], most: int = 5) -> str:
+    return ", ".join([*names[:most], *(["..."] if len(names) > most else [])])
 
 
 def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> None:
@@ -156,8 +179,11 @@ def check_headings(network: nn.Module, train: FrameTable, settings: Training) ->
         raise DataError(f"model.relative=true (from Python relative=True) is learned from headings: {finding}")
 
 
-def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, *, unit: bool) -> None:
+def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, *, unit: bool) -> int:
     """Describe one image (1, 3, H, W), so that a network of another size is found before anything is written.
+
+    Returns:
+        How many numbers a descriptor has.
 
     Raises:
         ConfigError: a network that wraps around the azimuth for images that do not, or descriptors of another length.
@@ -186,10 +212,11 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
             f"this loss needs descriptors of length 1, this network's have {length:.3g}: choose the "
             "head flat, gem, bands, fourier or magnitudes, or end your own network with torch.nn.functional.normalize"
         )
+    return descriptor.shape[1]
 
 
 def monitored(
-    settings: Training, train: FrameTable, validated: FrameTable | None, network: nn.Module
+    settings: Training, train: FrameTable, validated: FrameTable | None, network: nn.Module, loss: object = None
 ) -> Monitor | None:
     """Name the figure by which the checkpoint is chosen, as `Training.monitor` does; None where nothing is validated.
 
@@ -225,8 +252,16 @@ def monitored(
             "relative=True), training frames with positions and headings, and validation frames with positions in one "
             "of their buildings; or choose monitor=auto"
         )
+    names = isinstance(loss, CrossEntropyLoss)
+    if monitor == "accuracy" and not (names and roomed):
+        raise ConfigError(
+            "monitor=accuracy is the share of frames whose room is named: it needs loss=cross_entropy and validation "
+            "frames with rooms; or choose monitor=auto"
+        )
     if monitor != "auto":
         return monitor
+    if names and roomed:
+        return "accuracy"
     if compares:
         return "refined"
     if not isinstance(settings.pairs, PlaceSettings):

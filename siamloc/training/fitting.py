@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -23,6 +24,7 @@ from siamloc.errors import ConfigError
 from siamloc.files import alone, plain
 from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.checkpoint import check_architecture, load
+from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.module import NetworkModule
 from siamloc.models.places import BatchLoss, PlaceModule
@@ -42,7 +44,7 @@ from siamloc.training.checks import (
 from siamloc.training.compiled import compiled, compiles
 from siamloc.training.debug import Debug, debug_training
 from siamloc.training.pair_batches import PairDataModule
-from siamloc.training.place_batches import PlaceDataModule, ValidationDrive
+from siamloc.training.place_batches import PlaceDataModule, ValidationDrive, rooms_of
 from siamloc.training.run_folder import (
     KEPT,
     check_debug,
@@ -149,10 +151,12 @@ def fit(
     faster = compiles(settings.compile, on_gpu(trainer), network)
     if resume and settings.monitor == "auto" and same_kind_of_pairs(run, settings):
         settings = replace(settings, monitor=monitor_of(run))
-    monitor = monitored(settings, train, validated, network)
+    monitor = monitored(settings, train, validated, network, loss)
     settings = settings if monitor is None else replace(settings, monitor=monitor)
     data, module = _parts(network, images, train, validated, loss, change, settings)
-    check_network(network, images.batch([0]), images.circular, unit=isinstance(module.loss, UNIT_LENGTH))
+    width = check_network(network, images.batch([0]), images.circular, unit=isinstance(module.loss, UNIT_LENGTH))
+    if isinstance(module.loss, CrossEntropyLoss):
+        module.loss.open(rooms_of(train), width, settings.seed)
     content = module.content()
     used = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
@@ -186,7 +190,7 @@ def fit(
         what=f"{len(train)} frames, {data.sampler.summary()} per epoch",
         resume=resume,
         overwrite=overwrite,
-        note=lambda: _note(settings, train, loss, data.notes()),
+        note=lambda: _note(settings, train, validated, loss, data.notes()),
     )
     return run
 
@@ -253,7 +257,9 @@ def _wake(network: nn.Module) -> None:
         network.train()
 
 
-def _note(settings: Training, train: FrameTable, loss: object, of_data: list[str]) -> None:
+def _note(
+    settings: Training, train: FrameTable, validated: FrameTable | None, loss: object, of_data: list[str]
+) -> None:
     """Say what the batches lack, and what several drives mean where only the order of the frames tells what is near."""
     for text in of_data:
         print(f"note: {text}", file=sys.stderr)
@@ -264,6 +270,15 @@ def _note(settings: Training, train: FrameTable, loss: object, of_data: list[str
             "learns from the others",
             file=sys.stderr,
         )
+    if isinstance(loss, CrossEntropyLoss) and validated is not None:
+        others = sorted(set(rooms_of(validated)) - set(rooms_of(train)))
+        if others:
+            frames = int(np.isin(validated.place, others).sum())
+            print(
+                f"note: {frames} of {len(validated)} validation frames are in rooms that the training frames lack "
+                f"({', '.join(others)}): they count as named wrong",
+                file=sys.stderr,
+            )
     drives = len(set(train.sequence.tolist()))
     by_order = isinstance(settings.pairs, PlaceSettings) and settings.pairs.by == "sequence"
     if by_order and drives > 1 and not getattr(loss, "room", 0):
@@ -296,7 +311,7 @@ def _parts(
     common: dict[str, Any] = {"workers": settings.workers, "augmentation": augmentation, "seed": settings.seed}
     if isinstance(settings.pairs, PlaceSettings):
         check_loss(loss, 2)
-        check_rooms(loss, train)
+        check_rooms(loss, train, validated)
         places = PlaceDataModule(images, train, validated, places=settings.pairs, **common)
         return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer, settings.recall_radius)
     check_loss(loss, 3)

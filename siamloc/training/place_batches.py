@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -87,10 +88,11 @@ class ValidationDrive(Dataset[dict[str, Any]]):
         queries: FrameTable,
         numbers: NDArray[np.int64] | None = None,
     ) -> None:
+        rooms = rooms_of(known)
         known, queries = _evenly(known), _evenly(queries)
         self._library, self._numbers = library, numbers
         self._rows = np.concatenate([library.rows(known), library.rows(queries)])
-        parts = origins_of(known, queries)
+        parts = origins_of(known, queries, rooms=rooms)
         self._columns = {**parts, "known": torch.arange(len(self._rows)) < len(known)}
 
     def __len__(self) -> int:
@@ -174,18 +176,26 @@ class PlaceDataModule(EpochDataModule):
         return [self.sampler.frames, *([] if self._validation is None else [self._validation])]
 
 
-def origins_of(*tables: FrameTable, by: str = "position") -> dict[str, Tensor]:
+def rooms_of(frames: FrameTable) -> list[str]:
+    """Return the rooms of frames by name, those of two buildings different, without the unknown one."""
+    return sorted(set(frames.place[frames.room != ""].tolist()))
+
+
+def origins_of(*tables: FrameTable, by: str = "position", rooms: Sequence[str] = ()) -> dict[str, Tensor]:
     """Return where the frames of tables come from, one after the other, as `siamloc.models.Origins` holds it.
 
-    Where places are drawn by sequence, positions and buildings are those of `siamloc.data.places.places_of`.
+    Where places are drawn by sequence, positions and buildings are those of `siamloc.data.places.places_of`. Rooms are
+    numbered as they are given, and then by name.
     """
     frames = concatenate(tables)
-    room = np.where(frames.room == "", -1, np.unique(frames.place, return_inverse=True)[1])
+    number = {name: row for row, name in enumerate(dict.fromkeys([*rooms, *rooms_of(frames)]))}
+    places = np.where(frames.room == "", "", frames.place).tolist()
+    room = np.array([number.get(place, -1) for place in places], dtype=np.int64)
     xy, building = places_of(frames, by)
     known = np.isfinite(xy).all(axis=1)
-    for number in range(building.max() + 1):  # single precision tells decimetres apart near the origin only
-        if (known & (building == number)).any():
-            xy[building == number] -= xy[known & (building == number)].mean(axis=0)
+    for one in range(building.max() + 1):  # single precision tells decimetres apart near the origin only
+        if (known & (building == one)).any():
+            xy[building == one] -= xy[known & (building == one)].mean(axis=0)
     return {
         "xy": torch.from_numpy(xy).float(),
         "building": torch.from_numpy(building),

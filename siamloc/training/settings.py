@@ -11,7 +11,7 @@ from siamloc.errors import ConfigError
 from siamloc.models.registry import Optimizer
 from siamloc.settings import Count, Many, Natural, Positive, Probability, Settings, Workers
 
-Monitor = Literal["auto", "error", "recall", "room", "refined", "loss"]
+Monitor = Literal["auto", "error", "recall", "room", "accuracy", "refined", "loss"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Training(Settings):
         average: decay of the moving average of the weights, which is what is kept; no average if None.
         monitor: figure of the validation by which the checkpoint is chosen: "error", the mean error of localization;
             "recall", the share of queries found within `recall_radius`; "room", the share whose room is found;
+            "accuracy", the share whose room `CrossEntropyLoss` names, with which it is the choice of "auto";
             "refined", the mean error of poses by comparison, of a network with relative=True; "loss", that of pairs, as
             published. "auto" is the refined error for such a network, and the error for others, where both sides have
             positions (with pairs, where they are of different drives, too); otherwise the loss with pairs, and the
@@ -74,7 +75,7 @@ class Training(Settings):
             if self.monitor == "loss":
                 raise ConfigError(
                     "monitor=loss is the loss of pairs, and batches of places have no loss of the validation: choose "
-                    "auto, error, recall, room or refined"
+                    "auto, error, recall, room, accuracy or refined"
                 )
             for name, instead in (("batch_size", "pairs.places and pairs.images"), ("margin", "a loss of its own")):
                 if getattr(self, name) != getattr(Training, name):

@@ -64,7 +64,7 @@ THESIS = {
 
 def test_heads_are_those_of_the_thesis_and_five_of_unit_length():
     assert {name: widths for name, widths in HEADS.items() if len(widths) == 3} == THESIS
-    assert set(HEADS) - set(THESIS) == {"flat", "gem", "bands", "fourier", "magnitudes"}
+    assert set(HEADS) - set(THESIS) == {"fc4096_4096", "flat", "gem", "bands", "fourier", "magnitudes"}
 
 
 @pytest.mark.parametrize(("name", "widths"), THESIS.items())

@@ -1,0 +1,106 @@
+"""Naming the room by a descriptor: what `CrossEntropyLoss` leaves besides the network. Loads no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import DataError
+
+
+@dataclass(frozen=True, eq=False)
+class NamedRooms:
+    """What rooms images show.
+
+    Attributes:
+        room: (n,) the most probable room of each.
+        probabilities: (n, r) of all rooms; each row sums to 1.
+        names: (r,) the rooms.
+    """
+
+    room: NDArray[np.str_]
+    probabilities: NDArray[np.float64]
+    names: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.room)
+
+
+@dataclass(frozen=True, eq=False)
+class RoomClassifier:
+    """One fully connected layer from a descriptor to the scores of rooms, and a softmax. Immutable.
+
+    Attributes:
+        names: (r,) the rooms, as `FrameTable.place` has them; each once.
+        weight: (r, D) float32.
+        bias: (r,) float32.
+
+    Raises:
+        DataError: parts that do not fit each other.
+
+    Example:
+        >>> rooms = RoomClassifier(["hall", "office"], [[1.0, 0.0], [0.0, 1.0]], [0.0, 0.0])
+        >>> rooms.named([[5.0, 0.0], [0.0, 5.0]]).room
+        array(['hall', 'office'], dtype='<U6')
+    """
+
+    names: NDArray[np.str_]
+    weight: NDArray[np.float32]
+    bias: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        names = np.array(self.names, dtype=np.str_)
+        weight, bias = (np.array(part, dtype=np.float32) for part in (self.weight, self.bias))
+        if names.ndim != 1 or not len(names) or weight.ndim != 2 or {len(weight), bias.size} != {len(names)}:
+            raise DataError(
+                f"a class layer has a name, a row of weights and a bias for each room, got {names.shape}, "
+                f"{weight.shape} and {bias.shape}"
+            )
+        if len(set(names.tolist())) < len(names):
+            raise DataError("a class layer names a room twice")
+        for name, array in (("names", names), ("weight", weight), ("bias", bias.reshape(-1))):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def scores(self, descriptors: ArrayLike) -> NDArray[np.float64]:
+        """Return the scores (n, r) of descriptors (n, D), whose softmax are the probabilities.
+
+        Raises:
+            DataError: descriptors of another length.
+        """
+        found = np.asarray(descriptors, dtype=np.float64)
+        if found.ndim != 2 or found.shape[1] != self.weight.shape[1]:
+            raise DataError(
+                f"the class layer reads descriptors of {self.weight.shape[1]} numbers (n, {self.weight.shape[1]}), got "
+                f"{found.shape}"
+            )
+        return found @ self.weight.T.astype(np.float64) + self.bias
+
+    def named(self, descriptors: ArrayLike) -> NamedRooms:
+        """Name the rooms of descriptors (n, D).
+
+        Raises:
+            DataError: descriptors of another length.
+        """
+        scores = self.scores(descriptors)
+        shares = np.exp(scores - scores.max(axis=1, keepdims=True))
+        return NamedRooms(self.names[scores.argmax(axis=1)], shares / shares.sum(axis=1, keepdims=True), self.names)
+
+    def of(self, names: Sequence[str]) -> RoomClassifier:
+        """Return the layer for some of its rooms, in their order: one of these it is then.
+
+        Raises:
+            DataError: a room that it does not know.
+        """
+        number = {name: row for row, name in enumerate(self.names.tolist())}
+        if unknown := [name for name in names if name not in number]:
+            trained = ", ".join(number)
+            raise DataError(f"the class layer knows no room {', '.join(unknown)}: it was trained on {trained}")
+        rows = [number[name] for name in names]
+        return RoomClassifier(self.names[rows], self.weight[rows], self.bias[rows])
