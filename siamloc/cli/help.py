@@ -82,13 +82,14 @@ COMMANDS = {
                                           for such pictures with room labels; keys still change them
         model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
                                           panoresnet
-        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000; flat, gem, bands, fourier,
-                                          magnitudes
+        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000, fc4096_4096; flat, gem,
+                                          bands, fourier, magnitudes
         model.circular=true               the network wraps around the azimuth
         model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file
         model.normalize=local             takes the light out of the picture first; or channels, image, local_brightness
         pairs=room|distance|in_batch      pairs with binary labels, or metric ones; or all pairs of a batch, which goes
                                           with loss=soft_contrastive|metric_calibrated|triplet|circle|multi_similarity
+        pairs=frames loss=cross_entropy   learn to name the room of a frame; experiment=rooms_classifier does so
         loss.miner=batch_hard loss.distance=cosine
                                           which pairs count, and how they are compared, by triplet and its like
         pairs.by=sequence pairs.radius=1    batches without positions; loss.room=0.5 for rooms learned from, too
@@ -97,7 +98,8 @@ COMMANDS = {
         augment=thesis|lighting|strong|any_light
                                           what happens to training images; augment.where=cpu|gpu says on which device
         epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
-        monitor=error|recall|room|loss    what the best checkpoint is chosen by in the validation; recall_radius=0.5
+        monitor=error|recall|room|accuracy|loss
+                                          what the best checkpoint is chosen by in the validation; recall_radius=0.5
         compile=auto|true|false           torch compiles the network for the steps; auto does so on a GPU
         patience=5                        stop after so many epochs without a better validation
         debug=one_batch|overfit|profile   look at the training instead: one step, one batch learned, where time goes
@@ -174,7 +176,7 @@ COMMANDS = {
         task.candidates=3                 that many nodes; task.coarse.ratio=1.3 leaves out those much farther than
                                           the nearest, task.along=2 adds two frames of the drive on either side of
                                           the nearest, where they lie in another node
-        task.coarse.descriptor=hog_mapping task.coarse.by=representatives|vote
+        task.coarse.descriptor=hog_mapping task.coarse.by=representatives|vote|classifier
                                           how nodes are ranked
         task=compact task.nodes=[10,20,40] task.ways=[spectral,som,sample]
                                           how well maps of so few nodes locate, each with one descriptor;
