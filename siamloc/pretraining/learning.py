@@ -13,6 +13,7 @@ import augment
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.models.batch_losses import UNIT_LENGTH
+from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.pretrained_network import save_weights, without_layer
@@ -88,6 +89,11 @@ def pretrain(
     places = _check(settings, views)
     if not isinstance(network, Network):
         raise ConfigError("pretraining needs a network of siamloc.models.build, whose image size the pictures have")
+    if isinstance(loss, CrossEntropyLoss):
+        raise ConfigError(
+            "loss=cross_entropy learns the rooms of one building by name, and pretraining takes one building after "
+            "another: choose another loss, or train on data (siamloc train)"
+        )
     if process_rank() == 0:
         check_folder(run, resume, overwrite)
     judged: Monitor = "recall" if network.relative is None else "refined"

@@ -263,7 +263,7 @@ def test_rooms_that_the_map_lacks_are_named(manifest, tmp_path, capsys):
     [
         ([*HIERARCHICAL], "build=rooms|"),
         (["task.names=[hierarchical]", "build=rooms"], "task=hierarchical"),
-        ([*HIERARCHICAL, "build=rooms", "task.coarse.by=votes"], "representatives, vote or classifier"),
+        ([*HIERARCHICAL, "build=rooms", "task.coarse.by=votes"], "representatives or vote or classifier"),
         ([*HIERARCHICAL, "build=rooms", "task.candidates=0"], "task.candidates must be a whole number from 1"),
         ([*HIERARCHICAL, "build=rooms", "task.coarse.descriptor=hogg"], "did you mean 'hog'"),
         ([*HIERARCHICAL, "build=rooms", "task.coarse.descriptor=radon_poc"], "task.coarse.by=vote"),
