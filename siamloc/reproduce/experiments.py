@@ -5,6 +5,7 @@ Nothing here knows what was published: measured numbers come from images alone.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -35,11 +36,13 @@ class Data:
         name: a name in `recipes.yaml`.
         root: where it lies.
         image_size: rows and columns of a panorama.
+        work: folder for runs that are being trained.
     """
 
     name: str
     root: Path
     image_size: tuple[int, int]
+    work: Path
     _described: dict[str, VisualMap] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -227,6 +230,63 @@ def rooms(job: Job, data: Data) -> Measured:
         yield Record("frames", frames, {**job.settings, "room": code})
 
 
+def trained(job: Job, data: Data) -> Measured:
+    """Train a siamese network, then tell rooms apart ([T] 5.4.1) or locate ([T] 5.4.2-5.4.3) by it."""
+    from siamloc import models, training
+
+    options, train = job.options, data.role(job.roles["train"])
+    told = {key: options[key] for key in ("branch", "head", "epochs", "batch_size")}
+    told |= {"same_share": options["pairs"]["same_room_share"], **job.settings}
+    network = models.build(
+        options["branch"], options["head"], image_size=data.image_size, weights=options.get("weights"), seed=0
+    )
+    folder = data.work / content_key(job.plain())
+    training.fit(
+        network,
+        data.images,
+        train,
+        run=folder,
+        augmentation=options.get("augment"),
+        resume=(folder / "run.json").is_file(),  # where it was stopped, it goes on
+        epochs=options["epochs"],
+        batch_size=options["batch_size"],
+        pairs=options["pairs"],
+    )
+    known, queries = data.role(job.roles["map"]), data.role(job.roles["query"])
+    by = models.as_descriptor(network)
+    own = maps.build(by, data.images, known, progress=False)
+    if options["pairs"]["label"] == "room":
+        for phase, frames in (("train", train), ("test", queries)):
+            asked = {"count": options["judged"], "same_room_share": 0.5}
+            judged = evaluation.localization(
+                own, data.images, frames, names=("room_retrieval",), pairs=asked, protocol="same_run"
+            ).parts["room_pairs"]["overall"]
+            for pairs in ("overall", "same", "different"):
+                yield Record("accuracy", judged[pairs], {**told, "phase": phase, "pairs": pairs})
+    else:
+        result = evaluation.localization(own, data.images, queries, names=("absolute",))
+        groups = {"overall": result.measures, **result.measures["lighting"]}
+        for lighting, group in groups.items():
+            yield Record("error", group["error"]["mean"], {**told, "lighting": lighting})
+            yield Record("floor", group["floor"]["mean"], {**told, "lighting": lighting})
+        yield Record("descriptor_size", own.width, told)
+        if options.get("in_rooms"):
+            yield from _inside_rooms(own, data, queries, told)
+    shutil.rmtree(folder)
+
+
+def _inside_rooms(own: VisualMap, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
+    """Locate each query inside its true room alone ([T] table 5.15)."""
+    layer = maps.group(own, "rooms", progress=False)
+    columns = evaluation.hierarchical(own, data.images, queries, layer, candidates=1).tables["queries"]
+    for room in np.unique(columns["room"]).tolist():
+        for lighting in np.unique(columns["lighting"]).tolist():
+            rows = (columns["room"] == room) & (columns["lighting"] == lighting)
+            if rows.any():
+                settings = {**told, "room": room.rpartition("/")[2], "lighting": lighting}
+                yield Record("error", float(columns["error_perfect_coarse"][rows].mean()), settings)
+
+
 KINDS: dict[str, Callable[[Job, Data], Measured]] = {
     "retrieval": retrieval,
     "disturbed": disturbed,
@@ -234,6 +294,7 @@ KINDS: dict[str, Callable[[Job, Data], Measured]] = {
     "growing": growing,
     "compact": compact,
     "rooms": rooms,
+    "trained": trained,
 }
 
 
@@ -261,9 +322,12 @@ def _described(options: Mapping[str, Any], job: Job, data: Data) -> VisualMap:
 
 
 def image_size(job: Job) -> tuple[int, int]:
-    """Return the rows and columns of the panoramas that a job takes: the published ones, but for our own network."""
+    """Return the rows and columns of the panoramas that a job takes: the published ones where it names no others."""
     from siamloc.models.registry import PRETRAINED_SIZE
 
+    if "image_size" in job.options:
+        rows, columns = job.options["image_size"]
+        return rows, columns
     named = job.options.get("descriptor", {}).get("name")
     return PRETRAINED_SIZE if named == "pretrained" else (128, 512)
 

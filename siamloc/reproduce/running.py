@@ -264,7 +264,7 @@ def reproduce(
         raise ConfigError(f"unknown scale {scale!r}: {hint(str(scale), SCALES)}")
     if data not in data_names():
         raise ConfigError(f"recipes run on no data set {data!r}; {hint(str(data), data_names())}")
-    jobs, opened = chosen.jobs(scale), _Opened(data, None if root is None else Path(root), scale)
+    jobs, opened = chosen.jobs(scale), _Opened(data, None if root is None else Path(root), Path(out) / "training")
     records: list[Record] = []
     beside: list[Record] = []
     seconds = 0.0
@@ -292,8 +292,8 @@ def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
 class _Opened:
     """The data sets that jobs need, opened once."""
 
-    def __init__(self, name: str, root: Path | None, scale: str) -> None:
-        self.name, self.root, self.scale = name, root, scale
+    def __init__(self, name: str, root: Path | None, work: Path) -> None:
+        self.name, self.root, self.work = name, root, work
         self._held: dict[tuple[bool, tuple[int, int]], Data] = {}
 
     def of(self, job: Job) -> Data:
@@ -307,7 +307,7 @@ class _Opened:
             root = self.root or Path(about["root"])
             if job.dense and about.get("dense"):
                 root = root.parent / "dense" / root.name
-            self._held[key] = Data(self.name, root, key[1])
+            self._held[key] = Data(self.name, root, key[1], self.work)
         return self._held[key]
 
 
