@@ -293,6 +293,30 @@ def newest_run(folder: Path = DEFAULT_FOLDER) -> Run:
     return Run(records[-1].parent)
 
 
+def runs_in(folder: str | Path) -> list[Run]:
+    """Return the runs of a sweep: those right inside a folder that is no run itself; none if it is one.
+
+    Example:
+        >>> runs_in("nowhere")
+        []
+    """
+    if Run(Path(folder)).record.is_file():
+        return []
+    return [Run(record.parent) for record in sorted(Run(Path(folder)).folder.glob("*/run.json"))]
+
+
+def run_with(evaluation: str | Path) -> Run | None:
+    """Return the run that an evaluation lies in; None where its folder lies in none.
+
+    Example:
+        >>> run_with("runs/robot/evaluation/hog/descriptor.bins-8")
+        Run('runs/robot': nothing trained yet)
+    """
+    folder = Path(evaluation)
+    inside = [path for path in (folder, *folder.parents)[:3] if path.name == "evaluation"]
+    return Run(inside[0].parent) if inside else None
+
+
 def higher_is_better(figure: str) -> bool:
     """Say whether the highest value of a figure of the curves is the best; of all others it is the lowest.
 

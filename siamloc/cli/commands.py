@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from omegaconf import DictConfig
 
 from siamloc.cli import robot
 from siamloc.cli.compose import composed, plain
-from siamloc.cli.inherit import by_network, label_of, map_file
+from siamloc.cli.inherit import by_network, label_of, map_file, map_of_job
 from siamloc.cli.objects import (
     data_of,
     descriptor_of,
@@ -29,6 +30,7 @@ from siamloc.cli.objects import (
     training_of,
     way_of,
 )
+from siamloc.cli.sweeps import of_layer, of_results, own_folder, swept, with_swept
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 
@@ -122,7 +124,7 @@ def map_frames(config: DictConfig) -> None:
     images, roles = open_roles(config, "map")
     made = {"role": plain(config.protocol.map)}
     known = maps.build(described, images, roles["map"], heading=heading, distance=config.distance, made=made)
-    target = map_file(run, label)
+    target = map_of_job(run, config)
     known.save(target)
     run.record_written([target])
     print(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")
@@ -133,13 +135,16 @@ def map_frames(config: DictConfig) -> None:
         size = known.heading.values[0].nbytes
         print(f"headings: by {known.heading.identity['name']}, {size} bytes a frame")
     if config.build.name == "none":
+        if swept():
+            return
         print(f"next: siamloc evaluate run={run.folder}{'' if by_network(config) else f' descriptor={label}'}")
         return
-    folder = run.layer(label, label_of(config.build))
+    folder = own_folder(run.layer(label, label_of(config.build)), config, of_layer)
     built = maps.group(known, folder=folder, **way_of(config))
     run.record_written(files_in(folder))
     print(built.summary(folder))
-    print(f"next: siamloc evaluate run={run.folder} task=hierarchical build={label_of(config.build)}")
+    if not swept():
+        print(f"next: siamloc evaluate run={run.folder} task=hierarchical build={label_of(config.build)}")
 
 
 def evaluate(config: DictConfig) -> None:
@@ -148,7 +153,11 @@ def evaluate(config: DictConfig) -> None:
 
     run = run_of(config)
     name, result = result_of(config, run)
-    folder = run.evaluation(name)
+    folder = own_folder(run.evaluation(name), config, of_results)
+    if folder != run.evaluation(name):
+        result = replace(result, name=with_swept(result.name))
+    if swept():
+        result = replace(result, about={**result.about, "swept": swept()})
     pictures = result.save(folder, pictures=config.task.plots)
     run.record_written(files_in(folder))
     print(f"data: {data_of(config).summary()}")

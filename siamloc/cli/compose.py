@@ -13,10 +13,14 @@ from omegaconf import DictConfig, OmegaConf
 
 from siamloc.cli.help import COMMANDS
 from siamloc.cli.schema import register
-from siamloc.errors import ConfigError, hint
+from siamloc.cli.sweeps import sweep_suffix
+from siamloc.errors import ConfigError, SiamlocError, hint
+from siamloc.runs import runs_in
 
 Main = Callable[[DictConfig], None]
-# Hydra neither changes folder nor writes files or log lines of its own; a sweep names its jobs by what is swept.
+OF_SWEEPS = ("map", "evaluate")
+"""Commands that do their work for each run where the folder of a sweep is named."""
+# Hydra neither changes folder nor writes files or log lines of its own.
 _HYDRA = (
     "hydra/job_logging=none",
     "hydra/hydra_logging=none",
@@ -24,8 +28,6 @@ _HYDRA = (
     "hydra.sweep.subdir=.",
     "hydra.output_subdir=null",
     "hydra.job.chdir=false",
-    "hydra.job.config.override_dirname.kv_sep=-",
-    "hydra.job.config.override_dirname.item_sep=_",
 )
 
 
@@ -46,7 +48,7 @@ def run(command: str, main: Main, words: list[str]) -> int:
     """
     _check_words(words)
     given = words = [_network_of_a_run(word) for word in words]
-    words = _sweep(words, COMMANDS[command].takes is None) if {"-m", "--multirun"} & set(words) else words
+    words = _sweep(command, words) if {"-m", "--multirun"} & set(words) else words
     words = _flags_first([*_HYDRA, *words])
     import hydra
 
@@ -57,7 +59,7 @@ def run(command: str, main: Main, words: list[str]) -> int:
     def job(config: DictConfig) -> None:
         sys.argv = arguments  # what the trainer starts further processes with
         try:
-            main(finished(command, config, given))
+            _for_each_run(command, config, lambda one: main(finished(command, one, given)))
         except Exception as error:
             if sweep_suffix():
                 raise
@@ -146,15 +148,28 @@ def plain(config: DictConfig) -> dict[str, Any]:
     return OmegaConf.to_container(config, resolve=True)  # type: ignore[return-value]
 
 
-def sweep_suffix() -> str:
-    """Return what tells the jobs of a sweep apart, such as "model-branch-vgg11_seed-1"; empty outside sweeps."""
-    from hydra.core.hydra_config import HydraConfig
-    from hydra.types import RunMode
+def _for_each_run(command: str, config: DictConfig, work: Main) -> None:
+    """Do the work for each run of the sweep that is named, or once where none is; a run that fails stops no other.
 
-    if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
-        return ""
-    swept = HydraConfig.get().job.override_dirname or str(HydraConfig.get().job.num)
-    return re.sub(r"[^\w.+-]+", "-", swept)
+    Raises:
+        SiamlocError: what was wrong with the first run that failed.
+    """
+    found = runs_in(config.run) if command in OF_SWEEPS and str(config.run or "").strip() else []
+    if not found:
+        work(config)
+    failed: dict[str, SiamlocError] = {}
+    for number, run in enumerate(found, 1):
+        print(f"run {number} of {len(found)}: {run.folder}", flush=True)
+        one = config.copy()
+        one.run = str(run.folder)
+        try:
+            work(one)
+        except SiamlocError as error:
+            failed[str(run.folder)] = error
+            print(f"siamloc: {run.folder}: {error}", file=sys.stderr)
+    if failed:
+        folder, first = next(iter(failed.items()))
+        raise ConfigError(f"{len(failed)} of {len(found)} runs failed, the first is {folder}: {first}") from first
 
 
 def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
@@ -180,22 +195,28 @@ def folder_of(name: str) -> Path:
     return folder if folder.is_dir() else config_folder()
 
 
-def _sweep(words: list[str], writes_run: bool = True) -> list[str]:
-    """Let the folders of a sweep's jobs lie in the run's folder, named by what is swept alone."""
+def _sweep(command: str, words: list[str]) -> list[str]:
+    """Say where a sweep lies and which words are the same in all its jobs; trainings lie in runs/sweep by default.
+
+    Hydra notes the words of a sweep in its folder. Those of the trainings stay when their runs are evaluated.
+    """
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    folder = next((word.partition("=")[2].strip("'\"") for word in words if word.startswith("run=")), None)
     fixed = []
     for word in words:
         if not word.startswith("-") and "=" in word:
             override = OverridesParser.create().parse_override(word)
             if not override.is_sweep_override():
                 fixed.append(override.key_or_group)
+    trains = command in ("train", "pretrain")
+    said = [word.partition("=")[2].strip("'\"") for word in words if word.startswith("run=") and "run" in fixed]
+    folder = said[0] if said and said[0] not in ("", "null") else "runs/sweep"
     settings = [
-        f"hydra.sweep.dir={_quoted(folder or 'runs/sweep')}",
+        f"hydra.sweep.dir={_quoted(folder if trains else f'{folder}/multirun/{command}')}",
         f"hydra.job.config.override_dirname.exclude_keys=[{','.join(map(_quoted, fixed))}]",
     ]
-    return [*settings, *([] if folder or not writes_run else ["run=runs/sweep"]), *words]
+    named = any(word.startswith("run=") for word in words)
+    return [*settings, *(["run=runs/sweep"] if trains and not named else []), *words]
 
 
 def _check_words(words: list[str]) -> None:
@@ -222,10 +243,12 @@ def _check_words(words: list[str]) -> None:
 
 
 def _network_of_a_run(word: str) -> str:
-    """Read `descriptor=FOLDER` as the trained network of that run."""
+    """Read `descriptor=FOLDER` as the trained network of that run, and several of them as a sweep over networks."""
     key, _, value = word.partition("=")
-    value = value.strip("'\"")
-    return f"descriptor.run={_quoted(value)}" if key == "descriptor" and (Path(value) / "run.json").is_file() else word
+    folders = [folder.strip("'\"") for folder in value.split(",")]
+    if key != "descriptor" or not all((Path(folder) / "run.json").is_file() for folder in folders):
+        return word
+    return f"descriptor.run={','.join(map(_quoted, folders))}"
 
 
 def _flags_first(words: list[str]) -> list[str]:

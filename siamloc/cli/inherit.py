@@ -13,6 +13,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from siamloc.cli.schema import OF_TRAINING
+from siamloc.cli.sweeps import of_map, own_folder
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.models.registry import Optimizer, whole_model
@@ -82,6 +83,26 @@ def map_file(run: Run, label: str) -> Path:
     return run.map if label == "network" else run.evaluation(label) / "map.npz"
 
 
+def map_of_job(run: Run, config: DictConfig) -> Path:
+    """Return where a job's map lies: in a folder of its own where a sweep makes maps that differ, else `map_file`."""
+    label = label_of(config.descriptor)
+    shared = run.evaluation(label)
+    own = own_folder(shared, config, of_map)
+    return map_file(run, label) if own == shared else own / "map.npz"
+
+
+def map_known(run: Run, config: DictConfig) -> Path:
+    """Return which map a job searches: its own, or one that other distances and headings share; it need not exist."""
+    label = label_of(config.descriptor)
+    shared = run.evaluation(label)
+    for others in ((), ("distance",), ("distance", "heading")):
+        own = own_folder(shared, config, lambda key, others=others: of_map(key) and key not in others)  # type: ignore[misc]
+        path = map_file(run, label) if own == shared else own / "map.npz"
+        if path.is_file():
+            return path
+    return path
+
+
 def _kept(
     record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed: bool, replaces_map: bool
 ) -> dict[str, Any]:
@@ -128,8 +149,9 @@ def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
     """Return what the map of the named descriptor was made of, by section, where the run has one."""
     if "descriptor" not in config:
         return None
-    path = map_file(run, label_of(config.descriptor))
-    if not path.is_file():
+    places = (map_known(run, config), map_file(run, label_of(config.descriptor)))
+    path = next((one for one in places if one.is_file()), None)
+    if path is None:
         return None
     from siamloc.maps import VisualMap
 

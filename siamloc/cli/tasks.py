@@ -13,7 +13,7 @@ from analytic import Descriptor
 from siamloc import evaluation, maps
 from siamloc.cli.checking import settings_of
 from siamloc.cli.compose import plain
-from siamloc.cli.inherit import label_of, map_file
+from siamloc.cli.inherit import label_of, map_file, map_known
 from siamloc.cli.objects import (
     baselines_of,
     data_of,
@@ -24,6 +24,7 @@ from siamloc.cli.objects import (
     options_of,
     way_of,
 )
+from siamloc.cli.sweeps import of_layer, own_folder
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
 from siamloc.errors import ConfigError
 from siamloc.evaluation import Result
@@ -159,7 +160,8 @@ def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
         parts = evaluation.by_building(candidates)
         layers, build = {}, label_of(config.build)
         for building, part in parts.items():
-            folder = run.layer(f"{label}-{quote(building, safe=' ')}", build)  # a building may have any name
+            shared = run.layer(f"{label}-{quote(building, safe=' ')}", build)  # a building may have any name
+            folder = own_folder(shared, config, of_layer)
             layers[building] = maps.group(part, folder=folder, **way_of(config)).layer
             run.record_written(files_in(folder))
         label = f"{label}-{build}"
@@ -218,7 +220,7 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
         ConfigError: the saved map is by another descriptor, or of other frames than protocol.map asks for.
     """
     described, heading = descriptor_of(config, run), heading_of(config)
-    path = map_file(run, label_of(config.descriptor))
+    path = map_known(run, config)
     known = VisualMap.load(path, described) if path.is_file() else None
     if known is not None and _is_wanted(known, config):
         images, frames = open_roles(config, *roles, known=known)
@@ -253,8 +255,9 @@ def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[
         raise ConfigError(
             f"task={config.task.names[0]} needs a coarse layer: choose one with build={'|'.join(maps.WAYS)}"
         )
-    folder, saved = run.layer(label, label_of(config.build)), map_file(run, label)
-    if saved.is_file() and VisualMap.load(saved).digest != known.digest:
+    shared, saved = run.layer(label, label_of(config.build)), map_file(run, label)
+    folder = own_folder(shared, config, of_layer)
+    if folder == shared and saved.is_file() and VisualMap.load(saved).digest != known.digest:
         folder = run.evaluation(f"layer-{folder.name}")
     before = _changed(folder / "layer.npz")
     built = maps.group(known, folder=folder, **way_of(config))

@@ -235,6 +235,7 @@ class Session:
             },
             "protocol": self.protocol.kind,
             "descriptor": self.known.descriptor.identity,
+            "distance": self.known.distance,
             **({} if self.known.heading is None else {"heading": self.known.heading.identity}),
         }
 
