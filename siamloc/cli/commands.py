@@ -30,9 +30,9 @@ from siamloc.cli.objects import (
     training_of,
     way_of,
 )
-from siamloc.cli.sweeps import of_layer, of_results, own_folder, swept, with_swept
+from siamloc.cli.sweeps import evaluates, of_layer, of_results, own_folder, sweep_suffix, swept, with_swept
 from siamloc.data import Protocol
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, DataError
 
 
 def simulate(config: DictConfig) -> None:
@@ -215,18 +215,40 @@ def report(config: DictConfig) -> None:
         raise ConfigError(f"give run={config.run} or runs=[...], not both")
     folders = [Path(name) for name in several or [config.run or newest_run().folder]]
     default = folders[0] / "report.html" if len(folders) == 1 else Path("report.html")
-    path = write_report(folders, Path(config.out or default))
+    out = Path(config.out or default)
+    if config.out is not None and sweep_suffix():
+        out = out.with_stem(f"{out.stem}-{sweep_suffix()}")
+    path = write_report(folders, out)
     print(f"report: {path}, {path.stat().st_size / 1e6:.1f} MB; open it in a browser")
 
 
 def compare(config: DictConfig) -> None:
-    """Print a row for each of several runs, the best first."""
-    from siamloc import training
+    """Print a row for each training or evaluation of a sweep, the best first, and draw what counts."""
+    from siamloc import evaluation, training
+    from siamloc.comparison import files_named
+    from siamloc.runs import Run
 
-    found = training.compare(config.runs if isinstance(config.runs, str) else list(config.runs), by=config.by)
+    folders = config.runs if isinstance(config.runs, str) else list(config.runs)
+    measured = evaluates(folders, config.by)
+    found = (evaluation if measured else training).compare(folders, by=config.by)
     print(found.table())
-    if config.out is not None:
-        print(f"table: {found.save(config.out)}")
+    print(found.verdict())
+    if not measured and files_named(folders, "results.json"):
+        print(f"what was measured of these runs: siamloc compare runs={config.runs} by=error")
+    name = "evaluations.csv" if measured else "trainings.csv"
+    inside = Path(folders) / name if isinstance(folders, str) else None
+    out = inside if config.out is None else Path(config.out)
+    if out is None:
+        return
+    written = [found.save(out.with_suffix(".csv") if out.suffix == ".png" else out)]
+    print(f"table: {written[0]}")
+    try:
+        written.append(found.save_picture(out.with_suffix(".png")))
+        print(f"picture: {written[1]}")
+    except DataError as error:
+        print(f"no picture: {error}")
+    if out == inside:
+        Run(out.parent).record_written(written)
 
 
 def reproduce(config: DictConfig) -> None:

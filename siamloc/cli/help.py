@@ -104,7 +104,8 @@ COMMANDS = {
         patience=5                        stop after so many epochs without a better validation
         debug=one_batch|overfit|profile   look at the training instead: one step, one batch learned, where time goes
         resume=true                       go on from the last checkpoint; checkpoint_every=200 writes it within epochs
-        -m model/branch=vgg11,vgg13       a sweep; `siamloc compare runs=FOLDER` makes a table of it
+        -m model/branch=vgg11,vgg13       a sweep, each run in a folder of its own inside run=runs/sweep; `siamloc map`,
+                                          `evaluate` and `report` take that folder, `siamloc compare` makes a table
         """,
         "siamloc train experiment=modern data=cold data.root=/data/COLD protocol=freiburg run=runs/freiburg",
     ),
@@ -131,7 +132,7 @@ COMMANDS = {
         """
         Writes map.npz into the run: descriptors, poses and rooms of the frames that the robot knows.
 
-        run=FOLDER                      the run; analytic descriptors need none
+        run=FOLDER                      the run; analytic descriptors need none. Of a sweep: each of its runs
         protocol.map.sequences=[...]    the training sequences if not given
         protocol.map.every=5            or protocol.map.spacing=0.5
         descriptor=pretrained           the network that comes with siamloc, without training; 64 x 256 pixels
@@ -143,6 +144,8 @@ COMMANDS = {
                                         group the frames into nodes as well, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` shows them
         projector=true                  TensorBoard shows the descriptors as points, coloured by room
+        -m descriptor.bins=8,16         a sweep: each map in a folder of its own, evaluation/hog/descriptor.bins-8,
+                                        where an evaluation of the same sweep finds it
         """,
         "siamloc map run=runs/vgg16 protocol.map.every=5",
         inherits=True,
@@ -154,7 +157,7 @@ COMMANDS = {
         Locates the query frames in the map and writes results.json, queries.csv and plots. Baselines are measured by
         the same evaluator on the same frames.
 
-        run=FOLDER                        the run; analytic descriptors need none
+        run=FOLDER                        the run; analytic descriptors need none. Of a sweep: each of its runs
         protocol.query.sequences=[...]    the frames to be located
         task=localization|absolute|room_retrieval|hierarchical|mapping|compact|robustness|buildings
         distance=cosine                   how descriptors are compared: manhattan, euclidean, correlation or cosine
@@ -185,6 +188,9 @@ COMMANDS = {
         task=robustness                   error against noise, occlusion, turns and effects
         task=buildings task.maps=[runs/a,runs/b]
                                           which building a query is in, by the maps of several
+        -m descriptor.bins=8,16 distance=euclidean,correlation
+                                          a sweep: results of each in a folder of its own, such as
+                                          evaluation/hog-euclidean/descriptor.bins-8; compared by `siamloc compare`
         """,
         "siamloc evaluate run=runs/vgg16 protocol.query.sequences=['*cloudy2','*night2','*sunny2']",
         inherits=True,
@@ -260,8 +266,8 @@ COMMANDS = {
         Writes a page that opens from disk, without a network: tables, floor plan with every error and the pictures
         behind it, error curves, the worst queries, confusion matrix, training curves, configuration.
 
-        run=FOLDER       the run; the newest one if not given
-        runs=[a,b,c]     several runs side by side
+        run=FOLDER       the run; the newest one if not given. The folder of a sweep: its runs side by side
+        runs=[a,b,c]     several runs side by side; sweeps and single evaluations as well
         out=FILE         where to; report.html in the run's folder if not given
         """,
         "siamloc report runs=[runs/vgg16,runs/hog] out=comparison.html",
@@ -269,17 +275,22 @@ COMMANDS = {
     ),
     "compare": Command(
         "compare",
-        "a table of the runs of a sweep, the best first",
+        "a table and a plot of a sweep, the best first",
         """
-        Prints a row for each run: the settings in which the runs differ, the best figure of validation and its epoch,
-        and how many epochs are finished.
+        Prints a row for each run of a sweep: the settings in which the runs differ, the best figure of validation and
+        its epoch, and how many epochs are finished. Of evaluations: the settings that were swept, the mean error,
+        overall and by lighting, the hit rate, recall@1 and the share of rooms found. Names the best one. Writes the table
+        as CSV, and a plot of the figure against the first swept setting with numbers, a line for each combination of
+        the others.
 
-        runs=FOLDER      the folder of a sweep, or any folder with runs in it
-        runs=[a,b,c]     several runs
-        by=val/error     the figure that counts; what checkpoints are chosen by if not given
-        out=FILE.csv     writes the table as well
+        runs=FOLDER      the folder of a sweep, or any folder with runs or evaluations in it
+        runs=[a,b,c]     several of them
+        by=val/error     the figure that counts: of trainings; what checkpoints are chosen by if not given
+        by=recall@1      or of evaluations: error, error.night, hit_rate, room, recall@5_0.5 within 0.5 m, cost.bytes, or
+                         any number in results.json by its place, such as absolute.overall.error.median
+        out=FILE.csv     where to, with FILE.png; trainings.csv or evaluations.csv in the folder if not given
         """,
-        "siamloc compare runs=runs/sweep out=sweep.csv",
+        "siamloc compare runs=runs/sweep by=error out=sweep.csv",
         config="compare",
     ),
     "reproduce": Command(

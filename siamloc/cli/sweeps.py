@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
+
+from siamloc.errors import ConfigError
 
 Choice = Callable[[str], bool]
 _MOST_LETTERS = 150  # of a folder's name; file systems take 255 bytes
@@ -75,9 +77,29 @@ def of_results(key: str) -> bool:
 
 
 def with_swept(name: str) -> str:
-    """Return the name of results with what is swept, such as "hog descriptor.bins=8", so that rows can be told apart."""
+    """Return the name of results with what is swept, such as "hog descriptor.bins=8"."""
     further = [f"{key}={value}" for key, value in swept().items() if key not in ("run", "descriptor", "distance")]
     return " ".join([name, *further])
+
+
+def evaluates(folders: str | Sequence[str], by: str | None) -> bool:
+    """Say whether the evaluations in folders are to be compared, instead of the trainings.
+
+    Figures of trainings have a slash in their names, as "val/error" has. Where none is asked for, several trainings
+    are compared rather than what was measured of them.
+
+    Raises:
+        ConfigError: folders that are missing, or hold neither.
+    """
+    from siamloc.comparison import files_named
+
+    runs, results = (files_named(folders, name) for name in ("run.json", "results.json"))
+    if not runs and not results:
+        where = folders if isinstance(folders, str) else ", ".join(folders)
+        raise ConfigError(f"{where} holds neither runs nor evaluations: name the folder of a sweep, such as runs/sweep")
+    if not results:
+        return False
+    return "/" not in by if by is not None else len(runs) < 2
 
 
 def _is_named(config: DictConfig, group: str) -> bool:

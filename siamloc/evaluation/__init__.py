@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
+    from siamloc.comparison import Comparison
     from siamloc.evaluation import metrics
     from siamloc.evaluation.building_choice import buildings, by_building
     from siamloc.evaluation.compact_maps import compact
+    from siamloc.evaluation.comparison import compare
     from siamloc.evaluation.disturbed import robustness
     from siamloc.evaluation.hierarchy import hierarchical
     from siamloc.evaluation.layers import mapping
@@ -24,11 +26,13 @@ if TYPE_CHECKING:
     from siamloc.evaluation.session import Session
 
 __all__ = [
+    "Comparison",
     "Result",
     "Session",
     "buildings",
     "by_building",
     "compact",
+    "compare",
     "error_model",
     "hierarchical",
     "localization",
@@ -39,11 +43,13 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Comparison": "comparison",
     "Result": "result",
     "Session": "session",
     "buildings": "building_choice",
     "by_building": "building_choice",
     "compact": "compact_maps",
+    "compare": "comparison",
     "error_model": "localize",
     "hierarchical": "hierarchy",
     "localization": "localize",

@@ -2,61 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from siamloc.comparison import Comparison, differing, flat
 from siamloc.errors import ConfigError, hint
-from siamloc.files import write_text
 from siamloc.runs import Run, higher_is_better
 
 _CHOSEN_BY = ("val/error", "val/room", "val/loss")
 _MEASURED = ("epoch", "finished", "run")
 # What only says where things lie, or follows from the rest.
 _LEFT_OUT = ("frames", "data.cache", "data.name", "model.image_size")
-
-
-@dataclass(frozen=True, repr=False)
-class Comparison:
-    """A row for each run, the best first.
-
-    Attributes:
-        by: the figure that the rows are ordered by, such as "val/error".
-        differing: the settings in which the runs differ, such as "model.branch" and "seed".
-        rows: for each run the settings that differ, under `by` its best figure, `epoch` (from 1) in which it was
-            reached, `finished`, the number of epochs, and `run`, the folder. A run without the figure has NaN, and
-            comes last.
-    """
-
-    by: str
-    differing: tuple[str, ...]
-    rows: tuple[Mapping[str, Any], ...]
-
-    def table(self) -> str:
-        """Return the rows as text, columns aligned."""
-        names = [*self.differing, self.by, *_MEASURED]
-        cells = [names, *([_shown(row[name]) for name in names] for row in self.rows)]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = ("  ".join(map(str.ljust, line, widths)).rstrip() for line in cells)
-        return "\n".join(lines)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the rows as CSV, numbers with every digit, unknown ones empty; return the path."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        names = [*self.differing, self.by, *_MEASURED]
-        writer.writerow(names)
-        for row in self.rows:
-            writer.writerow(["" if row[name] is None or row[name] != row[name] else row[name] for name in names])
-        write_text(Path(path), text.getvalue())
-        return Path(path)
-
-    def __repr__(self) -> str:
-        return self.table()
 
 
 def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None) -> Comparison:
@@ -94,18 +52,15 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
             else f"no run has the figure {by!r}"
         )
         raise ConfigError(f"{asked}: {hint(by or '', known)}")
-    settings = [_flat(run.settings) for run in found]
-    keys = {key: None for values in settings for key in values}
-    differing = [key for key in keys if len({repr(values.get(key)) for values in settings}) > 1]
+    settings = [flat(run.settings, _LEFT_OUT) for run in found]
+    names = differing(settings)
     if all(values.get("model.seed") == values.get("seed") for values in settings):  # as commands have it
-        differing = [key for key in differing if key != "model.seed"]
+        names = [key for key in names if key != "model.seed"]
     rows = [
-        {**{key: values.get(key) for key in differing}, **_measured(run, curves.get(run.folder, {}), by)}
+        {**{key: values.get(key) for key in names}, **_measured(run, curves.get(run.folder, {}), by)}
         for run, values in zip(found, settings, strict=True)
     ]
-    sign = -1 if higher_is_better(by) else 1
-    rows.sort(key=lambda row: (math.isnan(row[by]), 0.0 if math.isnan(row[by]) else sign * row[by]))
-    return Comparison(by, tuple(differing), tuple(rows))
+    return Comparison(by, tuple(names), (by, *_MEASURED), tuple(rows), highest=higher_is_better(by)).in_order()
 
 
 def _opened(runs: str | Path | Iterable[str | Path | Run]) -> list[Run]:
@@ -132,20 +87,3 @@ def _measured(run: Run, curves: Mapping[str, Any], by: str) -> dict[str, Any]:
         "finished": len(curves.get("epoch", [])),
         "run": run.folder.as_posix(),
     }
-
-
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return settings by dotted keys, as the command line calls them, without what says nothing of the training."""
-    found: dict[str, Any] = {}
-    for name, value in settings.items():
-        key = f"{prefix}{name}".removeprefix("training.")
-        if key in _LEFT_OUT:
-            continue
-        found |= _flat(value, f"{key}.") if isinstance(value, Mapping) and value else {key: value}
-    return found
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, float):
-        return "" if math.isnan(value) else f"{value:.4g}"
-    return "" if value is None else str(value)

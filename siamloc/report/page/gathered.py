@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.results import FURTHER, Columns, read_results, read_rows, rows_by_label
-from siamloc.runs import Run
+from siamloc.runs import Run, run_with, runs_in
 
 ALL = "all"
 _KINDS = ("localization", "hierarchical", "robustness", "mapping", "compact", "buildings")
+_EVALUATIONS = ("evaluation/*/results.json", "evaluation/*/*/results.json")  # those of sweeps lie deeper
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
 
 
@@ -132,13 +133,14 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
     """Read the result files of runs.
 
     Args:
-        folders: of runs, or of single evaluations; one that is named twice counts once.
+        folders: of runs, of sweeps, which stand for their runs, or of evaluations; one that is named twice counts once.
 
     Raises:
         ConfigError: no folders, or one that is missing or holds no evaluation.
         FormatError: files that are not whole.
     """
-    chosen = list({Path(folder).resolve(): Path(folder) for folder in folders}.values())
+    named = [one for folder in folders for one in ([run.folder for run in runs_in(folder)] or [Path(folder)])]
+    chosen = list({folder.resolve(): folder for folder in named}.values())
     if not chosen:
         raise ConfigError("a report needs at least one run: name it with run=FOLDER, or several with runs=[A,B]")
     return [_gather(folder, title) for folder, title in zip(chosen, _titles(chosen), strict=True)]
@@ -147,12 +149,14 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
 def _gather(folder: Path, title: str) -> RunFiles:
     if not folder.is_dir():
         raise ConfigError(f"there is no folder {folder}: name the folder of a run")
+    run = run_with(folder.resolve())
+    inside = _EVALUATIONS if run is None else ("*/results.json", "*/*/results.json")
     single = (folder / "results.json").is_file()
-    found = [folder] if single else [path.parent for path in folder.glob("evaluation/*/results.json")]
+    found = [folder] if single else [path.parent for pattern in inside for path in folder.glob(pattern)]
+    run = Run(folder) if run is None else run
     if not found:
         raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
-    run = Run(folder.resolve().parents[1] if single and folder.resolve().parent.name == "evaluation" else folder)
-    evaluations = [_evaluation(path) for path in sorted(found, key=lambda path: (path.name != "network", path.name))]
+    evaluations = [_evaluation(path) for path in sorted(found, key=lambda path: (path.name != "network", path))]
     evaluations.sort(key=lambda one: _KINDS.index(one.kind) if one.kind in _KINDS else len(_KINDS))
     return RunFiles(
         title,

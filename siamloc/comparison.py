@@ -1,0 +1,165 @@
+"""`Comparison`: trainings or evaluations as rows of a table, the best first, with a picture and a verdict."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from siamloc.errors import ConfigError
+from siamloc.files import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """A row for each training or evaluation, the best first.
+
+    Attributes:
+        by: the figure that the rows are ordered by, such as "val/error" or "error".
+        differing: the settings in which they differ, such as "model.branch" and "seed".
+        measured: the further columns, `by` among them; the last one is the folder.
+        rows: for each the settings that differ and what was measured. One without the figure has NaN, and comes last.
+        highest: whether the highest value is the best.
+    """
+
+    by: str
+    differing: tuple[str, ...]
+    measured: tuple[str, ...]
+    rows: tuple[Mapping[str, Any], ...]
+    highest: bool = False
+
+    def in_order(self) -> Comparison:
+        """Return the comparison with the best row first; rows that are equally good stay as they come."""
+        sign = -1 if self.highest else 1
+        known = [row for row in self.rows if not math.isnan(row[self.by])]
+        unknown = [row for row in self.rows if math.isnan(row[self.by])]
+        return replace(self, rows=(*sorted(known, key=lambda row: sign * row[self.by]), *unknown))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The names of the columns: settings first."""
+        return (*self.differing, *self.measured)
+
+    @property
+    def best(self) -> Mapping[str, Any]:
+        """The best row."""
+        return self.rows[0]
+
+    def verdict(self) -> str:
+        """Return which is the best, in words."""
+        folder = self.best[self.measured[-1]]
+        if math.isnan(self.best[self.by]):
+            return f"best: none, {self.by} is not known of any"
+        said = [f"{name}={_shown(self.best[name])}" for name in self.differing]
+        return f"best: {', '.join([*said, f'{self.by} {_shown(self.best[self.by])}'])}, in {folder}"
+
+    def table(self) -> str:
+        """Return the rows as text, columns aligned."""
+        cells = [self.columns, *([_shown(row[name]) for name in self.columns] for row in self.rows)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = ("  ".join(map(str.ljust, line, widths)).rstrip() for line in cells)
+        return "\n".join(lines)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the rows as CSV, numbers with every digit, unknown ones empty; return the path.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.columns)
+        for row in self.rows:
+            writer.writerow(["" if row[name] is None or row[name] != row[name] else row[name] for name in self.columns])
+        write_text(Path(path), text.getvalue())
+        return Path(path)
+
+    def plot(self, against: str | None = None) -> Figure:
+        """Draw the figure against a setting, with a line for each combination of the others.
+
+        Args:
+            against: one of `differing`; the first with numbers other than a seed if None, else the first.
+
+        Raises:
+            ConfigError: another setting.
+            DataError: nothing differs, or nothing was measured.
+        """
+        from siamloc.report.draw.swept import swept_curves
+
+        return swept_curves(self.rows, self.differing, self.by, against, highest=self.highest)
+
+    def save_picture(self, path: str | Path, against: str | None = None) -> Path:
+        """Write the picture as PNG, and return its path.
+
+        Raises:
+            ConfigError, DataError: as `plot`.
+            StorageError: the disk refuses.
+        """
+        from siamloc.report.draw.look import save
+
+        return save(self.plot(against), path)
+
+    def __repr__(self) -> str:
+        return self.table()
+
+
+def flat(settings: Mapping[str, Any], without: Sequence[str] = (), prefix: str = "") -> dict[str, Any]:
+    """Return settings by dotted keys, as the command line calls them.
+
+    Args:
+        settings: plain values, nested.
+        without: keys that are left out.
+        prefix: of all keys.
+
+    Example:
+        >>> flat({"training": {"seed": 1}, "model": {"branch": "vgg16"}}, ["model.branch"])
+        {'seed': 1}
+    """
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        key = f"{prefix}{name}".removeprefix("training.")
+        if key in without:
+            continue
+        found |= flat(value, without, f"{key}.") if isinstance(value, Mapping) and value else {key: value}
+    return found
+
+
+def differing(settings: Sequence[Mapping[str, Any]], keys: Iterable[str] | None = None) -> list[str]:
+    """Return those of the keys, all if None, whose values are not the same everywhere.
+
+    Example:
+        >>> differing([{"seed": 0, "epochs": 5}, {"seed": 1, "epochs": 5}])
+        ['seed']
+    """
+    keys = list(dict.fromkeys(key for values in settings for key in values)) if keys is None else list(keys)
+    return [key for key in keys if len({repr(values.get(key)) for values in settings}) > 1]
+
+
+def files_named(folders: str | Path | Iterable[str | Path], name: str) -> list[Path]:
+    """Return the files of a name in folders and everything below them, each once.
+
+    Raises:
+        ConfigError: no folders, or one that is missing.
+    """
+    several = [folders] if isinstance(folders, str | Path) else list(folders)
+    if not several:
+        raise ConfigError("nothing to compare: name the folder of a sweep, or several folders")
+    found: dict[Path, None] = {}
+    for folder in map(Path, several):
+        if not folder.is_dir():
+            raise ConfigError(f"there is no folder {folder}: name that of a sweep, such as runs/sweep")
+        found |= dict.fromkeys(sorted(folder.rglob(name)))
+    return list(found)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.4g}"
+    return "" if value is None else str(value)

@@ -1,0 +1,207 @@
+"""Evaluations side by side: what differs between them, what each measured, and which is the best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from siamloc.comparison import Comparison, differing, files_named, flat
+from siamloc.errors import ConfigError, FormatError, hint
+from siamloc.results import FURTHER, read_results
+from siamloc.runs import run_with
+
+_CHOSEN_BY = ("error", "room", "mapping.silhouette.nearest", "buildings.overall.accuracy")
+_LOCALIZED = ("absolute", "hierarchical")
+# Parts of names of measures of which the highest is the best; of all others it is the lowest.
+_HIGHEST = (
+    *("recall", "recall_at_one_percent", "hit_rate", "room", "top", "mean_average_precision", "accuracy", "auc"),
+    *("silhouette", "descriptor_silhouette", "purity", "precision", "f1"),
+)
+_ALWAYS = ("descriptor", "distance", "heading", "build")
+# What only says where things lie, or follows from the rest.
+_LEFT_OUT = ("data.cache", "data.name", "model.image_size", "frames", "data.unit")
+
+
+def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -> Comparison:
+    """Compare evaluations by what they measured: those of a sweep, or any others.
+
+    A row holds the settings that differ between the evaluations, what was swept first; the mean error of all queries as
+    "error" and by lighting as "error.night", "hit_rate", "recall@1_0.5" for the recall within 0.5 m, and the share of
+    rooms found as "room", each where it was measured; `queries`, their number; and `folder`.
+
+    Args:
+        folders: of a sweep, a run, or an evaluation; everything inside counts. Or several of them.
+        by: the measure that counts: one of the columns, another recall such as "recall@5_0.5", "recall@1" for its first
+            radius, or any number in `results.json` by its place, such as "absolute.overall.error.median".
+            "error", else "room", if None. Of recalls, rates, accuracies and the like the highest is the best,
+            of all others the lowest.
+
+    Raises:
+        ConfigError: no evaluations, or none with such a measure.
+        FormatError: results that are not whole.
+
+    Example:
+        >>> print(siamloc.evaluation.compare("runs/robot", by="recall@1"))  # doctest: +SKIP
+        descriptor.bins  distance     error   error.night  hit_rate  recall@1_0.5  room    queries  folder
+        16               correlation  0.2411  0.2411       0.76      0.84          0.9231  120      runs/robot/...
+        8                euclidean    0.2633  0.2633       0.74      0.81          0.9231  120      runs/robot/...
+    """
+    paths = files_named(folders, "results.json")
+    if not paths:
+        where = folders if isinstance(folders, str | Path) else ", ".join(map(str, folders))
+        raise ConfigError(f"{where} holds no evaluation: measure something first with `siamloc evaluate run=FOLDER`")
+    results = [read_results(path.parent) for path in paths]
+    measures = [_measures(path, one) for path, one in zip(paths, results, strict=True)]
+    known = dict.fromkeys(name for found in measures for name in found)
+    by = _chosen(by, list(known), {part for one in results for part in one["measures"]})
+    settings, keys = _settings(paths, results)
+    shown = [name for name in _columns(known) if name != by]
+    rows = [
+        {
+            **{key: said.get(key) for key in keys},
+            **{name: found.get(name, math.nan) for name in (by, *shown)},
+            "queries": one.get("denominators", {}).get("queries"),
+            "folder": path.parent.as_posix(),
+        }
+        for path, one, said, found in zip(paths, results, settings, measures, strict=True)
+    ]
+    return Comparison(
+        by, tuple(keys), (by, *shown, "queries", "folder"), tuple(rows), highest=highest_is_best(by)
+    ).in_order()
+
+
+def highest_is_best(measure: str) -> bool:
+    """Say whether the highest value of a measure is the best; of all others it is the lowest.
+
+    Example:
+        >>> highest_is_best("recall@1_0.5"), highest_is_best("error.night")
+        (True, False)
+    """
+    return any(part.partition("@")[0] in _HIGHEST for part in measure.split("."))
+
+
+def _chosen(by: str | None, known: Sequence[str], parts: Container[str]) -> str:
+    """Return the measure that counts, in its full name."""
+    if by is None:
+        by = next((name for name in _CHOSEN_BY if name in known), None)
+    if by == "recall@1":
+        by = next((name for name in known if name.startswith("recall@1_")), by)
+    if by is not None and by in known:
+        return by
+    short = sorted(name for name in known if name.partition(".")[0] not in parts)
+    if by is None:
+        places = [name for name in known if name not in short]
+        raise ConfigError(f"these evaluations measured neither errors nor rooms: say what counts, by={places[0]}, say")
+    placed = by.partition(".")[0] in parts
+    near = get_close_matches(by, known, 5, 0.5) if placed else []
+    raise ConfigError(f"no evaluation has the measure {by!r}: {hint(by, near or ['recall@1', *short])}")
+
+
+def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:
+    """Return the measures of an evaluation by name: those with names of their own first, then all by their place."""
+    try:
+        parts = results["measures"]
+        found = dict(_named(parts))
+        cost = (results.get("cost") or {}).get(results.get("name"), {})
+        found |= {f"cost.{name}": float(value) for name, value in cost.items() if isinstance(value, int | float)}
+        return found | dict(_by_place(parts, ""))
+    except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
+        raise FormatError(f"{path} is not whole ({error!r}): evaluate again") from error
+
+
+def _named(parts: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    main = next((parts[name] for name in _LOCALIZED if name in parts), None)
+    if main is not None:
+        yield from _errors(main, "")
+        if main["overall"].get("hit_rate"):
+            yield "hit_rate", _number(main["overall"]["hit_rate"][0]["rate"])
+        yield from (
+            (f"recall@{one['k']}_{one['radius']:g}", _number(one["recall"])) for one in main["overall"]["recall"]
+        )
+        if "heading_error" in main["overall"]:
+            yield "heading_error", _number(main["overall"]["heading_error"]["mean"])
+    for name in FURTHER:
+        if f"absolute_{name}" in parts:
+            yield from _errors(parts[f"absolute_{name}"], f"{name}.")
+    if "room_retrieval" in parts:
+        yield "room", _number(parts["room_retrieval"]["overall"]["accuracy"])
+        for lighting, group in parts["room_retrieval"].get("lighting", {}).items():
+            yield f"room.{lighting}", _number(group["accuracy"])
+
+
+def _errors(part: Mapping[str, Any], before: str) -> Iterator[tuple[str, float]]:
+    yield f"{before}error", _number(part["overall"]["error"]["mean"])
+    for lighting, group in part.get("lighting", {}).items():
+        yield f"{before}error.{lighting}", _number(group["error"]["mean"])
+
+
+def _by_place(part: Mapping[str, Any], before: str) -> Iterator[tuple[str, float]]:
+    for name, value in part.items():
+        if isinstance(value, Mapping):
+            yield from _by_place(value, f"{before}{name}.")
+        elif before and isinstance(value, int | float) and not isinstance(value, bool):
+            yield f"{before}{name}", float(value)
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _columns(known: Iterable[str]) -> list[str]:
+    """Return the measures that are always shown, of all that there are."""
+    names = list(known)
+    errors = [name for name in names if name.split(".")[0] == "error" and name.count(".") < 2]
+    further = [f"{name}.error" for name in FURTHER if f"{name}.error" in names]
+    recalls = [name for name in names if name.startswith("recall@1_")]
+    one = [name for name in ("hit_rate",) if name in names]
+    return [*sorted(errors), *further, *one, *recalls, *(name for name in ("room",) if name in names)]
+
+
+def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the settings of each evaluation by key, and the keys of those that differ, what was swept first.
+
+    Where sweeps say what they swept, or runs what they were trained with, nothing else counts: the rest follows.
+    """
+    swept = [dict(one.get("swept") or {}) for one in results]
+    trained = [_of_training(path) for path in paths]
+    own = [_of_evaluation(one) for one in results]
+    settings = [
+        {**training, **found, **{key: value for key, value in said.items() if value is not None}}
+        for training, found, said in zip(trained, own, swept, strict=True)
+    ]
+    first = list(dict.fromkeys(key for said in swept for key in said))
+    runs = {repr(found) for found in trained}
+    of_runs = differing([found for found in trained if found]) if len(runs) > 1 else []
+    if all(found.get("model.seed") == found.get("seed") for found in trained):  # as commands have it
+        of_runs = [key for key in of_runs if key != "model.seed"]
+    further = [*_ALWAYS, *of_runs]
+    if not all(swept) and not of_runs:
+        further += [key for found in own for key in found]
+    keys = differing(settings, dict.fromkeys([*first, *further]))
+    for group in ("descriptor", "build"):
+        if group in keys:  # each has parameters of its own
+            keys = [key for key in keys if key in first or not key.startswith(f"{group}.")]
+    return settings, keys
+
+
+def _of_evaluation(results: Mapping[str, Any]) -> dict[str, Any]:
+    described, layer = dict(results.get("descriptor") or {}), dict(results.get("layer") or {})
+    name, build = described.pop("name", None), layer.pop("name", None)
+    parameters = {} if "weights" in described else flat(described, prefix="descriptor.")
+    return {
+        **flat(results["config"], _LEFT_OUT),
+        "descriptor": name,
+        **parameters,
+        "distance": results.get("distance"),
+        "heading": (results.get("heading") or {}).get("name"),
+        "build": build,
+        **flat(layer, prefix="build."),
+    }
+
+
+def _of_training(path: Path) -> dict[str, Any]:
+    run = run_with(path.parent)
+    return flat(run.settings, _LEFT_OUT) if run is not None and run.record.is_file() else {}
