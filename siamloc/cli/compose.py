@@ -202,12 +202,10 @@ def _sweep(command: str, words: list[str]) -> list[str]:
     """
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    fixed = []
-    for word in words:
-        if not word.startswith("-") and "=" in word:
-            override = OverridesParser.create().parse_override(word)
-            if not override.is_sweep_override():
-                fixed.append(override.key_or_group)
+    given = [word for word in words if not word.startswith("-") and "=" in word]
+    overrides = [OverridesParser.create().parse_override(word) for word in given]
+    swept = {override.key_or_group for override in overrides if override.is_sweep_override()}
+    fixed = [override.key_or_group for override in overrides if override.key_or_group not in swept]
     trains = command in ("train", "pretrain")
     said = [word.partition("=")[2].strip("'\"") for word in words if word.startswith("run=") and "run" in fixed]
     folder = said[0] if said and said[0] not in ("", "null") else "runs/sweep"

@@ -279,15 +279,15 @@ COMMANDS = {
         """
         Prints a row for each run of a sweep: the settings in which the runs differ, the best figure of validation and
         its epoch, and how many epochs are finished. Of evaluations: the settings that were swept, the mean error,
-        overall and by lighting, the hit rate, recall@1 and the share of rooms found. Names the best one. Writes the table
-        as CSV, and a plot of the figure against the first swept setting with numbers, a line for each combination of
-        the others.
+        overall and by lighting, the hit rate, recall@1 and the share of rooms found. Names the best one. Writes the
+        table as CSV, and a plot of the figure against the first swept setting with numbers, a line for each
+        combination of the others.
 
         runs=FOLDER      the folder of a sweep, or any folder with runs or evaluations in it
         runs=[a,b,c]     several of them
         by=val/error     the figure that counts: of trainings; what checkpoints are chosen by if not given
-        by=recall@1      or of evaluations: error, error.night, hit_rate, room, recall@5_0.5 within 0.5 m, cost.bytes, or
-                         any number in results.json by its place, such as absolute.overall.error.median
+        by=recall@1      or of evaluations: error, error.night, hit_rate, room, recall@5_0.5 within 0.5 m, cost.bytes,
+                         or any number in results.json by its place, such as absolute.overall.error.median
         out=FILE.csv     where to, with FILE.png; trainings.csv or evaluations.csv in the folder if not given
         """,
         "siamloc compare runs=runs/sweep by=error out=sweep.csv",

@@ -168,15 +168,15 @@ def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tu
     swept = [dict(one.get("swept") or {}) for one in results]
     trained = [_of_training(path) for path in paths]
     own = [_of_evaluation(one) for one in results]
-    settings = [
-        {**training, **found, **{key: value for key, value in said.items() if value is not None}}
-        for training, found, said in zip(trained, own, swept, strict=True)
-    ]
     first = list(dict.fromkeys(key for said in swept for key in said))
     runs = {repr(found) for found in trained}
     of_runs = differing([found for found in trained if found]) if len(runs) > 1 else []
     if all(found.get("model.seed") == found.get("seed") for found in trained):  # as commands have it
         of_runs = [key for key in of_runs if key != "model.seed"]
+    settings = []
+    for training, found, said in zip(trained, own, swept, strict=True):
+        of_run = {key: training[key] for key in of_runs if key in training}
+        settings.append({**found, **of_run, **{key: value for key, value in said.items() if value is not None}})
     further = [*_ALWAYS, *of_runs]
     if not all(swept) and not of_runs:
         further += [key for found in own for key in found]

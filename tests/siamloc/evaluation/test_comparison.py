@@ -1,0 +1,129 @@
+"""Tables of evaluations: what was swept, what was measured, and which comes first."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import replace
+
+import pytest
+
+import siamloc
+from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.evaluation import compare
+from siamloc.evaluation.comparison import highest_is_best
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Evaluate a descriptor once, and write it down by another name as often as wanted."""
+    images = siamloc.data.example()
+    monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
+    known = siamloc.maps.build("hog", images, monday, progress=False)
+    return siamloc.evaluation.localization(known, images, tuesday, radii=(0.5,), ks=(1, 5))
+
+
+def write(measured, folder, error, swept=None, **about):
+    """Write the results with another mean error."""
+    absolute = measured.parts["absolute"]
+    overall = {**absolute["overall"], "error": {**absolute["overall"]["error"], "mean": error}}
+    parts = {**measured.parts, "absolute": {**absolute, "overall": overall}}
+    swept = {} if swept is None else {"swept": swept}
+    replace(measured, parts=parts, about={**measured.about, **swept, **about}).save(folder, pictures=False)
+    return folder
+
+
+def test_rows_hold_what_was_swept_and_the_measures_and_the_best_comes_first(measured, tmp_path):
+    write(measured, tmp_path / "a" / "8", 0.9, {"descriptor.bins": 8, "distance": "cosine"})
+    write(measured, tmp_path / "b", 0.5, {"descriptor.bins": 16, "distance": "cosine"})
+    found = compare(tmp_path)
+    assert (found.by, found.differing, found.highest) == ("error", ("descriptor.bins",), False)
+    assert found.columns == (
+        *("descriptor.bins", "error", "error.night", "hit_rate", "recall@1_0.5", "room", "queries", "folder"),
+    )
+    assert [(row["descriptor.bins"], row["error"], row["folder"]) for row in found.rows] == [
+        (16, 0.5, (tmp_path / "b").as_posix()),
+        (8, 0.9, (tmp_path / "a" / "8").as_posix()),
+    ]
+    overall = measured.parts["absolute"]["overall"]
+    assert found.best["hit_rate"] == overall["hit_rate"][0]["rate"]
+    assert found.best["recall@1_0.5"] == overall["recall"][0]["recall"]
+    assert found.best["room"] == measured.parts["room_retrieval"]["overall"]["accuracy"]
+    assert found.best["queries"] == 12
+    assert found.verdict() == f"best: descriptor.bins=16, error 0.5, in {(tmp_path / 'b').as_posix()}"
+    assert repr(found) == found.table()
+
+
+def test_other_measures_can_count_and_the_highest_recall_is_the_best(measured, tmp_path):
+    write(measured, tmp_path / "a", 0.9)
+    assert compare(tmp_path, by="recall@1").by == "recall@1_0.5"
+    for by, highest in (("recall@5_0.5", True), ("cost.bytes", False), ("absolute.overall.error.p95", False)):
+        found = compare(tmp_path, by=by)
+        assert (found.by, found.highest) == (by, highest)
+        assert math.isfinite(found.best[by])
+    assert highest_is_best("room_retrieval.overall.mean_average_precision")
+    assert not highest_is_best("absolute.room_by_lighting.hall.night.error.mean")
+
+
+def test_what_differs_is_found_where_nothing_says_what_was_swept(measured, tmp_path):
+    write(measured, tmp_path / "a", 0.9)
+    other = {**measured.about["descriptor"], "bins": 4}
+    write(measured, tmp_path / "b", 0.5, descriptor=other, distance="cosine")
+    assert compare([tmp_path / "a", tmp_path / "b"]).differing == ("distance", "descriptor.bins")
+    write(measured, tmp_path / "b", 0.5, descriptor={"name": "fs", "rows": 3})
+    assert compare(tmp_path).differing == ("descriptor",), "each descriptor has parameters of its own"
+
+
+def test_runs_show_what_they_were_trained_with(measured, tmp_path):
+    for seed in (0, 1):
+        run = siamloc.training.Run(tmp_path / f"seed-{seed}")
+        run.start({"model": {"branch": "vgg11", "seed": seed}, "training": {"seed": seed}}, [])
+        write(measured, run.evaluation("network"), 1.0 + seed)
+    found = compare(tmp_path)
+    assert found.differing == ("seed",)
+    assert [row["seed"] for row in found.rows] == [0, 1]
+
+
+def test_evaluations_without_the_measure_come_last(measured, tmp_path):
+    rooms = {name: part for name, part in measured.parts.items() if name == "room_retrieval"}
+    replace(measured, parts=rooms, about={**measured.about, "swept": {"seed": 1}}).save(tmp_path / "a", pictures=False)
+    write(measured, tmp_path / "b", 0.5, {"seed": 2})
+    found = compare(tmp_path)
+    assert [row["seed"] for row in found.rows] == [2, 1]
+    assert math.isnan(found.rows[1]["error"])
+    with found.save(tmp_path / "table.csv").open(newline="") as file:
+        assert [(row["seed"], row["error"]) for row in csv.DictReader(file)] == [("2", "0.5"), ("1", "")]
+    assert len(found.plot().axes[0].lines[0].get_xdata()) == 1
+
+
+def test_the_picture_is_written_or_said_to_have_nothing_to_show(measured, tmp_path):
+    write(measured, tmp_path / "a", 0.9, {"descriptor.bins": 8})
+    with pytest.raises(DataError, match="no setting in which they differ"):
+        compare(tmp_path).plot()
+    write(measured, tmp_path / "b", 0.5, {"descriptor.bins": 16})
+    assert compare(tmp_path).save_picture(tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
+    with pytest.raises(ConfigError, match=r"did you mean 'descriptor\.bins'"):
+        compare(tmp_path).plot("descriptor.bin")
+
+
+def test_mistakes_are_named(measured, tmp_path):
+    for folders, says in (
+        (tmp_path / "no", "no folder"),
+        (tmp_path, "holds no evaluation"),
+        ([], "nothing to compare"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            compare(folders)
+    write(measured, tmp_path / "a", 0.9)
+    for by, says in (
+        ("eror", "did you mean 'error'"),
+        ("absolute.overall.eror.p95", r"did you mean 'absolute\.overall\.error\.p95'"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            compare(tmp_path, by=by)
+    replace(measured, parts={"absolute": {"overall": {}}}).save(tmp_path / "b", pictures=False)
+    with pytest.raises(FormatError, match="not whole"):
+        compare(tmp_path)
+    replace(measured, parts={"compact": {"queries": 3}}).save(tmp_path / "c", pictures=False)
+    with pytest.raises(ConfigError, match="by=compact.queries"):
+        compare(tmp_path / "c")
