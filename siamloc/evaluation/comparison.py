@@ -169,8 +169,7 @@ def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tu
     trained = [_of_training(path) for path in paths]
     own = [_of_evaluation(one) for one in results]
     first = list(dict.fromkeys(key for said in swept for key in said))
-    runs = {repr(found) for found in trained}
-    of_runs = differing([found for found in trained if found]) if len(runs) > 1 else []
+    of_runs = differing([found for found in trained if found])
     if all(found.get("model.seed") == found.get("seed") for found in trained):  # as commands have it
         of_runs = [key for key in of_runs if key != "model.seed"]
     settings = []

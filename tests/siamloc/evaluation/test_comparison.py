@@ -125,5 +125,5 @@ def test_mistakes_are_named(measured, tmp_path):
     with pytest.raises(FormatError, match="not whole"):
         compare(tmp_path)
     replace(measured, parts={"compact": {"queries": 3}}).save(tmp_path / "c", pictures=False)
-    with pytest.raises(ConfigError, match="by=compact.queries"):
+    with pytest.raises(ConfigError, match=r"by=compact\.queries"):
         compare(tmp_path / "c")
