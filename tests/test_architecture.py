@@ -27,7 +27,7 @@ FORBIDDEN = {
     "siamloc.models": (*OUTER, "siamloc.data", "siamloc.training", "siamloc.maps"),
     "siamloc.training": (*OUTER, "siamloc.maps"),
     "siamloc.maps": (*OUTER, "siamloc.training"),
-    "siamloc.reproduce": ("siamloc.models", "siamloc.training", "siamloc.simulate"),
+    "siamloc.reproduce": ("siamloc.runtime", "siamloc.simulate", "siamloc.pretraining", "siamloc.report.page"),
     "siamloc.runtime": ("siamloc.evaluation", "siamloc.report", "siamloc.simulate", "siamloc.training"),
     "siamloc.evaluation": ("siamloc.report.page", "siamloc.runtime", "siamloc.simulate", "siamloc.training"),
     "siamloc.report": ("siamloc.evaluation", "siamloc.models", "siamloc.runtime", "siamloc.simulate"),

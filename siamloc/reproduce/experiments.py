@@ -33,7 +33,7 @@ class Data:
     """A data set, opened when something of it is needed.
 
     Attributes:
-        name: a name in `recipes.yaml`.
+        name: a name in `recipe_book.yaml`.
         root: where it lies.
         image_size: rows and columns of a panorama.
         work: folder for runs that are being trained.

@@ -1,4 +1,4 @@
-"""Recipes: which experiments a published table or figure takes, as data (`recipes.yaml`), and the jobs they come to.
+"""Recipes: which experiments a published table or figure takes, as data (`recipe_book.yaml`), and their jobs.
 
 An experiment is a call of the library with some settings varied; each combination is a job. Values may be given by
 scale, as in `{full: [1, 2, 4, 8], short: [2, 8]}`: a scale that is not named has what the next larger one has.
@@ -22,7 +22,7 @@ from siamloc.reproduce.published import Source
 SCALES = ("smoke", "short", "full")
 """From seconds on a small building, over minutes to hours, to what was published."""
 
-_FILE = Path(__file__).with_name("recipes.yaml")
+_FILE = Path(__file__).with_name("recipe_book.yaml")
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ def options(group):
     [
         f"{group}={option}"
         for group in sorted(set(GROUPS))
-        if group not in ("building", "simulate", "demo")
+        if group not in ("building", "simulate", "demo", "reproduce")
         for option in options(group)
     ],
 )
