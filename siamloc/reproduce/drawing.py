@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from siamloc.errors import DataError
-from siamloc.report.draw.look import DASHES, MARKS, SERIES, TEXT, Picture, style
+from siamloc.report.draw.look import DASHES, MARKS, PAPER, SERIES, TEXT, Picture, style
 from siamloc.reproduce.published import Record, measures
-
-_UNITS = {"share": "%", "1": ""}
 
 
 @style()
@@ -30,7 +28,7 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
         raise DataError("there is nothing to draw: nothing was measured")
     across = min(4, len(panels))
     high = -(-len(panels) // across)
-    picture = Picture(figsize=(2.7 * across + 1.0, 2.6 * high + 0.9))
+    picture = Picture(figsize=(max(2.7 * across + 1.0, 5.2), 2.6 * high + 0.9))
     axes = picture.subplots(high, across, squeeze=False).ravel().tolist()
     for one in axes[len(panels) :]:
         one.remove()
@@ -42,7 +40,8 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
         else:
             handles |= _lines(one, figure, part)
     if len(handles) > 1:
-        picture.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(5, len(handles)))
+        fitting = max(2, int(1.6 * across))
+        picture.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(fitting, len(handles)))
     return picture
 
 
@@ -70,6 +69,8 @@ def _panels(figure: Mapping[str, Any], records: Sequence[Record]) -> list[tuple[
 
 
 def _title(name: str, value: Any) -> str:
+    if name == "filter":
+        return "with the homomorphic filter" if value else "without a filter"
     plain = name in ("descriptor", "distance", "data", "method")
     return str(value).replace("_", " ") if plain else f"{name.replace('_', ' ')} {value}"
 
@@ -101,9 +102,10 @@ def _lines(axes: Any, figure: Mapping[str, Any], records: Sequence[Record]) -> d
     if figure.get("log"):
         axes.set_xscale("log", base=2)
         axes.xaxis.set_major_formatter("{x:g}")
-    unit = measures().get(figure["measure"], {}).get("unit", "")
-    axes.set(xlabel=x.replace("_", " "), ylabel=f"{_said(figure['measure'])} {_bracket(unit)}")
+    axes.set(xlabel=x.replace("_", " "), ylabel=f"{_said(figure['measure'])} {_bracket(figure['measure'])}".rstrip())
     axes.grid(True)
+    if axes.get_ylim()[0] > 0:
+        axes.set_ylim(0, 1.04 * axes.get_ylim()[1])
     return handles
 
 
@@ -112,16 +114,17 @@ def _field(axes: Any, figure: Mapping[str, Any], records: Sequence[Record]) -> N
     values = np.full((len(ys), len(xs)), np.nan)
     for one in records:
         values[ys.index(one.settings[figure["y"]]), xs.index(one.settings[figure["x"]])] = one.value
-    factor = _factor(figure["measure"])
-    share = factor == 100
-    low, high = (0.0, 100.0) if share else (np.nanmin(values) * factor, np.nanmax(values) * factor)
-    axes.imshow(values * factor, cmap="Blues", vmin=low, vmax=high + 0.35 * (high - low), origin="lower", aspect="auto")
+    values *= _factor(figure["measure"])
+    low, high = (0.0, 100.0) if _unit(figure["measure"]) == "share" else (np.nanmin(values), np.nanmax(values))
+    high = high if high > low else low + 1
+    axes.imshow(values, cmap="Blues", vmin=low, vmax=high, origin="lower", aspect="auto")
     for row in range(len(ys)):
         for column in range(len(xs)):
-            value = values[row, column] * factor
+            value = values[row, column]
             if np.isfinite(value):
+                dark = (value - low) / (high - low) > 0.6
                 text = f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
-                axes.text(column, row, text, ha="center", va="center", fontsize=7, color=TEXT)
+                axes.text(column, row, text, ha="center", va="center", fontsize=7, color=PAPER if dark else TEXT)
     axes.set_xticks(range(len(xs)), [f"{x:g}" for x in xs])
     axes.set_yticks(range(len(ys)), [f"{y:g}" for y in ys])
     axes.set(xlabel=figure["x"], ylabel=figure["y"])
@@ -129,14 +132,23 @@ def _field(axes: Any, figure: Mapping[str, Any], records: Sequence[Record]) -> N
     axes.tick_params(length=0)
 
 
+def _unit(measure: str) -> str:
+    return str(measures().get(measure, {}).get("unit", "s" if measure.endswith("seconds") else ""))
+
+
 def _factor(measure: str) -> float:
-    return 100.0 if measures().get(measure, {}).get("unit") == "share" else 1.0
+    """Return what numbers are drawn times: shares in percent, seconds in milliseconds."""
+    return {"share": 100.0, "s": 1000.0}.get(_unit(measure), 1.0)
 
 
-def _bracket(unit: str) -> str:
-    unit = _UNITS.get(unit, unit)
+def _bracket(measure: str) -> str:
+    unit = {"share": "%", "1": "", "s": "ms"}.get(_unit(measure), _unit(measure))
     return f"[{unit}]" if unit else ""
 
 
 def _said(measure: str) -> str:
-    return measure.replace("_", " ")
+    return (
+        "time"
+        if measure == "seconds"
+        else measure.removesuffix("_seconds").replace("_", " ") + (" time" if measure.endswith("_seconds") else "")
+    )

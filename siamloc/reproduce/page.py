@@ -11,7 +11,7 @@ from pathlib import Path
 
 from siamloc.files import write_text
 from siamloc.reproduce.recipe_book import data_named
-from siamloc.reproduce.running import VERDICTS, Reproduction
+from siamloc.reproduce.running import Reproduction, Verdict
 from siamloc.results import versions
 
 _ABOUT = """\
@@ -45,8 +45,7 @@ def write_report(results: Sequence[Reproduction], path: str | Path, missing: Map
 def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = None) -> str:
     """Return the page of several reproductions."""
     first = results[0]
-    counted = Counter(VERDICTS[verdict.ours] for verdict in _verdicts(results))
-    said = ", ".join(f"{count} {word}" for word, count in counted.items())
+    counted = Counter(verdict.ours for verdict in _verdicts(results))
     made = versions()
     lines = [
         f"# Reproduced: {len(results)} tables and figures on {data_named(first.data)['title']}",
@@ -56,7 +55,8 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
         f"{_machine()}; {', '.join(f'{name} {version}' for name, version in made.items())}; "
         f"{datetime.datetime.now(datetime.timezone.utc):%d %B %Y}.",
         "",
-        f"Of {sum(counted.values())} claims: {said}.",
+        f"Of {sum(counted.values())} claims {counted[True]} hold, {counted[False]} do not, and {counted[None]} cannot "
+        "be decided here.",
         "",
         "| | | claims that hold | that do not | not decidable | published numbers beside ours |",
         "|---|---|---|---|---|---|",
@@ -76,7 +76,7 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
     return "\n".join(lines) + "\n"
 
 
-def _verdicts(results: Sequence[Reproduction]) -> list:
+def _verdicts(results: Sequence[Reproduction]) -> list[Verdict]:
     """Return each claim's verdict once."""
     return list({verdict.claim.id: verdict for one in results for verdict in one.verdicts}.values())
 

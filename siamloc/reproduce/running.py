@@ -30,6 +30,9 @@ _VERSION = 1
 VERDICTS = MappingProxyType({True: "holds", False: "does not hold", None: "not decidable at this scale"})
 
 
+_WITH = ("published with", "ours with")
+
+
 @dataclass(frozen=True)
 class Row:
     """A published number beside ours.
@@ -126,9 +129,9 @@ class Reproduction:
         lines = [f"### {self.recipe.title}", "", f"{self._where()}", ""]
         rows = self.rows
         if rows:
-            heads = _told_apart(rows)
+            heads = [name for name in _told_apart(rows) if not self.recipe.best or name in (self.recipe.join or ())]
             lines += _markdown(
-                [*heads, "measure", "published", "ours", "difference", *(["ours with"] if self.recipe.best else [])],
+                [*heads, "measure", "published", "ours", "difference", *(_WITH if self.recipe.best else ())],
                 [
                     [
                         *(_shown(row.settings.get(name)) for name in heads),
@@ -136,7 +139,7 @@ class Reproduction:
                         _printed(row.published),
                         _number(row.ours),
                         "" if row.difference is None else f"{row.difference:+.3g}",
-                        *([_settings(row.ours, *(self.recipe.join or ()))] if self.recipe.best else []),
+                        *([_settings(one, *heads) for one in (row.published, row.ours)] if self.recipe.best else []),
                     ]
                     for row in rows
                 ],
