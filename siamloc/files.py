@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shutil
+import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
@@ -37,6 +38,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         StorageError: the disk is full or refuses.
     """
     path = Path(path)
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise StorageError(f"{path} is a device or a pipe, which a file must not take the place of: name a file")
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary, handle = _taken(path)
@@ -275,6 +278,22 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
     encoded = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(picture[:, :, ::-1]), quality)[1]
     with atomic_path(path) as temporary:
         temporary.write_bytes(encoded.tobytes())
+
+
+def read_text(path: str | Path, most: int = 64_000_000) -> str:
+    """Read a text file that somebody else may have made: a regular one, of so many bytes at most.
+
+    Raises:
+        OSError: it is missing, or cannot be read.
+        ValueError: it is a device or a pipe, which might never end, too long, or no text.
+    """
+    path = Path(path)
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise ValueError("it is no regular file")
+    if about.st_size > most:
+        raise ValueError(f"it has {about.st_size:,} bytes, more than {most:,}")
+    return path.read_text(encoding="utf-8")
 
 
 def read_json(path: str | Path) -> Any:

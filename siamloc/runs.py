@@ -118,8 +118,11 @@ class Run:
         if which not in _CHECKPOINTS:
             raise ConfigError(f"checkpoint must be best or last, got {which!r}")
         for name in _CHECKPOINTS[which]:
-            if (self.checkpoints / f"{name}.ckpt").is_file():
-                return self.checkpoints / f"{name}.ckpt"
+            path = self.checkpoints / f"{name}.ckpt"
+            if path.is_file():
+                return path
+            if path.exists() or path.is_symlink():
+                raise FormatError(f"{path} is no regular file: train again, or put the checkpoint itself there")
         raise ConfigError(f"{self.folder} holds no checkpoint: train it first with `siamloc train run={self.folder}`")
 
     @property
@@ -144,7 +147,9 @@ class Run:
             with self.metrics.open(encoding="utf-8", newline="") as file:
                 rows = list(csv.DictReader(file))
             names = ["epoch", *(name for name in rows[0] if name != "epoch")]
-            return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+            curves = {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+            _check_curves(curves)
+            return curves
         except (ValueError, TypeError, LookupError, csv.Error, UnicodeDecodeError) as error:
             raise FormatError(f"{self.metrics} is not a table of training curves ({error}): train again") from error
 
@@ -190,10 +195,10 @@ class Run:
         record = read_json(self.record)
         if not isinstance(record, dict) or record.get("format") != FORMAT:
             raise FormatError(f"{self.record} was not written by siamloc")
-        if record.get("version") == 1:
+        if record.get("version") == 1 and record["version"] is not True:
             raise FormatError(f"{self.record} was written by siamloc 0.1, whose runs are no longer read: train again")
-        if not {"version", "settings", "written"} <= set(record):
-            raise FormatError(f"{self.record} is not whole: train again")
+        if (wrong := _wrong(record)) is not None:
+            raise FormatError(f"{self.record} is not whole, or was altered in {wrong}: train again")
         if record["version"] > VERSION:
             raise FormatError(
                 f"{self.record} has version {record['version']}, this siamloc reads up to {VERSION}: update siamloc"
@@ -279,6 +284,41 @@ class Run:
         losses = [f"{key} {curves[key][-1]:.4g}" for key in ("train/loss", "val/loss") if key in curves]
         epochs = len(curves["epoch"])
         return ", ".join([name, f"{epochs} epoch{'s' if epochs != 1 else ''}", *losses])
+
+
+_SECTIONS = ("data", "model", "training", "loss", "augment", "protocol", "trainer", "views")
+
+
+def _wrong(record: Mapping[str, Any]) -> str | None:
+    """Return the key of a record whose value is missing or of another type; None where all is as it was written."""
+    version, settings, written = (record.get(key) for key in ("version", "settings", "written"))
+    if not isinstance(version, int) or isinstance(version, bool):
+        return "version"
+    if not isinstance(settings, Mapping):
+        return "settings"
+    for key in _SECTIONS:
+        if settings.get(key) is not None and not isinstance(settings[key], Mapping):
+            return f"settings.{key}"
+    if not isinstance(written, list) or not all(isinstance(name, str) for name in written):
+        return "written"
+    for key, kind in (("created", str), ("versions", Mapping)):
+        if key in record and not isinstance(record[key], kind):
+            return key
+    return None
+
+
+def _check_curves(curves: Mapping[str, NDArray[np.float64]]) -> None:
+    """Refuse what no training writes: epochs that do not grow, and numbers that nothing could draw.
+
+    Raises:
+        ValueError: such values.
+    """
+    epochs = curves["epoch"]
+    if not np.isfinite(epochs).all() or (epochs < 0).any() or (np.diff(epochs) <= 0).any():
+        raise ValueError("its epochs do not grow from row to row")
+    for name, values in curves.items():
+        if (np.abs(values[np.isfinite(values)]) > 1e12).any():
+            raise ValueError(f"{name} is beyond 1e12")
 
 
 def newest_run(folder: Path = DEFAULT_FOLDER) -> Run:

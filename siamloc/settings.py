@@ -170,8 +170,20 @@ def checked(value: Any, kind: Any, key: str) -> Any:
     """
     fits, found = _fit(value, kind, key)
     if not fits:
-        raise ConfigError(f"{key} must be {words_for(kind)}, got {value!r}")
+        raise ConfigError(f"{key} must be {words_for(kind)}, got {shortened(repr(value))}")
     return found
+
+
+def shortened(text: str, most: int = 120) -> str:
+    """Return a text as an error message shows it: cut in the middle where it is long.
+
+    >>> shortened("x" * 200, 20)
+    'xxxxxxxx ... xxxxxxx'
+    """
+    if len(text) <= most:
+        return text
+    left = (most - 4) // 2
+    return f"{text[:left]} ... {text[len(text) - (most - 5 - left) :]}"
 
 
 def words_for(kind: Any) -> str:

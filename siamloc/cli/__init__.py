@@ -5,8 +5,11 @@ This module loads nothing heavy: help and a mistyped command are answered at onc
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from siamloc import __version__
 from siamloc.cli.help import COMMANDS, overview
@@ -20,7 +23,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
     try:
-        return _dispatch(words)
+        status = _dispatch(words)
+        sys.stdout.flush()  # a full disk shows here, and not when Python ends
+        return status
     except KeyboardInterrupt as error:
         if not error.args:  # who stops with a word of how to go on has said it already
             print("siamloc: interrupted", file=sys.stderr)
@@ -36,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug or sentence is None:
             raise
         print(f"siamloc: {sentence}", file=sys.stderr)
+        if isinstance(error, OSError) and error.filename is None:
+            _print_nowhere()
         return 2
 
 
@@ -98,6 +105,12 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
     raise ConfigError(f"unknown command {given!r}: use one of {', '.join(family)}")
 
 
+def _print_nowhere() -> None:
+    """Let go of what could not be printed, so that Python does not try again when it ends."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _sentence(error: Exception) -> str | None:
     """Return the one line to print, or None for an error that is a bug of ours and needs its traceback."""
     if isinstance(error, SiamlocError):
@@ -106,6 +119,8 @@ def _sentence(error: Exception) -> str | None:
         return lacking(error)
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename} cannot be used: {error.strerror.lower()}"
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT) and error.strerror:
+        return f"what is printed cannot be written: {error.strerror.lower()}"
     if isinstance(error, MemoryError):
         return f"there is not enough memory for this ({error}): ask for less at once"
     for module, name in (("analytic.errors", "AnalyticError"), ("augment.errors", "AugmentError")):

@@ -16,6 +16,7 @@ from siamloc.cli.schema import register
 from siamloc.cli.sweeps import sweep_suffix
 from siamloc.errors import ConfigError, SiamlocError, hint
 from siamloc.runs import runs_in
+from siamloc.settings import shortened
 
 Main = Callable[[DictConfig], None]
 OF_SWEEPS = ("map", "evaluate")
@@ -228,14 +229,15 @@ def _check_words(words: list[str]) -> None:
             continue
         if word.startswith("~"):
             raise ConfigError(f"{word} takes away a key that is needed: leave the word out, or set another value")
-        if "=" not in word:
-            raise ConfigError(f"{word!r} is not of the form key=value, such as images=[photo.jpeg] or epochs=5")
+        if "=" not in word or word.startswith("="):
+            shown = shortened(repr(word))
+            raise ConfigError(f"{shown} is not of the form key=value, such as images=[photo.jpeg] or epochs=5")
         try:
             parser.parse_override(word)
-        except HydraException as error:
-            key = word.partition("=")[0]
+        except (HydraException, ValueError) as error:
+            key, shown = word.partition("=")[0], shortened(repr(word))
             raise ConfigError(
-                f"the value of {word!r} cannot be read: put texts with blanks, brackets or other signs in quotes, "
+                f"the value of {shown} cannot be read: put texts with blanks, brackets or other signs in quotes, "
                 f"such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
             ) from error
 

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from siamloc.cli.schema import OF_TRAINING
 from siamloc.cli.sweeps import of_map, own_folder
 from siamloc.data import Protocol
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, FormatError
 from siamloc.models.registry import Optimizer, whole_model
 from siamloc.runs import Run, newest_run
 
@@ -56,6 +56,7 @@ def with_settings_of_the_run(
     record = trained.settings if needed or trained.record.is_file() else {}
     made = None if resumed else _map_made(run, config)
     kept = _kept(record, made, resumed=resumed, replaces_map=replaces_map)
+    _check_literal(kept, run)
     chosen = {part for group in groups for part in _CHOOSES.get(group, (group,))}
     said = {key: OmegaConf.select(config, key) for key in keys if key not in groups}
     result = config.copy()
@@ -71,6 +72,22 @@ def with_settings_of_the_run(
         for key, value in said.items():
             OmegaConf.update(result, key, value, merge=False)
     return result
+
+
+def _check_literal(stored: Any, run: Run) -> None:
+    """Refuse texts that OmegaConf would look up, in the environment of whoever opens a run of somebody else's.
+
+    Raises:
+        FormatError: there is one.
+    """
+    if isinstance(stored, Mapping):
+        for value in stored.values():
+            _check_literal(value, run)
+    elif isinstance(stored, list | tuple):
+        for value in stored:
+            _check_literal(value, run)
+    elif isinstance(stored, str) and "${" in stored:
+        raise FormatError(f"{run.folder} holds the setting {stored!r}, which would be looked up elsewhere: train again")
 
 
 def label_of(options: Mapping[str, Any]) -> str:

@@ -10,17 +10,19 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.runs import Run, newest_run
-from siamloc.settings import Count, Many, NotNegative, Port, Settings, Text, fields_of
+from siamloc.settings import Many, NotNegative, Port, Rule, Settings, Text, fields_of
 
 if TYPE_CHECKING:
     from siamloc.runtime import Localizer
 
 _ITEM = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,'"\[\]]*[^,'"\[\]\s])\s*(,|$)""")
 _PLAIN = {"true": True, "false": False, "null": None}
+
+Threads = Annotated[int, Rule("a whole number from 1 to 1,024", lambda value: 1 <= value <= 1024)]
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Robot(Settings):
     bundle: Path | None = None
     top: Many = 3
     track: bool = False
-    threads: Count | None = None
+    threads: Threads | None = None
     hierarchical: bool | None = None
 
     def localizer(self) -> Localizer:
@@ -216,9 +218,9 @@ def _value(text: str, texts: bool) -> Any:
         return None
     if texts:  # a folder may be called 2024
         return text
-    if re.fullmatch(r"[-+]?\d+", text):
+    if re.fullmatch(r"[-+]?\d{1,300}", text, re.ASCII):
         return int(text)
-    if re.fullmatch(r"[-+]?\d*\.\d+", text):
+    if re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text, re.ASCII):
         return float(text)
     return _PLAIN.get(text, text)
 

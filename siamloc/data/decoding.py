@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -165,6 +166,9 @@ class Preprocessing:
         return unwrap(image, self.camera, self.view)
 
 
+_LARGEST = 16_384  # pixels on a side of an image
+
+
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """Read an image file as (rows, columns, 3), uint8, BGR; grey images get three equal channels.
 
@@ -181,6 +185,8 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         raise UnreadableImageError("the file is empty")
     if _cut_short(data):
         raise UnreadableImageError("the file is cut short")
+    if (size := _declared_size(data)) is not None and max(size) > _LARGEST:
+        raise UnreadableImageError(f"it has {size[0]:,} x {size[1]:,} pixels, and {_LARGEST:,} a side are the most")
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     except cv2.error as error:
@@ -188,6 +194,21 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     if image is None:
         raise UnreadableImageError("the file is no image, or a damaged one")
     return np.asarray(image, dtype=np.uint8)
+
+
+def _declared_size(data: bytes) -> tuple[int, int] | None:
+    """Return the rows and columns that a PNG or JPEG says it has; None for others, and where it says nothing."""
+    if data.startswith(b"\x89PNG") and len(data) > 24:
+        columns, rows = struct.unpack(">II", data[16:24])
+        return rows, columns
+    at = 2
+    while data.startswith(b"\xff\xd8") and at + 9 <= len(data) and data[at] == 0xFF:
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            rows, columns = struct.unpack(">HH", data[at + 5 : at + 9])
+            return rows, columns
+        at += 2 + length
+    return None
 
 
 def _cut_short(data: bytes) -> bool:

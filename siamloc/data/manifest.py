@@ -17,6 +17,8 @@ COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "
 
 _NUMBERS = ("x", "y", "theta", "time")
 
+_FARTHEST = 1e7  # metres from the origin
+
 
 def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
     """Read a manifest.
@@ -149,6 +151,11 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
     for name in _NUMBERS:
         if name in names:
             frame[name] = _number(cells[names[name]], f"{file}, line {line}, column {name!r}")
+            if name in ("x", "y") and abs(frame[name]) > _FARTHEST:
+                raise DataError(
+                    f"{file}, line {line}, column {name!r}: {frame[name]:g} lies beyond {_FARTHEST:,.0f}: give metres, "
+                    "or leave the cell empty where it is unknown"
+                )
     return frame
 
 

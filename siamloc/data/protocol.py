@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable, concatenate, html_table
 from siamloc.errors import ConfigError, DataError
-from siamloc.settings import Count, Natural, Positive, Settings
+from siamloc.settings import Count, Natural, Positive, Rule, Settings
 
+Way = Annotated[float, Rule("a number above 0 and up to 1,000,000", lambda value: 0 < value <= 1e6)]
 ROLES = ("train", "validation", "map", "query")
 
 
@@ -46,7 +47,7 @@ class Role(Settings):
     rooms: tuple[str, ...] | None = None
     every: Count | None = None
     offset: Natural = 0
-    spacing: Positive | None = None
+    spacing: Way | None = None
     rest: bool = False
 
     def __post_init__(self) -> None:

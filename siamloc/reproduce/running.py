@@ -129,6 +129,8 @@ class Reproduction:
         lines = [f"### {self.recipe.title}", "", f"{self._where()}", ""]
         rows = self.rows
         if rows:
+            measured = {row.measure for row in rows}
+            rows += [Row(None, one) for one in _best(self.beside, self.recipe) if one.measure in measured]
             heads = [name for name in _told_apart(rows) if not self.recipe.best or name in (self.recipe.join or ())]
             lines += _markdown(
                 [*heads, "measure", "published", "ours", "difference", *(_WITH if self.recipe.best else ())],

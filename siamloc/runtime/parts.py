@@ -17,6 +17,7 @@ from siamloc.files import file_hash
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that a part may have anyway, and for each byte of its own in the archive
 _DAMAGE = (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 _AT_ONCE = 1 << 20
+_IN_MEMORY = 1_000_000_000  # bytes of a part that is read as a whole
 _FOLDER = re.compile(r"(?!\.{1,2}/)[^/\\:]+/|")  # the top of an archive, or one folder by a plain name
 
 
@@ -71,10 +72,17 @@ class Folder(Parts):
         path = self.path / name
         if path.is_symlink():
             raise FormatError(f"{path} is a link, which could lead anywhere: copy the file itself into the bundle")
-        return path.is_file()
+        if not path.is_file():
+            return False
+        about = path.stat()
+        if about.st_size > _SPARE + _DENSEST * 512 * getattr(about, "st_blocks", about.st_size):
+            raise FormatError(f"{path} claims to be far longer than what it holds: export again")
+        return True
 
     def read(self, name: str) -> bytes:
         """Return what a file holds."""
+        if (self.path / name).is_file() and self.size(name) > _IN_MEMORY:
+            raise FormatError(f"{self.path / name} has {self.size(name):,} bytes, more than a bundle's: export again")
         try:
             return (self.path / name).read_bytes()
         except OSError as error:

@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from siamloc.errors import DataError, hint
+from siamloc.files import read_text
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import HALF_WALL, SIDES, Building, Item, Opening, Path, Room
 from siamloc.simulate.rules import FLAG, LIST, MAPPING, TEXT, WORD, Rule, must_be, number, numbers, one_of, row, whole
@@ -87,14 +88,19 @@ def read_building_file(path: FilePath, seed: int) -> Building:
         DataError: not YAML, or an impossible building; the message names the room and the line.
     """
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"the building file {path} cannot be read: {error}") from error
+        content = yaml.load(_text(path), _Loader)
     except RecursionError as error:
         raise DataError(f"{path} is nested too deeply to be a building") from error
     except (yaml.YAMLError, ValueError) as error:
         raise DataError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     return parse_building(content, seed, str(path))
+
+
+def _text(path: FilePath) -> str:
+    try:
+        return read_text(path)
+    except (OSError, ValueError) as error:
+        raise DataError(f"the building file {path} cannot be read: {error}") from error
 
 
 def parse_building(content: Any, seed: int, source: str) -> Building:
@@ -365,7 +371,14 @@ class _LineList(list[Any]):
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads YAML into mappings and sequences that know their lines."""
+    """Reads YAML into mappings and sequences that know their lines; without aliases, which a few lines make endless."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose the next node, unless it stands for another one."""
+        if self.check_event(yaml.events.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, "aliases are not read: write the value itself", mark)
+        return super().compose_node(parent, index)
 
 
 def _mapping(loader: Any, node: yaml.MappingNode) -> _LineDict:

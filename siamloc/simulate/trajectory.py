@@ -10,6 +10,7 @@ import numpy as np
 
 from siamloc.data.names import NamedPose, format_name, parse_name
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.files import read_text
 from siamloc.simulate.layout import Array, Building, Path
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles, room_codes
 
@@ -100,8 +101,8 @@ def listed(building: Building, file: FilePath) -> Track:
         DataError: the file cannot be read, or a line is no COLD image name.
     """
     try:
-        lines = FilePath(file).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_text(file).splitlines()
+    except (OSError, ValueError) as error:
         raise DataError(f"the trajectory {file} cannot be read: {error}") from error
     names, rows = [], []
     lines_of: dict[str, int] = {}
