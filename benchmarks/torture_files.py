@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import re
 from collections.abc import Callable
@@ -16,7 +17,8 @@ from siamloc.data import FrameTable
 from siamloc.files import file_hash, read_json, write_json
 
 SIZE = (16, 64)
-WAYS = ("flipped", "cut", "repeated", "swapped", "grafted", "emptied", "lengthened", "numbers", "nested")
+WAYS = ("flipped", "cut", "repeated", "swapped", "grafted", "emptied", "lengthened", "numbers", "nested", "leaves")
+_STRANGE: tuple[Any, ...] = (3, -1, 1e300, True, None, "", "x", "${oc.env:HOME}", [], [["a"]], [{}], {}, {"a": 1}, "\0")
 
 
 @dataclass(frozen=True)
@@ -34,9 +36,7 @@ class Kind:
 
 def damaged(content: bytes, others: list[bytes], chance: random.Random) -> tuple[str, bytes]:
     """Return how a file was damaged, and what it holds then."""
-    how = chance.choice(
-        ["flipped", "cut", "repeated", "swapped", "grafted", "emptied", "lengthened", "numbers", "nested"]
-    )
+    how = chance.choice(WAYS)
     held, size = bytearray(content), max(len(content), 1)
     at = chance.randrange(size)
     if how == "flipped":
@@ -63,9 +63,28 @@ def damaged(content: bytes, others: list[bytes], chance: random.Random) -> tuple
         if found:
             one = chance.choice(found)
             held = bytearray(content[: one.start()] + chance.choice(strange) + content[one.end() :])
+    elif how == "leaves":
+        held = bytearray(_with_a_leaf(content, chance))
     else:
         held = bytearray(b"[" * chance.choice([10, 100_000]) + content)
     return how, bytes(held)
+
+
+def _with_a_leaf(content: bytes, chance: random.Random) -> bytes:
+    """Return a JSON file with one value at any depth exchanged for another kind; other files as they are."""
+    try:
+        held = json.loads(content)
+    except ValueError:
+        return content
+    node, places = held, []
+    while isinstance(node, dict | list) and node:
+        place = chance.choice(list(node)) if isinstance(node, dict) else chance.randrange(len(node))
+        places.append((node, place))
+        node = node[place]
+    if places:
+        parent, place = chance.choice(places)
+        parent[place] = chance.choice(_STRANGE)
+    return json.dumps(held).encode()
 
 
 def _frames() -> tuple[Any, FrameTable]:
@@ -177,7 +196,14 @@ def _write_run(path: Path) -> Path:
 
 
 def _read_run(path: Path) -> Any:
-    return siamloc.models.load(path.parent), siamloc.runs.Run(path.parent).curves()
+    from siamloc.cli.compose import composed
+
+    run = siamloc.runs.Run(path.parent)
+    composed("map", [f"run={path.parent}", "device=cpu", "data=manifest", "data.manifest=x.csv"])
+    composed("train", [f"run={path.parent}", "resume=true", "data=manifest", "data.manifest=x.csv"])
+    run.record_written([])
+    siamloc.training.compare([path.parent], by="train/loss")
+    return siamloc.models.load(run), run.curves()
 
 
 def _write_bundle(name: str) -> Callable[[Path], Path]:

@@ -131,7 +131,24 @@ def read_results(folder: str | Path) -> dict[str, Any]:
             f"{path} has version {schema['version']} of the result files, this siamloc reads up to {_VERSION}: "
             "update siamloc"
         )
+    for key, depth in _GROUPS.items():
+        if not _is_nested(results.get(key, {}), depth):
+            raise FormatError(f"{path} was altered in {key}: evaluate again")
+    if not isinstance(results.get("name", ""), str):
+        raise FormatError(f"{path} was altered in name: evaluate again")
+    for name, table in results.get("tables", {}).items():
+        if not isinstance(table.get("file"), str) or Path(table["file"]).name != table["file"]:
+            raise FormatError(f"{path} was altered in the table {name}: evaluate again")
     return results
+
+
+_GROUPS = {"measures": 2, "baselines": 2, "cost": 2, "tables": 2, "denominators": 1, "skipped": 1, "config": 1}
+"""Keys of `results.json` with how many levels of names they have at least."""
+
+
+def _is_nested(value: Any, depth: int) -> bool:
+    """Say whether a value is a mapping, of mappings where `depth` is 2."""
+    return isinstance(value, Mapping) and (depth < 2 or all(isinstance(one, Mapping) for one in value.values()))
 
 
 def read_rows(folder: str | Path, table: str = "queries") -> Columns:

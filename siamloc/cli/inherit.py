@@ -140,7 +140,7 @@ def _kept(
     if resumed and training:
         kept |= {
             "model.branch.weights": model.get("weights"),
-            "loss": _of_loss(record.get("loss", {})),
+            "loss": _of_loss(record.get("loss") or {}),
             "augment": {**(record.get("augment") or {"name": "none"}), "where": training["augment_where"]},
             "trainer.precision": record.get("trainer", {}).get("precision", "32-true"),
             "pairs": training["pairs"],

@@ -118,6 +118,8 @@ class Result:
         Raises:
             FormatError: measures that are not whole, as of a file that was altered.
         """
+        from rich.errors import ConsoleError
+
         from siamloc.evaluation.tables import text_of
 
         baselines = {method: other.parts for method, other in self.baselines.items()}
@@ -125,7 +127,7 @@ class Result:
         located = len(self.tables["located"]["path"]) if "located" in self.tables else 0
         try:
             return text_of(self.name, self.parts, baselines, self.skipped, located, costs)
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, ConsoleError) as error:
             raise FormatError(f"the measures of {self.name} are not whole ({error!r}): evaluate again") from error
 
     def plot(self, name: str | None = None) -> Figure:

@@ -206,6 +206,9 @@ class Bundle:
             if not _holds(about.get(key), kind):
                 found = "lacks" if key not in about else "is altered in"
                 raise FormatError(f"{described} {found} {key}: export again")
+        for part, key in ((LAYER, "search"), (ERRORS, "errors"), (REFINEMENT, "refinement")):
+            if part in about["sha256"] and about.get(key) is None:
+                raise FormatError(f"{described} is altered in {key}, and the bundle holds {part}: export again")
         if MODEL not in about["sha256"] and not is_analytic(about["identity"]):
             raise FormatError(f"{described} lists no {MODEL}: export again")
         for name, digest in about["sha256"].items():
