@@ -142,7 +142,7 @@ def read_results(folder: str | Path) -> dict[str, Any]:
     return results
 
 
-_GROUPS = {"measures": 2, "baselines": 2, "cost": 2, "tables": 2, "denominators": 1, "skipped": 1, "config": 1}
+_GROUPS = {"measures": 1, "baselines": 2, "cost": 2, "tables": 2, "denominators": 1, "skipped": 1, "config": 1}
 """Keys of `results.json` with how many levels of names they have at least."""
 
 

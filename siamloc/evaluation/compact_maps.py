@@ -97,7 +97,7 @@ def compact(
         >>> known = siamloc.maps.build("hog", images, monday, progress=False)
         >>> result = compact(known, images, tuesday, nodes=(2, 6), ways=("sample",))
         >>> [round(one["error"]["mean"], 3) for one in result.measures["curves"]]
-        [2.0, 0.5]
+        [1.75, 1.25]
     """
     session = Session(known, images, queries, protocol=protocol, name=name, seed=seed)
     session.refuse_exclusion("localization in compact maps")
@@ -266,7 +266,7 @@ def grid_of(nodes: int) -> tuple[int, int]:
 
     Example:
         >>> grid_of(40), grid_of(10), grid_of(7)
-        ((7, 6), (3, 3), (3, 2))
+        ((7, 6), (3, 3), (4, 2))
     """
     rows = max(1, math.isqrt(nodes))
     columns = max(1, round(nodes / rows))

@@ -260,9 +260,9 @@ def reproduce(
         DataError: data that are not there, or lack a drive; the sentence says where they should lie.
 
     Example:
-        >>> reproduce("table_5_77")
+        >>> reproduce("figure_3_11", scale="long")
         Traceback (most recent call last):
-        siamloc.errors.ConfigError: there is no recipe 'table_5_77'; did you mean 'table_5_7'? ...
+        siamloc.errors.ConfigError: unknown scale 'long': valid: smoke, short, full
     """
     chosen = recipe(id) if isinstance(id, str) else id
     if scale not in SCALES:
