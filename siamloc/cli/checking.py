@@ -309,9 +309,9 @@ def settings_of(task: Mapping[str, Any]) -> Settings | None:
 
 def _baselines(names: Any) -> None:
     """Refuse a baseline that is no descriptor of `conf/descriptor`."""
-    from analytic import DESCRIPTORS
+    from siamloc.cli.compose import config_folder
 
-    known = ("network", "pretrained", "untrained", "thumbnail", "gist_mapping", "hog_mapping", *DESCRIPTORS)
+    known = sorted(file.stem for file in (config_folder() / "descriptor").glob("*.yaml"))
     for name in names:
         if name not in known:
             raise ConfigError(f"unknown descriptor {name!r} in task.baselines: {hint(name, known)}")
