@@ -346,11 +346,12 @@ def _done(job: Job, opened: _Opened, out: Path, data: str) -> dict[str, Any]:
 
 
 def _fingerprint(job: Job, data: Data) -> str:
-    """Return what changes with the frames that a job takes: their names, poses and rooms."""
+    """Return what changes with the frames that a job takes: their names, poses and rooms, wherever they lie."""
     told = []
     for name, role in sorted(job.roles.items()):
         frames = data.role(role)
-        told.append([name, frames.identities(), frames.xy.tolist(), frames.room.tolist()])
+        names = [Path(path).name for path in frames.path.tolist()]
+        told.append([name, frames.sequence.tolist(), names, frames.xy.tolist(), frames.room.tolist()])
     return content_key(told)
 
 
