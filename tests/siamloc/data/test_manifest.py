@@ -156,8 +156,10 @@ def test_the_corridor():
 
 labels = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8).map(str.strip)
 numbers = st.one_of(st.just(math.nan), st.floats(allow_nan=False, allow_infinity=False))
+positions = st.one_of(st.just(math.nan), st.floats(-1e7, 1e7))
 rows = st.fixed_dictionaries(
-    dict.fromkeys(("x", "y", "theta", "time"), numbers)
+    dict.fromkeys(("x", "y"), positions)
+    | dict.fromkeys(("theta", "time"), numbers)
     | dict.fromkeys(("room", "sequence", "lighting", "building"), labels)
 )
 
