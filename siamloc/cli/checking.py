@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
-from siamloc.cli.schema import OF_TRAINING
+from siamloc.cli.schema import OF_TRAINING, config_folder
 from siamloc.errors import ConfigError, hint
 from siamloc.settings import Count, Natural, Rule, Settings, Share, Size, Text, Workers, checked, fields_of
 from siamloc.training.settings import Training
@@ -309,8 +309,6 @@ def settings_of(task: Mapping[str, Any]) -> Settings | None:
 
 def _baselines(names: Any) -> None:
     """Refuse a baseline that is no descriptor of `conf/descriptor`."""
-    from siamloc.cli.compose import config_folder
-
     known = sorted(file.stem for file in (config_folder() / "descriptor").glob("*.yaml"))
     for name in names:
         if name not in known:

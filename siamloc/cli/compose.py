@@ -12,7 +12,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from siamloc.cli.help import COMMANDS
-from siamloc.cli.schema import register
+from siamloc.cli.schema import config_folder, register
 from siamloc.cli.sweeps import sweep_suffix
 from siamloc.errors import ConfigError, SiamlocError, hint
 from siamloc.runs import runs_in
@@ -30,15 +30,6 @@ _HYDRA = (
     "hydra.output_subdir=null",
     "hydra.job.chdir=false",
 )
-
-
-def config_folder() -> Path:
-    """Return the folder of the configuration files: inside the installed package, or next to it in a checkout."""
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "conf", package.parent / "conf"):
-        if (folder / "config.yaml").is_file():
-            return folder
-    raise ConfigError(f"the configuration files are missing from {package}: install siamloc again")
 
 
 def run(command: str, main: Main, words: list[str]) -> int:

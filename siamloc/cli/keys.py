@@ -35,8 +35,8 @@ def keys_of(name: str) -> dict[str, list[str]]:
 
     They are read from the configuration files and the settings classes, so that the list is always complete.
     """
-    from siamloc.cli.compose import composed_defaults, config_folder, folder_of
-    from siamloc.cli.schema import nodes_of_config, nodes_of_data
+    from siamloc.cli.compose import composed_defaults, folder_of
+    from siamloc.cli.schema import config_folder, nodes_of_config, nodes_of_data
 
     nodes = nodes_of_config() if name == "config" else nodes_of_data()
     config = composed_defaults(name)

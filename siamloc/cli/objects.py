@@ -11,8 +11,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
 from siamloc.cli.checking import training_of
-from siamloc.cli.compose import config_folder, plain
+from siamloc.cli.compose import plain
 from siamloc.cli.inherit import check_named, label_of
+from siamloc.cli.schema import config_folder
 from siamloc.cli.sweeps import sweep_suffix
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
+
+from siamloc.errors import ConfigError
 
 OF_TRAINING = (
     *("seed", "epochs", "batch_size", "clip", "average"),
     *("monitor", "recall_radius", "patience", "checkpoint_every", "compile"),
 )
 """Settings of a training that the command line calls by the same name."""
+
+
+def config_folder() -> Path:
+    """Return the folder of the configuration files: inside the installed package, or next to it in a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "conf", package.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise ConfigError(f"the configuration files are missing from {package}: install siamloc again")
 
 
 def register(name: str) -> None:
