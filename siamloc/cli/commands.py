@@ -254,7 +254,7 @@ def compare(config: DictConfig) -> None:
 def reproduce(config: DictConfig) -> None:
     """Measure a published table or figure again, or all of them."""
     from siamloc.errors import DataError
-    from siamloc.reproduce import listing, recipes, write_report
+    from siamloc.reproduce import listing, recipe, recipes, write_report
     from siamloc.reproduce import reproduce as measure_again
 
     if config.list or config.id is None:
@@ -262,6 +262,8 @@ def reproduce(config: DictConfig) -> None:
         return
     options = {key: config[key] for key in ("data", "root", "scale", "out")}
     results, missing = [], {}
+    if config.id != "all" and recipe(config.id).id != config.id:
+        print(f"{config.id} is measured by {recipe(config.id).id}")
     for id in [one.id for one in recipes()] if config.id == "all" else [config.id]:
         try:
             results.append(measure_again(id, **options))

@@ -5,8 +5,9 @@ A check is one of three:
 - `order`: `measure` is larger for the records of `more` than for those of `less`; `others` are all that the opposite
   side leaves. `pick` says which of a side's numbers are compared: `each` (the smallest of `more` with the largest of
   `less`), `min`, `max` or `mean`. With `factor` it is larger at least that many times.
-- `trend`: `measure` goes `up` or `down` `along` a setting; records at the same place count with their mean. `within` is
-  the share of a value by which a step may go the other way.
+- `trend`: `measure` goes `up` or `down` `along` a setting; records at the same place count with their mean, or what
+  `pick` says. `within` is the share of a value by which a step may go the other way. One that goes `flat` has no value
+  more than that share above the smallest.
 - `threshold`: `measure` is `above`, `below`, `at_least` or `at_most` a number, for `each` record, or for their `min`,
   `max` or `mean`.
 
@@ -43,7 +44,7 @@ _PICKS: dict[str, Callable[[Sequence[float]], float]] = {"min": min, "max": max,
 _COMMON = {"kind", "measure", "where", "match", "pick"}
 _KEYS = {
     "order": _COMMON | {"more", "less", "factor"},
-    "trend": (_COMMON - {"pick"}) | {"along", "goes", "within"},
+    "trend": _COMMON | {"along", "goes", "within"},
     "threshold": _COMMON | set(_BOUNDS),
 }
 
@@ -138,9 +139,12 @@ def _trend(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
             places.setdefault(one.settings[check["along"]], []).append(one.value)
     if len(places) < 2:
         return None
+    picked = [_PICKS[check.get("pick", "mean")](places[place]) for place in sorted(places)]
+    within = check.get("within", 0)
+    if check["goes"] == "flat":
+        return max(picked) <= (1 + within) * min(picked)
     sign = 1 if check["goes"] == "up" else -1
-    means = [fmean(places[place]) for place in sorted(places)]
-    return all(sign * (after - before) >= -check.get("within", 0) * abs(before) for before, after in pairwise(means))
+    return all(sign * (after - before) >= -within * abs(before) for before, after in pairwise(picked))
 
 
 def _threshold(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:

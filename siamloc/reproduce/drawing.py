@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from siamloc.errors import DataError
-from siamloc.report.draw.look import DASHES, MARKS, PAPER, SERIES, TEXT, Picture, style
-from siamloc.reproduce.published import Record, measures
+from siamloc.report.draw.look import DASHES, INK, MARKS, PAPER, SERIES, SOFT, Picture, style
+from siamloc.reproduce.panels import grouped, names_of, said, shown, title, unit
+from siamloc.reproduce.published import Record
+from siamloc.reproduce.recipe_book import axis
+
+_TICKS = 6
+_PICKS = {"min": min, "max": max, "mean": np.mean}
+
+
+@dataclass(frozen=True)
+class _Panel:
+    figure: Mapping[str, Any]
+    title: str
+    records: Sequence[Record]
+    of_figure: Sequence[Record]
+    """Those of all panels of the same figure, which have the same scale."""
 
 
 @style()
@@ -17,7 +33,7 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
     """Draw each panel of a recipe's figure.
 
     Args:
-        figures: what is drawn: `measure`, `x`, `series` or `y`, `panels`, `where`.
+        figures: what is drawn: `measure`, `x`, `series` or `y`, `panels`, `where`, `title`.
         records: measured numbers.
 
     Raises:
@@ -33,122 +49,132 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
     for one in axes[len(panels) :]:
         one.remove()
     handles: dict[str, Any] = {}
-    for one, (figure, title, part) in zip(axes, panels, strict=False):
-        one.set_title(title)
-        if "y" in figure:
-            _field(one, figure, part)
-        else:
-            handles |= _lines(one, figure, part)
+    first = next((names_of(panel.figure, "series") for panel in panels if "y" not in panel.figure), [])
+    for one, panel in zip(axes, panels, strict=False):
+        one.set_title(panel.title)
+        if "y" in panel.figure:
+            _field(one, panel)
+            continue
+        lines = _lines(one, panel)
+        if names_of(panel.figure, "series") == first:
+            handles |= lines
+        else:  # the same colours stand for something else
+            one.legend(lines.values(), lines.keys(), fontsize=6.5, loc="upper left")
     if len(handles) > 1:
-        fitting = max(2, int(1.6 * across))
-        picture.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(fitting, len(handles)))
+        rows = -(-len(handles) // max(2, int(1.6 * across)))
+        columns = -(-len(handles) // rows)
+        picture.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
     return picture
 
 
-def _panels(figure: Mapping[str, Any], records: Sequence[Record]) -> list[tuple[Mapping[str, Any], str, list[Record]]]:
+def _panels(figure: Mapping[str, Any], records: Sequence[Record]) -> list[_Panel]:
     """Return the panels of a figure with their titles and records."""
-    where = figure.get("where", {})
-    names = [figure["x"], *([figure["y"]] if "y" in figure else [])]
-    found = [
-        one
-        for one in records
-        if one.measure == figure["measure"]
-        and all(one.settings.get(key) == value for key, value in where.items())
-        and all(name in one.settings for name in names)
-    ]
-    split = figure.get("panels")
-    if split is None:
-        return [(figure, _said(figure["measure"]), found)] if found else []
-    split = [split] if isinstance(split, str) else split
-    groups: dict[tuple[Any, ...], list[Record]] = {}
-    for one in found:
-        groups.setdefault(tuple(one.settings.get(name) for name in split), []).append(one)
-    return [
-        (figure, ", ".join(_title(n, v) for n, v in zip(split, key, strict=True)), part) for key, part in groups.items()
-    ]
+    found, split = shown(figure, records), names_of(figure, "panels")
+    what = figure.get("title", f"{said(figure['measure'])} {_bracket(figure['measure'])}".rstrip())
+    if not found or not split:
+        return [_Panel(figure, what, found, found)] if found else []
+    named = []
+    for key, part in grouped(split, found).items():
+        told = ", ".join(title(name, value) for name, value in zip(split, key, strict=True))
+        named.append(_Panel(figure, f"{told} {_bracket(figure['measure'])}" if "y" in figure else told, part, found))
+    return named
 
 
-def _title(name: str, value: Any) -> str:
-    if name == "filter":
-        return "with the homomorphic filter" if value else "without a filter"
-    plain = name in ("descriptor", "distance", "data", "method")
-    return str(value).replace("_", " ") if plain else f"{name.replace('_', ' ')} {value}"
-
-
-def _lines(axes: Any, figure: Mapping[str, Any], records: Sequence[Record]) -> dict[str, Any]:
-    x, factor = figure["x"], _factor(figure["measure"])
-    series = figure.get("series", "descriptor")
-    names = [series] if isinstance(series, str) else list(series)
+def _lines(axes: Any, panel: _Panel) -> dict[str, Any]:
+    figure, (x, x_factor) = panel.figure, _axis(panel.figure["x"])
+    names, factor = names_of(figure, "series"), _factor(figure["measure"])
+    # Where other settings vary too, the line is the best of them, as the text speaks of it.
+    pick: Any = _PICKS[figure.get("best", "mean")]
     handles: dict[str, Any] = {}
-    keys = list(dict.fromkeys(tuple(one.settings.get(name) for name in names) for one in records))
-    for rank, key in enumerate(keys):
-        part = sorted(
-            (one for one in records if tuple(one.settings.get(name) for name in names) == key),
-            key=lambda one: one.settings[x],
-        )
-        places = sorted({one.settings[x] for one in part})
-        # Where other settings vary too, the line is the best of them, as the text speaks of it.
-        pick = min if figure.get("best") == "min" else max if figure.get("best") == "max" else np.mean
-        values = [pick([one.value for one in part if one.settings[x] == place]) for place in places]
+    for rank, (key, part) in enumerate(grouped(names, panel.records).items()):
+        places = grouped([figure["x"]], part)
         (line,) = axes.plot(
-            places,
-            [factor * value for value in values],
+            [x_factor * place for (place,) in places],
+            [factor * pick([one.value for one in those]) for those in places.values()],
             color=SERIES[rank % len(SERIES)],
             marker=MARKS[rank % len(MARKS)],
             markersize=4,
             linestyle=DASHES[rank // len(SERIES) % len(DASHES)],
         )
-        handles[", ".join(_title(n, v) for n, v in zip(names, key, strict=True))] = line
+        handles[", ".join(title(name, value) for name, value in zip(names, key, strict=True))] = line
     if figure.get("log"):
         axes.set_xscale("log", base=2)
-        axes.xaxis.set_major_formatter("{x:g}")
-    axes.set(xlabel=x.replace("_", " "), ylabel=f"{_said(figure['measure'])} {_bracket(figure['measure'])}".rstrip())
+        every = [x_factor * place for (place,) in grouped([figure["x"]], panel.of_figure)]
+        kept = every[:: -(-len(every) // _TICKS)]
+        axes.set_xticks(kept, [f"{place:.2g}" for place in kept])
+        axes.set_xticks([], minor=True)
+    axes.set(xlabel=x, ylabel=f"{said(figure['measure'])} {_bracket(figure['measure'])}".rstrip())
     axes.grid(True)
-    if axes.get_ylim()[0] > 0:
-        axes.set_ylim(0, 1.04 * axes.get_ylim()[1])
+    low, high = axes.get_ylim()
+    if panel.of_figure is not panel.records:  # what stands side by side has one scale
+        high = 1.04 * factor * max(_drawn_values(panel, names, pick))
+    if min(low, *(one.value for one in panel.of_figure)) >= 0 or low > 0:
+        axes.set_ylim(0, max(high, 1e-9))
     return handles
 
 
-def _field(axes: Any, figure: Mapping[str, Any], records: Sequence[Record]) -> None:
-    xs, ys = (sorted({one.settings[figure[name]] for one in records}) for name in ("x", "y"))
-    values = np.full((len(ys), len(xs)), np.nan)
-    for one in records:
-        values[ys.index(one.settings[figure["y"]]), xs.index(one.settings[figure["x"]])] = one.value
-    values *= _factor(figure["measure"])
-    low, high = (0.0, 100.0) if _unit(figure["measure"]) == "share" else (np.nanmin(values), np.nanmax(values))
+def _drawn_values(panel: _Panel, names: Sequence[str], pick: Any) -> list[float]:
+    """Return the heights of all points in all panels of a figure."""
+    keys = [*names_of(panel.figure, "panels"), *names, panel.figure["x"]]
+    return [float(pick([one.value for one in part])) for part in grouped(keys, panel.of_figure).values()]
+
+
+def _field(axes: Any, panel: _Panel) -> None:
+    figure, factor = panel.figure, _factor(panel.figure["measure"])
+    values = factor * _means(figure, panel.records)
+    every = [factor * one.value for one in panel.of_figure]
+    low, high = (0.0, 100.0) if unit(figure["measure"]) == "share" else (min(every), max(every))
+    timed = unit(figure["measure"]) == "s" and low > 0  # times are of very different size
+    scaled, low, high = (np.log(values), np.log(low), np.log(high)) if timed else (values, low, high)
     high = high if high > low else low + 1
-    axes.imshow(values, cmap="Blues", vmin=low, vmax=high, origin="lower", aspect="auto")
-    for row in range(len(ys)):
-        for column in range(len(xs)):
-            value = values[row, column]
-            if np.isfinite(value):
-                dark = (value - low) / (high - low) > 0.6
-                text = f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
-                axes.text(column, row, text, ha="center", va="center", fontsize=7, color=PAPER if dark else TEXT)
-    axes.set_xticks(range(len(xs)), [f"{x:g}" for x in xs])
-    axes.set_yticks(range(len(ys)), [f"{y:g}" for y in ys])
-    axes.set(xlabel=figure["x"], ylabel=figure["y"])
+    axes.imshow(scaled, cmap="Blues", vmin=low, vmax=high, origin="lower", aspect="auto")
+    close = np.nanmax(values) - np.nanmin(values) < 0.1 * np.nanmax(np.abs(values))
+    for (row, column), value in np.ndenumerate(values):
+        dark = np.isfinite(value) and (scaled[row, column] - low) / (high - low) > 0.5
+        axes.text(
+            *(column, row, _cell(value, bool(close))),
+            ha="center",
+            va="center",
+            fontsize=7,
+            color=PAPER if dark else INK if np.isfinite(value) else SOFT,
+        )
+    for name, set_ticks in (("x", axes.set_xticks), ("y", axes.set_yticks)):
+        found = [key for (key,) in grouped([figure[name]], panel.records)]
+        set_ticks(range(len(found)), [f"{value:g}" for value in found])
+    axes.set(xlabel=_axis(figure["x"])[0], ylabel=_axis(figure["y"])[0])
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
 
 
-def _unit(measure: str) -> str:
-    return str(measures().get(measure, {}).get("unit", "s" if measure.endswith("seconds") else ""))
+def _means(figure: Mapping[str, Any], records: Sequence[Record]) -> NDArray[np.float64]:
+    """Return the mean of a panel's records at each of its places; nan where there are none."""
+    columns, rows = ([key for (key,) in grouped([figure[name]], records)] for name in ("x", "y"))
+    values = np.full((len(rows), len(columns)), np.nan)
+    for (row, column), part in grouped([figure["y"], figure["x"]], records).items():
+        values[rows.index(row), columns.index(column)] = np.mean([one.value for one in part])
+    return values
+
+
+def _cell(value: float, close: bool) -> str:
+    if not np.isfinite(value):
+        return "–"
+    if abs(value) >= 10:
+        return f"{value:.0f}"
+    return f"{value:.3f}" if close and value != round(value) else f"{value:.2g}"
+
+
+def _axis(name: str) -> tuple[str, float]:
+    """Return what an axis is called, with its unit, and what its numbers are drawn times."""
+    about = axis(name)
+    label = about.get("says", name.replace("_", " "))
+    return (f"{label} [{about['unit']}]" if "unit" in about else label), float(about.get("factor", 1))
 
 
 def _factor(measure: str) -> float:
     """Return what numbers are drawn times: shares in percent, seconds in milliseconds."""
-    return {"share": 100.0, "s": 1000.0}.get(_unit(measure), 1.0)
+    return {"share": 100.0, "s": 1000.0}.get(unit(measure), 1.0)
 
 
 def _bracket(measure: str) -> str:
-    unit = {"share": "%", "1": "", "s": "ms"}.get(_unit(measure), _unit(measure))
-    return f"[{unit}]" if unit else ""
-
-
-def _said(measure: str) -> str:
-    return (
-        "time"
-        if measure == "seconds"
-        else measure.removesuffix("_seconds").replace("_", " ") + (" time" if measure.endswith("_seconds") else "")
-    )
+    found = {"share": "%", "s": "ms", "deg": "°"}.get(unit(measure), unit(measure))
+    return f"[{found}]" if found else ""

@@ -9,12 +9,14 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from analytic import Description, Descriptor, descriptor
+from analytic.descriptors.base import ImageDescriptor
 from siamloc import evaluation, maps
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Role, room_sizes
 from siamloc.errors import ConfigError, DataError
@@ -87,13 +89,13 @@ class Data:
         return self._described[key]
 
     def role(self, role: Mapping[str, Any]) -> FrameTable:
-        """Return the frames of a role.
+        """Return the frames of a role; with `one_in`, every so-many-th of what the rest of it selects.
 
         Raises:
             DataError: a run that is not there.
         """
         names, chosen = data_named(self.name)["runs"], dict(role)
-        runs = chosen.pop("runs")
+        runs, one_in = chosen.pop("runs"), chosen.pop("one_in", 1)
         missing = [run for run in runs if run not in names]
         if missing:
             raise DataError(f"{data_named(self.name)['title']} has no run {missing[0]}: {self._how}")
@@ -102,7 +104,7 @@ class Data:
             found = Role.of({**chosen, "sequences": list(patterns)}).select(self.frames)
         except ConfigError as error:
             raise DataError(f"{self.root} lacks a drive that the recipe needs ({error}): {self._how}") from error
-        return self.images.readable(found)
+        return self.images.readable(found.every(one_in))
 
 
 Measured = Iterator[Record]
@@ -112,6 +114,7 @@ def retrieval(job: Job, data: Data) -> Measured:
     """Find the nearest map frame by each distance ([T] 3.5.1-3.5.2): hit rate, error, time and size."""
     frames, clock = data.role(job.roles["query"]), Stopwatch()
     own = _described(job.options["descriptor"], job, data)
+    list(maps.describe(own, data.images, frames.take([0])))  # what is set up once is no query's time
     queries = Description.concatenate(list(maps.describe(own, data.images, frames, clock=clock)))
     described = clock.ms("describe") or 0.0
     for place in _compared(own, job.options):
@@ -162,15 +165,29 @@ def disturbed(job: Job, data: Data) -> Measured:
 def mapping(job: Job, data: Data) -> Measured:
     """Group a drive into nodes ([T] 4.5-4.6, [I] 6): silhouette, nodes, frames in none, time."""
     known = next(_compared(_described(job.options["descriptor"], job, data), {}))
-    way = dict(job.options["build"])
+    yield from _grouped(known, job.options["build"], job.settings)
+    yield Record("frames", len(known), job.settings)
+
+
+def matched(job: Job, data: Data) -> Measured:
+    """Group a drive by the incremental mapper, then by spectral clustering into as many nodes ([T] table 4.3)."""
+    known = next(_compared(_described(job.options["descriptor"], job, data), {}))
+    incremental = list(_grouped(known, job.options["build"], {**job.settings, "method": "incremental"}))
+    nodes = next(int(one.value) for one in incremental if one.measure == "nodes")
+    spectral = _grouped(known, {"name": "spectral", "nodes": nodes}, {**job.settings, "method": "spectral"})
+    yield Record("nodes", nodes, job.settings)
+    yield from (one for one in (*incremental, *spectral) if one.measure != "nodes")
+
+
+def _grouped(known: VisualMap, build: Mapping[str, Any], settings: Mapping[str, Any]) -> Measured:
+    way = dict(build)
     built = maps.group(known, way.pop("name"), progress=False, **way)
     measures = evaluation.mapping(known, built).parts["mapping"]
-    yield Record("silhouette", measures["silhouette"]["pooled"], job.settings)
-    yield Record("silhouette_nearest", measures["silhouette"]["nearest"], job.settings)
-    yield Record("nodes", measures["nodes"], job.settings)
-    yield Record("unassigned", measures["unassigned"]["share"], job.settings)
-    yield Record("clustering_seconds", float(built.seconds.sum()), job.settings)
-    yield Record("frames", len(known), job.settings)
+    yield Record("silhouette", measures["silhouette"]["pooled"], settings)
+    yield Record("silhouette_nearest", measures["silhouette"]["nearest"], settings)
+    yield Record("nodes", measures["nodes"], settings)
+    yield Record("unassigned", measures["unassigned"]["share"], settings)
+    yield Record("clustering_seconds", float(built.seconds.sum()), settings)
 
 
 def growing(job: Job, data: Data) -> Measured:
@@ -291,6 +308,7 @@ KINDS: dict[str, Callable[[Job, Data], Measured]] = {
     "retrieval": retrieval,
     "disturbed": disturbed,
     "mapping": mapping,
+    "matched": matched,
     "growing": growing,
     "compact": compact,
     "rooms": rooms,
@@ -330,6 +348,14 @@ def image_size(job: Job) -> tuple[int, int]:
         return rows, columns
     named = job.options.get("descriptor", {}).get("name")
     return PRETRAINED_SIZE if named == "pretrained" else (128, 512)
+
+
+def information(job: Job) -> float:
+    """Return how many numbers the position part of a job's descriptor has, as a share of those of the image."""
+    rows, columns = image_size(job)
+    by = cast(ImageDescriptor, described_by(job.options["descriptor"]))
+    position, _ = by.sizes(rows, columns)
+    return prod(position) / (rows * columns)
 
 
 def described_by(options: Mapping[str, Any]) -> Descriptor:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -130,6 +131,8 @@ class Recipe:
         claims: ids of what the text says of it.
         join: settings by which published and measured numbers belong together; all that both have if None.
         best: of several records with the same `join`, that with the largest value of this measure is taken.
+        where: which of the published numbers it measures, by their settings; all if empty.
+        covers: ids of further figures and tables whose numbers are among these.
         figure: how it is drawn: `measure`, `x`, `series` and `panels`, or nothing.
         notes: what a reader has to know of the difference to the published experiment.
     """
@@ -142,6 +145,8 @@ class Recipe:
     claims: tuple[str, ...] = ()
     join: tuple[str, ...] | None = None
     best: str | None = None
+    where: Mapping[str, Any] = field(default_factory=dict)
+    covers: tuple[str, ...] = ()
     figure: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -156,19 +161,31 @@ class Recipe:
 
 
 def recipe(id: str) -> Recipe:
-    """Return a recipe by its id.
+    """Return a recipe by its id, or by that of a figure that it covers.
 
     Raises:
-        ConfigError: an unknown id, with the nearest ones.
+        ConfigError: an unknown id, with the nearest ones; one that shows nothing to measure, with the reason.
 
     Example:
         >>> recipe("figure_3_11").title
         'Hit rate of HOG, by its parameters and the distance'
+        >>> recipe("figure_3_19").id
+        'figure_3_17'
     """
-    known = _recipes()
-    if id not in known:
-        raise ConfigError(f"there is no recipe {id!r}; {hint(id, known)}")
-    return known[id]
+    known, nothing = _recipes(), without_measurement()
+    covering = {covered: one.id for one in known.values() for covered in one.covers}
+    if id in nothing:
+        raise ConfigError(f"there is nothing to measure for {id}: it {nothing[id]}")
+    if id not in known and id not in covering:
+        near = [repr(one) for one in get_close_matches(str(id), [*known, *covering, *nothing], n=3, cutoff=0.5)]
+        asked = f"did you mean {' or '.join(near)}? " if near else ""
+        raise ConfigError(f"there is no recipe {id!r}; {asked}`siamloc reproduce --list` names all")
+    return known[covering.get(id, id)]
+
+
+def without_measurement() -> Mapping[str, str]:
+    """Return the ids of tables and figures that show no measurement to repeat, each with what it shows."""
+    return MappingProxyType(_contents()["nothing"])
 
 
 def recipes() -> tuple[Recipe, ...]:
@@ -186,6 +203,18 @@ def experiment(id: str) -> Experiment:
     if id not in known:
         raise ConfigError(f"there is no experiment {id!r}; {hint(id, known)}")
     return known[id]
+
+
+def seconds_of(job: Job, scale: str) -> float:
+    """Return about how long a job takes at a scale, on two processor cores."""
+    takes = _contents()["takes"]
+    return float(takes["experiment"].get(job.experiment, takes["kind"][job.kind]) * takes["scale"][scale])
+
+
+def axis(name: str) -> Mapping[str, Any]:
+    """Return what a setting is called where a figure is drawn over it: `says`, `short`, `unit`, `factor`."""
+    found: Mapping[str, Any] = _contents()["axes"].get(name, {})
+    return found
 
 
 def data_named(name: str) -> Mapping[str, Any]:
@@ -249,6 +278,6 @@ def _recipes() -> dict[str, Recipe]:
 
 
 def _of_entry(entry: Mapping[str, Any]) -> Recipe:
-    lists = ("experiments", "entries", "claims", "notes", "figure", "join")
+    lists = ("experiments", "entries", "claims", "covers", "notes", "figure", "join")
     values = {**entry, **{key: tuple(entry[key]) for key in lists if key in entry}}
     return Recipe(**{**values, "source": Source(**entry["source"])})

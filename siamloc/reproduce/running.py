@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import platform
+import re
+import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +18,20 @@ from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.files import content_key, read_json, write_json, write_text
 from siamloc.progress import track
 from siamloc.reproduce.claims import Claim, claim, holds
-from siamloc.reproduce.published import Record, measures, published
-from siamloc.reproduce.recipe_book import SCALES, Job, Recipe, data_named, data_names, experiment, recipe, recipes
+from siamloc.reproduce.panels import grouped, names_of, said, shown, title, unit
+from siamloc.reproduce.published import Record, Source, measures, published
+from siamloc.reproduce.recipe_book import (
+    SCALES,
+    Job,
+    Recipe,
+    data_named,
+    data_names,
+    experiment,
+    recipe,
+    recipes,
+    seconds_of,
+    without_measurement,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,6 +45,9 @@ VERDICTS = MappingProxyType({True: "holds", False: "does not hold", None: "not d
 
 
 _WITH = ("published with", "ours with")
+_FEW = 8
+_HIDDEN = {"data", "size", "lighting", "method", "version", "information"}
+"""Settings that follow from others or stand elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -111,12 +128,10 @@ class Reproduction:
     @property
     def rows(self) -> list[Row]:
         """The published numbers, each beside ours where the recipe measures it."""
+        printed = [one for entry in self.recipe.entries for one in published(entry).records()]
+        asked = [one for one in printed if self.recipe.where.items() <= one.settings.items()]
         ours = _best(self.records, self.recipe)
-        found = []
-        for entry in self.recipe.entries:
-            for one in published(entry).records():
-                found.append(Row(one, next((our for our in ours if _same(one, our, self.recipe.join)), None)))
-        return found
+        return [Row(one, _beside(one, self.records if "bound" in one.settings else ours, self.recipe)) for one in asked]
 
     @property
     def verdicts(self) -> list[Verdict]:
@@ -131,21 +146,13 @@ class Reproduction:
         if rows:
             measured = {row.measure for row in rows}
             rows += [Row(None, one) for one in _best(self.beside, self.recipe) if one.measure in measured]
-            heads = [name for name in _told_apart(rows) if not self.recipe.best or name in (self.recipe.join or ())]
-            lines += _markdown(
-                [*heads, "measure", "published", "ours", "difference", *(_WITH if self.recipe.best else ())],
-                [
-                    [
-                        *(_shown(row.settings.get(name)) for name in heads),
-                        row.measure,
-                        _printed(row.published),
-                        _number(row.ours),
-                        "" if row.difference is None else f"{row.difference:+.3g}",
-                        *([_settings(one, *heads) for one in (row.published, row.ours)] if self.recipe.best else []),
-                    ]
-                    for row in rows
-                ],
-            )
+            apart = _told_apart(rows)
+            heads = [name for name in apart if self.recipe.join is None or name in self.recipe.join]
+            other = [name for name in apart if name not in heads]
+            cells = [[*_row(row, heads), *(_with(one, other) for one in (row.published, row.ours))] for row in rows]
+            names = [*heads, "measure", "published", "ours", "difference", *_WITH]
+            kept = [at for at, name in enumerate(names) if name not in _WITH or any(row[at] for row in cells)]
+            lines += _markdown([names[at] for at in kept], [[row[at] for at in kept] for row in cells])
         if self.recipe.figure:
             lines += ["", *self._best_table()]
         if self.recipe.claims:
@@ -216,24 +223,22 @@ class Reproduction:
     def _where(self) -> str:
         said = "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol.items())
         source, title = self.recipe.source, data_named(self.data)["title"]
-        where = f"table {source.table}" if source.table else f"figures {source.figures}" if source.figures else ""
-        place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", where]))
+        place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", _place(source)]))
         return f"{place}. On {title}; {said}. Scale {self.scale}, {self.seconds:.0f} s."
 
     def _best_table(self) -> list[str]:
-        """Return our best numbers by what the figures tell apart, where nothing was printed to join them with."""
-        names = [panel["measure"] for panel in self.recipe.figure]
+        """Return the smallest and largest of our numbers in each figure, by what it tells apart."""
         lines: list[list[str]] = []
-        for name in dict.fromkeys(names):
-            found = [one for one in (*self.records, *self.beside) if one.measure == name]
-            key = "descriptor" if len({one.settings.get("descriptor") for one in found}) > 1 else _series(self.recipe)
-            for value in dict.fromkeys(one.settings.get(key) for one in found):
-                part = [one for one in found if one.settings.get(key) == value]
+        for figure in self.recipe.figure:
+            found = shown(figure, [*self.records, *self.beside])
+            names = _apart_by(figure, found)
+            for key, part in grouped(names, found).items():
                 low, high = min(part, key=lambda one: one.value), max(part, key=lambda one: one.value)
-                settings = [_settings(one, key) for one in (low, high)]
-                lines.append([name, _shown(value), f"{low.value:.3g}", settings[0], f"{high.value:.3g}", settings[1]])
-        heads = ["measure", _series(self.recipe), "smallest", "with", "largest", "with"]
-        return _markdown(heads, lines) if lines else []
+                numbers = [cell for one in (low, high) for cell in (f"{one.value:.3g}", _settings(one, *names))]
+                of = ", ".join(title(name, value) for name, value in zip(names, key, strict=True) if value is not None)
+                line = [_measure(figure["measure"]), of, *numbers]
+                lines += [line] if line not in lines else []
+        return _markdown(["measure", "of", "smallest", "with", "largest", "with"], lines) if lines else []
 
 
 def reproduce(
@@ -265,33 +270,83 @@ def reproduce(
         siamloc.errors.ConfigError: unknown scale 'long': valid: smoke, short, full
     """
     chosen = recipe(id) if isinstance(id, str) else id
-    if scale not in SCALES:
-        raise ConfigError(f"unknown scale {scale!r}: {hint(str(scale), SCALES)}")
-    if data not in data_names():
-        raise ConfigError(f"recipes run on no data set {data!r}; {hint(str(data), data_names())}")
+    _check(data, scale)
     jobs, opened = chosen.jobs(scale), _Opened(data, None if root is None else Path(root), Path(out) / "training")
     records: list[Record] = []
     beside: list[Record] = []
     seconds = 0.0
     for job in track(jobs, len(jobs), f"measuring {chosen.id}") if progress else jobs:
         done = _done(job, opened, Path(out), data)
-        (beside if experiment(job.experiment).beside else records).extend(done["records"])
+        (beside if experiment(job.experiment).beside else records).extend(_with_size(done["records"], job))
         seconds += done["seconds"]
     return Reproduction(chosen, data, scale, tuple(records), tuple(beside), seconds)
 
 
 def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
-    """Return what can be reproduced: a line for each id with its title, its source, its jobs and what it needs."""
-    lines = []
+    """Return what can be reproduced: for each id what it is, what it needs, and about how long it takes.
+
+    Args:
+        data: "cold", "freiburg_sim" or "mini".
+        scale: "smoke", "short" or "full".
+
+    Raises:
+        ConfigError: an unknown data set or scale.
+    """
+    _check(data, scale)
+    lines: list[str] = []
     for one in recipes():
-        jobs = one.jobs(scale)
-        dense = ", frames every 5 cm" if any(job.dense for job in jobs) and data_named(data).get("dense") else ""
-        source = one.source
-        where = f"table {source.table}" if source.table else f"figure {source.figures}" if source.figures else ""
-        place = f"[{source.document}] {where or source.section}"
-        lines.append(f"{one.id:<15} {place:<22} {one.title} ({len(jobs)} jobs at {scale}{dense})")
+        lines += [f"{one.id:<14} {one.title}", f"{'':<14} {_needs(one, data, scale)}"]
     about = data_named(data)
-    return "\n".join([*lines, f"data={data} is {about['title']}: {about['how']}"])
+    covered = [f"{id:<14} is measured by {one.id}" for one in recipes() for id in one.covers]
+    nothing = [f"{id:<14} {reason}" for id, reason in without_measurement().items()]
+    return "\n".join(
+        [
+            f"What there is, what it needs, and about how long it takes alone at scale={scale} on two processor cores:",
+            *("", *lines, ""),
+            *("Panels of these, or the same numbers drawn otherwise:", "", *covered, ""),
+            *("Nothing to measure:", "", *nothing, ""),
+            *textwrap.wrap(f"data={data} is {about['title']}: {about['how']}", 118, break_on_hyphens=False),
+        ]
+    )
+
+
+def _needs(one: Recipe, data: str, scale: str) -> str:
+    jobs = one.jobs(scale)
+    runs = sorted({run for job in jobs for role in job.roles.values() for run in role["runs"]})
+    trained = sum(job.kind == "trained" for job in jobs)
+    parts = [
+        f"[{one.source.document}] {_place(one.source) or 'section ' + one.source.section}",
+        f"drives {' '.join(runs)}",
+    ]
+    if any(job.dense for job in jobs) and data_named(data).get("dense"):
+        parts.append("frames every 5 cm")
+    if trained:
+        parts.append(f"{trained} training{'s' if trained > 1 else ''}")
+    if trained and scale == "full":
+        return "; ".join([*parts, "hours each on a graphics card"])
+    return "; ".join([*parts, _lasting(sum(seconds_of(job, scale) for job in jobs))])
+
+
+def _lasting(seconds: float) -> str:
+    """Say about how long something takes."""
+    if seconds < 90:
+        return "seconds" if seconds < 30 else "a minute"
+    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.0f} hours"
+
+
+def _place(source: Source) -> str:
+    """Say which table or figures a source is."""
+    if source.table:
+        return f"table {source.table}"
+    several = source.figures is not None and bool(re.search("-| and ", source.figures))
+    return f"figure{'s' if several else ''} {source.figures}" if source.figures else ""
+
+
+def _check(data: str, scale: str) -> None:
+    if scale not in SCALES:
+        raise ConfigError(f"unknown scale {scale!r}: {hint(str(scale), SCALES)}")
+    if data not in data_names():
+        raise ConfigError(f"recipes run on no data set {data!r}; {hint(str(data), data_names())}")
 
 
 class _Opened:
@@ -371,6 +426,15 @@ def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:
     return [one for one in records if any(dict(one.settings) == dict(best.settings) for best in kept.values())]
 
 
+def _beside(one: Record, ours: Sequence[Record], chosen: Recipe) -> Record | None:
+    """Return our number beside a published one; beside a bound the smallest or largest of ours."""
+    join = None if chosen.join is None else [name for name in chosen.join if name != "bound"]
+    found = [our for our in ours if _same(one, our, join)]
+    if not found or "bound" not in one.settings:
+        return found[0] if found else None
+    return (min if one.settings["bound"] == "lowest" else max)(found, key=lambda our: our.value)
+
+
 def _same(one: Record, ours: Record, join: Sequence[str] | None) -> bool:
     """Return whether a published and a measured number are of the same thing."""
     if one.measure != ours.measure:
@@ -385,16 +449,48 @@ def _told_apart(rows: Sequence[Row]) -> list[str]:
     return [name for name in names if len({_shown(row.settings.get(name)) for row in rows}) > 1]
 
 
-def _series(chosen: Recipe) -> str:
-    return str(chosen.figure[0].get("series", "descriptor")) if chosen.figure else "descriptor"
+def _apart_by(figure: Mapping[str, Any], found: Sequence[Record]) -> list[str]:
+    """Return the settings that tell the numbers of a figure apart: all of a few, else the first."""
+
+    def differ(*names: str) -> list[str]:
+        return [name for name in dict.fromkeys(names) if len({one.settings.get(name) for one in found}) > 1]
+
+    drawn = [name for key in ("panels", "series") for name in names_of(figure, key)]
+    names = differ(*drawn) or differ("descriptor", "method", "version", "distance")
+    if len(grouped(names, found)) > _FEW:
+        names = differ("descriptor", "method", "version", "distance", *names)[:1]
+    return names or ["descriptor"]
+
+
+def _with_size(records: Sequence[Record], job: Job) -> list[Record]:
+    """Return records of disturbed images with the size of the descriptor, over which [T] 3.5.2 draws them."""
+    if job.kind != "disturbed" or job.options["descriptor"]["name"] == "pretrained":
+        return list(records)
+    from siamloc.reproduce.experiments import information
+
+    size = information(job)
+    return [Record(one.measure, one.value, MappingProxyType({**one.settings, "information": size})) for one in records]
+
+
+def _row(row: Row, heads: Sequence[str]) -> list[str]:
+    difference = "" if row.difference is None else f"{row.difference:+.3g}"
+    told = [_shown(row.settings.get(name)) for name in heads]
+    return [*told, _measure(row.measure), _printed(row.published), _number(row.ours), difference]
+
+
+def _with(one: Record | None, names: Sequence[str]) -> str:
+    settings = {} if one is None else one.settings
+    return ", ".join(f"{name} {_shown(settings[name])}" for name in names if name in settings and name not in _HIDDEN)
+
+
+def _measure(name: str) -> str:
+    """Say what is measured, with its unit."""
+    return f"{said(name)} [{unit(name)}]" if unit(name) not in ("", "share") else said(name)
 
 
 def _settings(one: Record | None, *but: str) -> str:
     """Return what a number was measured with, but for some settings."""
-    hidden = {*but, "data", "size", "lighting", "method", "version"}
-    if one is None:
-        return ""
-    return ", ".join(f"{name} {_shown(value)}" for name, value in one.settings.items() if name not in hidden)
+    return "" if one is None else _with(one, [name for name in one.settings if name not in but])
 
 
 def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

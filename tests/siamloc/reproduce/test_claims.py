@@ -97,6 +97,10 @@ def test_order(check, expected):
         ({"along": "place", "goes": "up", "match": ["descriptor"]}, True),
         ({"along": "place", "goes": "up", "where": {"place": 1}}, None),
         ({"along": "depth", "goes": "up"}, None),
+        ({"along": "place", "goes": "flat", "within": 2.0}, True),
+        ({"along": "place", "goes": "flat", "within": 1.5}, False),
+        ({"along": "descriptor", "goes": "flat", "within": 0.6, "pick": "min"}, True),
+        ({"along": "descriptor", "goes": "flat", "within": 0.4, "pick": "min"}, False),
     ],
 )
 def test_trend(check, expected):

@@ -11,15 +11,22 @@ import pytest
 
 from siamloc.cli import main
 from siamloc.errors import ConfigError, DataError
-from siamloc.reproduce import recipe, recipes, reproduce, write_report
+from siamloc.reproduce import listing, recipe, recipes, reproduce, write_report
 from siamloc.reproduce import running as running_module
-from siamloc.reproduce.claims import claim
+from siamloc.reproduce.claims import claim, claims
+from siamloc.reproduce.experiments import Data
+from siamloc.reproduce.panels import shown
 from siamloc.reproduce.published import published
-from siamloc.reproduce.recipe_book import experiment
+from siamloc.reproduce.recipe_book import experiment, without_measurement
 from tests.drawn import draw_panorama, draw_sequence
 
 RUNS = {"cloudy1": 0, "cloudy2": 1, "cloudy3": 2, "night1": 5, "night2": 3, "sunny1": 6, "sunny2": 4}
 FRAMES = 36  # in each of three rooms
+NOT_ASKED = {  # two buildings, or rows of trained networks
+    *("c_gist_chooses_the_building", "c_building_at_least_75", "c_hog_chooses_with_many_cells"),
+    *("t_sun_needs_sunny_frames", "t_analytic_own_lighting", "t_siamese_cloudy", "t_single_network_other_lighting"),
+    "t_siamese_descriptor_small",
+}
 
 
 @pytest.fixture(scope="session")
@@ -120,6 +127,99 @@ def test_recipes_name_what_there_is():
     assert recipe("table_4_2").join == ("descriptor", "data")
 
 
+NUMBERED = [
+    *(f"table_5_{number}" for number in range(5, 20)),
+    *("table_4_2", "table_4_3", "c_table_2", "i_figure_9", "i_figure_10"),
+    *(f"figure_4_{number}" for number in range(6, 21)),
+    *(f"figure_3_{number}" for number in range(10, 50)),
+    *(f"c_figure_{number}" for number in range(6, 22)),
+]
+
+
+@pytest.mark.parametrize("id", NUMBERED)
+def test_every_number_is_measured_or_says_why_not(id):
+    if id in without_measurement():
+        with pytest.raises(ConfigError, match=f"^there is nothing to measure for {id}: it .{{20,}}"):
+            recipe(id)
+    else:
+        found = recipe(id)
+        assert found.id == id or id in found.covers
+    listed = listing("mini", "smoke")
+    assert sum(line.startswith(f"{id} ") for line in listed.splitlines()) == 1
+
+
+def test_no_id_has_two_meanings():
+    ids = [one.id for one in recipes()]
+    covered = [id for one in recipes() for id in one.covers]
+    named = [*ids, *covered, *without_measurement()]
+    assert len(named) == len(set(named))
+
+
+def test_every_claim_belongs_to_a_recipe():
+    asked = {name for one in recipes() for name in one.claims}
+    free = {one.id for one in claims()} - asked
+    assert free <= NOT_ASKED
+    assert all(isinstance(note, str) and len(note) > 30 for one in recipes() for note in one.notes)
+
+
+def test_the_listing_says_what_an_id_is_needs_and_takes():
+    lines = listing("freiburg_sim", "short").splitlines()
+    at = next(number for number, line in enumerate(lines) if line.startswith("figure_4_7 "))
+    assert lines[at].endswith("Nodes and silhouette of the incremental mapper with gist, by y and omega")
+    assert lines[at + 1].split("; ") == [
+        " " * 15 + "[T] figure 4.7",
+        "drives cloudy3",
+        "frames every 5 cm",
+        "7 minutes",
+    ]
+    assert any("1 training; " in line for line in lines)
+    assert max(map(len, lines)) <= 160
+    assert "hours each on a graphics card" in listing("cold", "full")
+    with pytest.raises(ConfigError, match="unknown scale 'long'"):
+        listing("mini", "long")
+
+
+def test_a_figure_inside_another_is_measured_with_it(root, out, capsys):
+    words = ["reproduce", "figure_3_19", "data=mini", f"root={root}", "scale=smoke", f"out={out}"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("figure_3_19 is measured by figure_3_17\n")
+    assert f"written: {out}/figure_3_17.png" in said
+
+
+def test_a_bound_stands_beside_the_smallest_or_largest_of_ours(root, out):
+    found = reproduce("figure_4_8", data="mini", root=root, scale="smoke", out=out, progress=False)
+    ours = [one.value for one in found.records if one.measure == "silhouette"]
+    rows = {row.settings["bound"]: row for row in found.rows if row.settings["data"] == "freiburg"}
+    assert rows["lowest"].ours.value == min(ours)
+    assert rows["highest"].ours.value == max(ours)
+    assert {row.settings["descriptor"] for row in found.rows} == {"hog"}
+    assert {row.settings["method"] for row in found.rows} == {"spectral"}
+
+
+def test_as_many_nodes_by_both_methods(root, out):
+    found = reproduce("table_4_3", data="mini", root=root, scale="smoke", out=out, progress=False)
+    named = {(row.settings["descriptor"], row.settings.get("method")) for row in found.rows if row.ours}
+    assert named == {(name, way) for name in ("hog", "gist") for way in (None, "incremental", "spectral")}
+
+
+def test_a_panel_shows_only_what_it_is_drawn_over(root, out):
+    found = reproduce("figure_3_34", data="mini", root=root, scale="smoke", out=out, progress=False)
+    (figure,) = found.recipe.figure
+    assert all("noise" in one.settings for one in shown(figure, found.records))
+    assert {one.get_title("left") for one in found.plot().axes} == {"noise 0 [°]", "noise 0.02 [°]"}
+    assert "hidden" not in found.table()
+    disturbed = reproduce("figure_3_25", data="mini", root=root, scale="smoke", out=out, progress=False)
+    assert {one.settings["information"] for one in disturbed.records} == {8 * 8 / (128 * 512)}
+
+
+def test_a_role_may_keep_a_part_of_what_it_selects(root, tmp_path):
+    data = Data("mini", root, (128, 512), tmp_path)
+    role = {"runs": ["cloudy3"], "spacing": 0.6, "rest": True}
+    every, some = data.role(role), data.role({**role, "one_in": 10})
+    assert some.path.tolist() == every.path.tolist()[::10]
+
+
 def test_what_stands_beside_ours_is_left_out_of_claims(root, out):
     found = reproduce("section_3_5_1", data="mini", root=root, scale="smoke", out=out, progress=False)
     assert {one.settings["descriptor"] for one in found.beside} == {"pretrained"}
@@ -129,7 +229,9 @@ def test_what_stands_beside_ours_is_left_out_of_claims(root, out):
 @pytest.mark.parametrize(
     ("options", "kind", "says"),
     [
-        ({"id": "table_5_77"}, ConfigError, "there is no recipe 'table_5_77'; did you mean 'table_5_"),
+        ({"id": "table_5_77"}, ConfigError, "there is no recipe 'table_5_77'; did you mean 'table_5_7' or 'table_5_"),
+        ({"id": "x"}, ConfigError, "there is no recipe 'x'; `siamloc reproduce --list` names all"),
+        ({"id": "figure_4_16"}, ConfigError, "there is nothing to measure for figure_4_16: it is a drawing"),
         ({"scale": "long"}, ConfigError, "unknown scale 'long'"),
         ({"data": "colt"}, ConfigError, "did you mean 'cold'"),
         ({"data": "cold"}, ConfigError, "say where COLD Freiburg, part A, path 2 lies: root=FOLDER"),

@@ -1,0 +1,84 @@
+"""Which records a panel of a figure shows, and what its axes are called."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from siamloc.reproduce.published import Record, measures
+from siamloc.reproduce.recipe_book import axis
+
+_ORDER: Mapping[str, Sequence[Any]] = {
+    "distance": ("manhattan", "euclidean", "correlation", "cosine"),
+    "method": ("spectral", "som", "sampling", "incremental"),
+}
+
+
+def names_of(figure: Mapping[str, Any], key: str) -> list[str]:
+    """Return the settings that a panel's `series` or `panels` name: none, one or several."""
+    named = figure.get(key, "descriptor" if key == "series" and "y" not in figure else [])
+    return [named] if isinstance(named, str) else list(named)
+
+
+def shown(figure: Mapping[str, Any], records: Sequence[Record]) -> list[Record]:
+    """Return the records of a figure: those of its measure that have all settings it is drawn over."""
+    where = figure.get("where", {})
+    needed = [
+        figure["x"],
+        *names_of(figure, "panels"),
+        *([figure["y"]] if "y" in figure else names_of(figure, "series")),
+    ]
+    return [
+        one
+        for one in records
+        if one.measure == figure["measure"]
+        and all(one.settings.get(key) == value for key, value in where.items())
+        and all(name in one.settings for name in needed)
+    ]
+
+
+def grouped(names: Sequence[str], records: Sequence[Record]) -> dict[tuple[Any, ...], list[Record]]:
+    """Return records by their values of some settings, in the order in which these are drawn."""
+    groups: dict[tuple[Any, ...], list[Record]] = {}
+    for one in records:
+        groups.setdefault(tuple(one.settings.get(name) for name in names), []).append(one)
+    seen = {name: list(dict.fromkeys(one.settings.get(name) for one in records)) for name in names}
+
+    def rank(key: tuple[Any, ...]) -> list[float]:
+        return [_rank(name, value, seen[name]) for name, value in zip(names, key, strict=True)]
+
+    return {key: groups[key] for key in sorted(groups, key=rank)}
+
+
+def _rank(name: str, value: Any, seen: Sequence[Any]) -> float:
+    if isinstance(value, bool | int | float):
+        return float(value)
+    order = _ORDER.get(name, ())
+    return order.index(value) if value in order else len(order) + seen.index(value)
+
+
+def title(name: str, value: Any) -> str:
+    """Say what a setting is, as in "k1 8" or "homomorphic filter"."""
+    if name == "filter":
+        return "homomorphic filter" if value else "no filter"
+    about = axis(name)
+    if "factor" in about:
+        value = round(about["factor"] * value, 6)
+    written = f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
+    if name in ("descriptor", "distance", "data", "method"):
+        return written
+    ending = f" {about['unit']}" if "factor" in about else ""
+    return f"{about.get('short', name.replace('_', ' '))} {written}{ending}"
+
+
+def unit(measure: str) -> str:
+    """Return the unit of a measure; the empty text where it has none."""
+    found = str(measures().get(measure, {}).get("unit", "s" if measure.endswith("seconds") else "1"))
+    return "" if found == "1" else found
+
+
+def said(measure: str) -> str:
+    """Say what a measure is called: "seconds" are a time."""
+    if measure == "seconds":
+        return "time"
+    return measure.removesuffix("_seconds").replace("_", " ") + (" time" if measure.endswith("_seconds") else "")
