@@ -10,7 +10,7 @@ import cv2
 import pytest
 
 from siamloc.cli import main
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, StorageError
 from siamloc.reproduce import listing, recipe, recipes, reproduce, write_report
 from siamloc.reproduce import running as running_module
 from siamloc.reproduce.claims import claim, claims
@@ -65,9 +65,12 @@ def test_every_recipe_runs_and_is_written(root, out):
         assert sum(row["ours"] != "" for row in rows) >= len(found.records)
         assert {row["data"] for row in rows} == {"mini"}
         assert all((verdict.ours in (True, False, None)) for verdict in found.verdicts)
+        found.save(out)
         results.append(found)
-    page = write_report(results, out / "report.md", {"table_9_9": "no such data"})
+    page = write_report(results, out / "page" / "report.md", {"table_9_9": "no such data"})
+    assert {path.suffix for path in page.parent.iterdir()} == {".md", ".png"}
     text = page.read_text()
+    assert results[0].machines[0] in text
     assert "table_9_9 | not measured: no such data" in text
     assert text.count("![") == sum(bool(one.figure) for one in recipes())
     for one in recipes():
@@ -90,6 +93,27 @@ def test_what_was_measured_is_not_measured_again(root, out, monkeypatch):
     with pytest.raises(AssertionError, match="hits_hog is measured again"):
         reproduce("figure_3_11", data="mini", root=root, scale="smoke", out=out, progress=False)
     file.write_text(held)
+
+
+def test_what_was_not_measured_may_be_left_out(root, tmp_path, capsys):
+    with pytest.raises(DataError, match="not all of it was measured before on these data"):
+        reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, measure=False, progress=False)
+    words = ["data=mini", f"root={root}", "scale=smoke", f"out={tmp_path}"]
+    assert main(["reproduce", "all", *words, "measure=false"]) == 2
+    said = capsys.readouterr()
+    assert said.out.count("left out, because not all of it was measured before") == 1
+    assert "nothing was measured" in said.err
+    assert main(["reproduce", "figure_3_16", *words]) == 0
+    assert main(["reproduce", "all", *words, "measure=false", f"page={tmp_path / 'page'}"]) == 0
+    page = tmp_path / "page"
+    assert {path.name for path in page.iterdir()} == {"report.md", "figure_3_16.png"}
+    assert "| table_4_2 | not measured: not all of it" in (page / "report.md").read_text()
+
+
+def test_a_folder_that_refuses_is_said_in_one_sentence(root, tmp_path):
+    (tmp_path / "measured").write_text("a file")
+    with pytest.raises(StorageError):
+        reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, progress=False)
 
 
 def test_no_published_number_is_ever_ours(root, out, monkeypatch):
