@@ -59,7 +59,7 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
         if names_of(panel.figure, "series") == first:
             handles |= lines
         else:  # the same colours stand for something else
-            one.legend(lines.values(), lines.keys(), fontsize=6.5, loc="upper left")
+            one.legend(lines.values(), lines.keys(), fontsize=6.5, loc="best")
     if len(handles) > 1:
         rows = -(-len(handles) // max(2, int(1.6 * across)))
         columns = -(-len(handles) // rows)

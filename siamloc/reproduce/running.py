@@ -79,8 +79,10 @@ class Row:
 
     @property
     def difference(self) -> float | None:
-        """Ours minus the published one, in the measure's unit; None where one of them is missing."""
-        return None if self.published is None or self.ours is None else self.ours.value - self.published.value
+        """Ours minus the published one, in the measure's unit; None where one is missing or only a bound was published."""
+        if self.published is None or self.ours is None or self.published.relation in "<>":
+            return None
+        return self.ours.value - self.published.value
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,7 @@ class Reproduction:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow([*heads, "measure", "unit", "published", "ours", "difference", "protocol", "data", "scale"])
         units = measures()
-        protocol = "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol.items())
+        protocol = self._protocol()
         for row in rows:
             writer.writerow(
                 [
@@ -231,10 +233,12 @@ class Reproduction:
         return [save(self.plot(), Path(folder) / f"{self.recipe.id}.png")] if self.recipe.figure else []
 
     def _where(self) -> str:
-        said = "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol.items())
         source, title = self.recipe.source, data_named(self.data)["title"]
         place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", _place(source)]))
-        return f"{place}. On {title}; {said}. Scale {self.scale}, {sum(self.seconds.values()):.0f} s."
+        return f"{place}. On {title}; {self._protocol()}. Scale {self.scale}, {sum(self.seconds.values()):.0f} s."
+
+    def _protocol(self) -> str:
+        return "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol(self.scale).items())
 
     def _best_table(self) -> list[str]:
         """Return the smallest and largest of our numbers in each figure, by what it tells apart."""
@@ -397,6 +401,8 @@ def _done(job: Job, opened: _Opened, out: Path, data: str, measure: bool) -> dic
         try:
             kept = read_json(path)
             records = [_of_plain(one) for one in kept["records"]]
+            if not records:
+                raise ValueError("no records")
             # The first records name their processor by its family, which says little.
             known = kept.get("machine", "") if " " in str(kept.get("machine", "")) else ""
             return {"records": records, "seconds": float(kept["seconds"]), "machine": known}

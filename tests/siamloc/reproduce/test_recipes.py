@@ -116,6 +116,30 @@ def test_a_folder_that_refuses_is_said_in_one_sentence(root, tmp_path):
         reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, progress=False)
 
 
+def test_what_is_kept_and_makes_no_sense_is_measured_again(root, tmp_path):
+    def measured():
+        return reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, progress=False)
+
+    first = measured()
+    file = next((tmp_path / "measured" / "hits_radon_poc").iterdir())
+    for kept in ("[]", "null", "{}", '{"records": [], "seconds": 1}', '{"records": [{"measure": "a"}], "seconds": 1}'):
+        file.write_text(kept)
+        again = measured()
+        assert [one.measure for one in again.records] == [one.measure for one in first.records]
+        assert json.loads(file.read_text())["records"]
+
+
+def test_a_bound_has_no_difference_and_a_protocol_its_scale(root, out):
+    found = reproduce("figure_3_17", data="mini", root=root, scale="smoke", out=out, progress=False)
+    rows = {row.settings["descriptor"]: row for row in found.rows if row.settings["size"] == "largest"}
+    assert rows["wisurf"].published.relation == ">"
+    assert rows["wisurf"].ours is not None
+    assert rows["wisurf"].difference is None
+    assert rows["hog"].difference < 0
+    assert "frames 1.2 m apart" in found.table()
+    assert "40 cm" in found.recipe.protocol()["map"]
+
+
 def test_no_published_number_is_ever_ours(root, out, monkeypatch):
     before = reproduce("section_3_5_1", data="mini", root=root, scale="smoke", out=out, progress=False)
 
