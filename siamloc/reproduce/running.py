@@ -79,7 +79,7 @@ class Row:
 
     @property
     def difference(self) -> float | None:
-        """Ours minus the published one, in the measure's unit; None where one is missing or only a bound was published."""
+        """Ours minus the published one, in the measure's unit; None where one is missing, or only a bound is known."""
         if self.published is None or self.ours is None or self.published.relation in "<>":
             return None
         return self.ours.value - self.published.value
@@ -341,6 +341,8 @@ def _needs(one: Recipe, data: str, scale: str) -> str:
     ]
     if any(job.dense for job in jobs) and data_named(data).get("dense"):
         parts.append("frames every 5 cm")
+    if any(job.kind == "buildings" for job in jobs):
+        parts.append(f"the same drive of {data_named(data)['other']['folder']}")
     if trained:
         parts.append(f"{trained} training{'s' if trained > 1 else ''}")
     if trained and scale == "full":
@@ -435,8 +437,9 @@ def machine() -> str:
 def _fingerprint(job: Job, data: Data) -> str:
     """Return what changes with the frames that a job takes: their names, poses and rooms, wherever they lie."""
     told = []
-    for name, role in sorted(job.roles.items()):
-        frames = data.role(role)
+    held = [data, data.other] if job.kind == "buildings" else [data]
+    for name, role, one in ((*item, one) for one in held for item in sorted(job.roles.items())):
+        frames = one.role(role)
         names = [Path(path).name for path in frames.path.tolist()]
         told.append([name, frames.sequence.tolist(), names, frames.xy.tolist(), frames.room.tolist()])
     return content_key(told)

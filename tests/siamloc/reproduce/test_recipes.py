@@ -22,8 +22,7 @@ from tests.drawn import draw_panorama, draw_sequence
 
 RUNS = {"cloudy1": 0, "cloudy2": 1, "cloudy3": 2, "night1": 5, "night2": 3, "sunny1": 6, "sunny2": 4}
 FRAMES = 36  # in each of three rooms
-NOT_ASKED = {  # two buildings, or rows of trained networks
-    *("c_gist_chooses_the_building", "c_building_at_least_75", "c_hog_chooses_with_many_cells"),
+NOT_ASKED = {  # of rows of trained networks
     *("t_sun_needs_sunny_frames", "t_analytic_own_lighting", "t_siamese_cloudy", "t_single_network_other_lighting"),
     "t_siamese_descriptor_small",
 }
@@ -31,14 +30,20 @@ NOT_ASKED = {  # two buildings, or rows of trained networks
 
 @pytest.fixture(scope="session")
 def root(tmp_path_factory):
-    """A data set in COLD's layout, with the runs that recipes name."""
-    folder = tmp_path_factory.mktemp("drawn") / "mini"
-    for run, seed in RUNS.items():
+    """A data set in COLD's layout, with the runs that recipes name, and another building beside it."""
+    beside = tmp_path_factory.mktemp("drawn")
+    drawn(beside / "mini", RUNS, FRAMES)
+    drawn(beside / "freiburg_like", {"cloudy3": 12}, FRAMES // 2)
+    return beside / "mini"
+
+
+def drawn(folder, runs, frames):
+    for run, seed in runs.items():
         place = folder / "part_a" / f"seq2_{run}"
         for name in ("omni_cam", "localization"):
             (place / name).mkdir(parents=True)
         lines = []
-        for time, pose in enumerate(draw_sequence(seed, FRAMES)):
+        for time, pose in enumerate(draw_sequence(seed, frames)):
             x, y, theta = pose["x"], pose["y"], pose["theta"]
             name = f"t{1000 + time}.000000_x{x:.6f}_y{y:.6f}_a{theta:.6f}.jpeg"
             lighting = run.rstrip("0123456789")
@@ -47,7 +52,6 @@ def root(tmp_path_factory):
             room = {"kitchen": "KT-A", "office": "1PO-A", "corridor": "CR-A"}[pose["room"]]
             lines.append(f"{name} {room}\n")
         (place / "localization" / "places.lst").write_text("".join(lines))
-    return folder
 
 
 @pytest.fixture(scope="session")
@@ -221,6 +225,8 @@ def test_the_listing_says_what_an_id_is_needs_and_takes():
         "7 minutes",
     ]
     assert any("1 training; " in line for line in lines)
+    at = next(number for number, line in enumerate(lines) if line.startswith("c_figure_19 "))
+    assert "; the same drive of mini; " in lines[at + 1]
     assert max(map(len, lines)) <= 160
     assert "hours each on a graphics card" in listing("cold", "full")
     with pytest.raises(ConfigError, match="unknown scale 'long'"):
@@ -249,6 +255,12 @@ def test_as_many_nodes_by_both_methods(root, out):
     found = reproduce("table_4_3", data="mini", root=root, scale="smoke", out=out, progress=False)
     named = {(row.settings["descriptor"], row.settings.get("method")) for row in found.rows if row.ours}
     assert named == {(name, way) for name in ("hog", "gist") for way in (None, "incremental", "spectral")}
+
+
+def test_another_building_that_is_missing_is_named(root, tmp_path):
+    (tmp_path / "mini").symlink_to(root)
+    with pytest.raises(DataError, match=r"freiburg_like is looked for in .*freiburg_like, which does not exist"):
+        reproduce("c_figure_19", data="mini", root=tmp_path / "mini", scale="smoke", out=tmp_path, progress=False)
 
 
 def test_a_panel_shows_only_what_it_is_drawn_over(root, out):
