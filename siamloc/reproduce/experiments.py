@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import prod
@@ -21,6 +22,7 @@ from siamloc import evaluation, maps
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Role, room_sizes
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.absolute import evaluate_absolute
+from siamloc.evaluation.result import Result
 from siamloc.files import content_key
 from siamloc.maps import CoarseLayer, VectorIndex, VisualMap, headings, match
 from siamloc.reproduce.published import Record
@@ -278,11 +280,40 @@ def rooms(job: Job, data: Data) -> Measured:
 
 def trained(job: Job, data: Data) -> Measured:
     """Train a siamese network, then tell rooms apart ([T] 5.4.1) or locate ([T] 5.4.2-5.4.3) by it."""
+    options = job.options
+    pairs = dict(options["pairs"])
+    told = {key: options[key] for key in ("branch", "head", "epochs", "batch_size")}
+    told |= {"same_share": pairs["same_room_share"], **job.settings}
+    if pairs["epoch_pairs"] is not None:
+        pairs["epoch_pairs"] = max(4, round(pairs["epoch_pairs"] * options.get("share_of_pairs", 1)))
+    with _learned(job, data, batch_size=options["batch_size"], pairs=pairs) as own:
+        queries = data.role(job.roles["query"])
+        if pairs["label"] == "room":
+            yield from _judged_pairs(own, job, data, queries, told)
+        else:
+            yield from _located(evaluation.localization(own, data.images, queries, names=("absolute",)), own, told)
+        if options.get("in_rooms"):
+            yield from _inside_rooms(own, data, queries, told)
+
+
+def named_rooms(job: Job, data: Data) -> Measured:
+    """Train a network to name the room, then locate inside the room that it names ([T] table 5.19, single network)."""
+    from siamloc.models import CrossEntropyLoss
+
+    told = {key: job.options[key] for key in ("branch", "head", "epochs")} | dict(job.settings)
+    with _learned(job, data, loss=CrossEntropyLoss(), pairs=job.options["pairs"]) as own:
+        layer = maps.group(own, "rooms", progress=False)
+        queries = data.role(job.roles["query"])
+        result = evaluation.hierarchical(own, data.images, queries, layer, candidates=1, coarse={"by": "classifier"})
+        yield from _located(result, own, told)
+
+
+@contextmanager
+def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMap]:
+    """Train the network of a job and describe the job's map by it; the run goes once its records are taken."""
     from siamloc import models, training
 
-    options, train = job.options, data.role(job.roles["train"])
-    told = {key: options[key] for key in ("branch", "head", "epochs", "batch_size")}
-    told |= {"same_share": options["pairs"]["same_room_share"], **job.settings}
+    options = job.options
     network = models.build(
         options["branch"], options["head"], image_size=data.image_size, weights=options.get("weights"), seed=0
     )
@@ -290,35 +321,35 @@ def trained(job: Job, data: Data) -> Measured:
     training.fit(
         network,
         data.images,
-        train,
+        data.role(job.roles["train"]),
         run=folder,
         augmentation=options.get("augment"),
         resume=(folder / "run.json").is_file(),  # where it was stopped, it goes on
         epochs=options["epochs"],
-        batch_size=options["batch_size"],
-        pairs=options["pairs"],
+        optimizer=options["optimizer"],
+        **training_options,
     )
-    known, queries = data.role(job.roles["map"]), data.role(job.roles["query"])
-    by = models.as_descriptor(network)
-    own = maps.build(by, data.images, known, progress=False)
-    if options["pairs"]["label"] == "room":
-        for phase, frames in (("train", train), ("test", queries)):
-            asked = {"count": options["judged"], "same_room_share": 0.5}
-            judged = evaluation.localization(
-                own, data.images, frames, names=("room_retrieval",), pairs=asked, protocol="same_run"
-            ).parts["room_pairs"]["overall"]
-            for pairs in ("overall", "same", "different"):
-                yield Record("accuracy", judged[pairs], {**told, "phase": phase, "pairs": pairs})
-    else:
-        result = evaluation.localization(own, data.images, queries, names=("absolute",))
-        groups = {"overall": result.measures, **result.measures["lighting"]}
-        for lighting, group in groups.items():
-            yield Record("error", group["error"]["mean"], {**told, "lighting": lighting})
-            yield Record("floor", group["floor"]["mean"], {**told, "lighting": lighting})
-        yield Record("descriptor_size", own.width, told)
-        if options.get("in_rooms"):
-            yield from _inside_rooms(own, data, queries, told)
+    yield maps.build(models.as_descriptor(network), data.images, data.role(job.roles["map"]), progress=False)
     shutil.rmtree(folder)
+
+
+def _judged_pairs(own: VisualMap, job: Job, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
+    """Tell pairs of one room from pairs of two, among the frames of the training and among the queries."""
+    asked = {"count": job.options["judged"], "same_room_share": 0.5}
+    for phase, frames in (("train", data.role(job.roles["train"])), ("test", queries)):
+        judged = evaluation.localization(
+            own, data.images, frames, names=("room_retrieval",), pairs=asked, protocol="same_run"
+        ).parts["room_pairs"]["overall"]
+        for pairs in ("overall", "same", "different"):
+            yield Record("accuracy", judged[pairs], {**told, "phase": phase, "pairs": pairs})
+
+
+def _located(result: Result, own: VisualMap, told: Mapping[str, Any]) -> Measured:
+    """Yield the errors of a localization by lighting, their floors, and the size of the descriptor."""
+    for lighting, group in {"overall": result.measures, **result.measures["lighting"]}.items():
+        yield Record("error", group["error"]["mean"], {**told, "lighting": lighting})
+        yield Record("floor", group["floor"]["mean"], {**told, "lighting": lighting})
+    yield Record("descriptor_size", own.width, told)
 
 
 def _inside_rooms(own: VisualMap, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
@@ -343,6 +374,7 @@ KINDS: dict[str, Callable[[Job, Data], Measured]] = {
     "buildings": buildings,
     "rooms": rooms,
     "trained": trained,
+    "named_rooms": named_rooms,
 }
 
 

@@ -22,6 +22,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.files import alone, plain
+from siamloc.memory import kept_memory
 from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.checkpoint import check_architecture, load
 from siamloc.models.cross_entropy import CrossEntropyLoss
@@ -366,7 +367,7 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
         steps = next(one for one in trainer.checkpoint_callbacks if isinstance(one, StepCheckpoints))
         # Among several processes one could stop a step before the others, which would wait for it.
         asking = first_interrupt_asks(steps) if trainer.world_size == 1 else nullcontext()
-        with interrupts_raised(), torch.random.fork_rng(devices=[]), asking:
+        with kept_memory(), interrupts_raised(), torch.random.fork_rng(devices=[]), asking:
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
         if steps.asked:  # in the last epoch, after which nothing was left to stop
             raise KeyboardInterrupt(f"the training came to its end before it stopped: {run.folder}")
