@@ -334,7 +334,7 @@ def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
 def _needs(one: Recipe, data: str, scale: str) -> str:
     jobs = one.jobs(scale)
     runs = sorted({run for job in jobs for role in job.roles.values() for run in role["runs"]})
-    trained = sum(job.kind == "trained" for job in jobs)
+    trained = sum(job.kind in ("trained", "named_rooms") for job in jobs)
     parts = [
         f"[{one.source.document}] {_place(one.source) or 'section ' + one.source.section}",
         f"drives {' '.join(runs)}",

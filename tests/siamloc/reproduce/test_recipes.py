@@ -14,10 +14,10 @@ from siamloc.errors import ConfigError, DataError, StorageError
 from siamloc.reproduce import listing, recipe, recipes, reproduce, write_report
 from siamloc.reproduce import running as running_module
 from siamloc.reproduce.claims import claim, claims
-from siamloc.reproduce.experiments import Data
+from siamloc.reproduce.experiments import KINDS, Data
 from siamloc.reproduce.panels import shown
 from siamloc.reproduce.published import published
-from siamloc.reproduce.recipe_book import experiment, without_measurement
+from siamloc.reproduce.recipe_book import experiment, seconds_of, without_measurement
 from tests.drawn import draw_panorama, draw_sequence
 
 RUNS = {"cloudy1": 0, "cloudy2": 1, "cloudy3": 2, "night1": 5, "night2": 3, "sunny1": 6, "sunny2": 4}
@@ -69,7 +69,6 @@ def test_every_recipe_runs_and_is_written(root, out):
         assert sum(row["ours"] != "" for row in rows) >= len(found.records)
         assert {row["data"] for row in rows} == {"mini"}
         assert all((verdict.ours in (True, False, None)) for verdict in found.verdicts)
-        found.save(out)
         results.append(found)
     page = write_report(results, out / "page" / "report.md", {"table_9_9": "no such data"})
     assert {path.suffix for path in page.parent.iterdir()} == {".md", ".png"}
@@ -77,9 +76,12 @@ def test_every_recipe_runs_and_is_written(root, out):
     assert results[0].machines[0] in text
     assert "table_9_9 | not measured: no such data" in text
     assert text.count("![") == sum(bool(one.figure) for one in recipes())
-    for one in recipes():
-        assert (out / f"{one.id}.csv").is_file()
-        assert (out / f"{one.id}.png").is_file() == bool(one.figure)
+    for one in results:
+        assert (page.parent / f"{one.recipe.id}.png").is_file() == bool(one.recipe.figure)
+    for id, endings in {"figure_3_16": (".md", ".csv", ".png"), "table_5_5": (".md", ".csv")}.items():
+        one = next(one for one in results if one.recipe.id == id)
+        assert one.save(out / "saved") == [out / "saved" / f"{id}{ending}" for ending in endings]
+        assert all(path.is_file() for path in one.save(out / "saved"))
 
 
 def test_what_was_measured_is_not_measured_again(root, out, monkeypatch):
@@ -231,6 +233,13 @@ def test_the_listing_says_what_an_id_is_needs_and_takes():
     assert "hours each on a graphics card" in listing("cold", "full")
     with pytest.raises(ConfigError, match="unknown scale 'long'"):
         listing("mini", "long")
+
+
+def test_every_kind_of_experiment_says_how_long_it_takes():
+    for one in recipes():
+        for job in one.jobs("short"):
+            assert job.kind in KINDS
+            assert seconds_of(job, "smoke") < seconds_of(job, "short") < seconds_of(job, "full")
 
 
 def test_a_figure_inside_another_is_measured_with_it(root, out, capsys):
