@@ -143,6 +143,8 @@ class Reproduce(Settings):
     root: Text | None = None
     scale: Literal["smoke", "short", "full"] = "short"
     out: Folder = "reproduced"
+    page: Text | None = None
+    measure: bool = True
 
 
 @dataclass(frozen=True)

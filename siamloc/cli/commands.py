@@ -260,26 +260,29 @@ def reproduce(config: DictConfig) -> None:
     if config.list or config.id is None:
         print(listing(config.data, config.scale))
         return
-    options = {key: config[key] for key in ("data", "root", "scale", "out")}
-    results, missing = [], {}
-    if config.id != "all" and recipe(config.id).id != config.id:
-        print(f"{config.id} is measured by {recipe(config.id).id}")
-    for id in [one.id for one in recipes()] if config.id == "all" else [config.id]:
-        try:
-            results.append(measure_again(id, **options))
-        except DataError as error:  # the others can be measured all the same
-            if config.id != "all":
-                raise
-            missing[id] = str(error)
-            print(f"{id} left out: {error}")
-            continue
-        files = results[-1].save(config.out)
-        print(results[-1].table() if config.id != "all" else f"{results[-1].summary()}: {files[0]}")
-    if config.id == "all" and results:
-        print(f"report: {write_report(results, Path(config.out) / 'report.md', missing)}")
-    elif config.id != "all":
-        for path in files:
+    options = {key: config[key] for key in ("data", "root", "scale", "out", "measure")}
+    if config.id != "all":
+        chosen = recipe(config.id)
+        if chosen.id != config.id:
+            print(f"{config.id} is measured by {chosen.id}")
+        result = measure_again(chosen, **options)
+        print(result.table())
+        for path in result.save(config.out):
             print(f"written: {path}")
+        return
+    results, missing = [], {}
+    for one in recipes():
+        try:
+            results.append(measure_again(one, **options))
+        except DataError as error:  # the others can be measured all the same
+            missing[one.id] = str(error)
+            continue
+        print(f"{results[-1].summary()}: {results[-1].save(config.out)[0]}")
+    for reason in dict.fromkeys(missing.values()):
+        print(f"left out, because {reason}: {', '.join(id for id, said in missing.items() if said == reason)}")
+    if not results:
+        raise DataError("nothing was measured, see above")
+    print(f"report: {write_report(results, Path(config.page or config.out) / 'report.md', missing)}")
 
 
 def expand(config: DictConfig) -> None:

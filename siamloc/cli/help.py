@@ -306,6 +306,8 @@ COMMANDS = {
         data=freiburg_sim      or mini, small and quick, or cold, with root=FOLDER
         scale=short            smoke takes seconds, short minutes, full what was published
         out=reproduced         where to
+        page=FOLDER            with all: where the report and its pictures go, if not to out
+        measure=false          only read what was measured before
         """,
         "siamloc reproduce figure_3_11 data=mini scale=smoke",
         config="reproduce",

@@ -59,7 +59,7 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
         if names_of(panel.figure, "series") == first:
             handles |= lines
         else:  # the same colours stand for something else
-            one.legend(lines.values(), lines.keys(), fontsize=6.5, loc="upper left")
+            one.legend(lines.values(), lines.keys(), fontsize=6.5, loc="best")
     if len(handles) > 1:
         rows = -(-len(handles) // max(2, int(1.6 * across)))
         columns = -(-len(handles) // rows)
@@ -107,9 +107,9 @@ def _lines(axes: Any, panel: _Panel) -> dict[str, Any]:
     axes.grid(True)
     low, high = axes.get_ylim()
     if panel.of_figure is not panel.records:  # what stands side by side has one scale
-        high = 1.04 * factor * max(_drawn_values(panel, names, pick))
+        high = factor * max(_drawn_values(panel, names, pick))
     if min(low, *(one.value for one in panel.of_figure)) >= 0 or low > 0:
-        axes.set_ylim(0, max(high, 1e-9))
+        axes.set_ylim(0, max(1.03 * high, 1e-9))
     return handles
 
 

@@ -24,7 +24,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.evaluation.result import Result
 from siamloc.files import content_key
-from siamloc.maps import VisualMap, headings, match
+from siamloc.maps import CoarseLayer, VectorIndex, VisualMap, headings, match
 from siamloc.reproduce.published import Record
 from siamloc.reproduce.recipe_book import Job, data_named
 from siamloc.stopwatch import Stopwatch
@@ -74,6 +74,12 @@ class Data:
     def images(self) -> PanoramaLibrary:
         """Their panoramas."""
         return self.settings.library(self.frames, data_named(self.name)["unwrap"])
+
+    @cached_property
+    def other(self) -> Data:
+        """Another building, which lies beside it."""
+        about = data_named(self.name)["other"]
+        return Data(about["name"], self.root.parent / about["folder"], self.image_size, self.work)
 
     def described(self, options: Mapping[str, Any], role: Mapping[str, Any]) -> VisualMap:
         """Return the map of a role's frames by a descriptor; the last few are remembered.
@@ -241,6 +247,29 @@ def compact(job: Job, data: Data) -> Measured:
                 yield Record("clustering_seconds", one["build_seconds"], settings)
 
 
+def buildings(job: Job, data: Data) -> Measured:
+    """Choose between two buildings by the nearest node of their compact maps ([C] 5.3.3)."""
+    options, distance = job.options, job.options["distance"]
+    both = (data, data.other)
+    own = [_described(options["descriptor"], job, one).with_distance(distance) for one in both]
+    clusters = [_described(options["clusters"], job, one) for one in both]
+    asked = [
+        Description.concatenate(list(maps.describe(own[0], one.images, one.role(job.roles["query"])))) for one in both
+    ]
+    for nodes in options["nodes"]:
+        if nodes > min(map(len, own)):
+            continue
+        labels = [maps.group(one, "spectral", nodes=nodes, progress=False).layer.labels for one in clusters]
+        layers = [CoarseLayer.of_labels(known, label) for known, label in zip(own, labels, strict=True)]
+        indices = [VectorIndex(layer.representatives, distance) for layer in layers]
+        right = [
+            np.argmin([index.search(queries.position, 1).distances[:, 0] for index in indices], axis=0) == place
+            for place, queries in enumerate(asked)
+        ]
+        settings = {**job.settings, "distance": distance, "clusters": nodes}
+        yield Record("building_accuracy", float(np.concatenate(right).mean()), settings)
+
+
 def rooms(job: Job, data: Data) -> Measured:
     """Measure how large rooms are ([T] table 5.5)."""
     for room, (frames, largest) in room_sizes(data.role(job.roles["map"])).items():
@@ -342,6 +371,7 @@ KINDS: dict[str, Callable[[Job, Data], Measured]] = {
     "matched": matched,
     "growing": growing,
     "compact": compact,
+    "buildings": buildings,
     "rooms": rooms,
     "trained": trained,
     "named_rooms": named_rooms,

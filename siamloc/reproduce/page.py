@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import datetime
-import os
-import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from siamloc.files import write_text
 from siamloc.reproduce.recipe_book import data_named
-from siamloc.reproduce.running import Reproduction, Verdict
+from siamloc.reproduce.running import Reproduction, Verdict, machine
 from siamloc.results import versions
 
 _ABOUT = """\
@@ -21,6 +19,8 @@ Each part below is a published table or figure, measured again: `siamloc reprodu
 protocols, on other machines; each part says what stands for what here. A claim is a sentence of a text with a check
 that numbers can be held against: it *holds*, *does not hold*, or is *not decidable* where the recipe, the data or the
 scale do not have what it compares. Where the printed numbers decide it themselves, their verdict stands beside ours.
+The notes of a part say what is known of why a claim does not hold here; where they say nothing, we know no reason.
+Neither the building nor a check is tuned to a claim.
 """
 
 
@@ -28,7 +28,7 @@ def write_report(results: Sequence[Reproduction], path: str | Path, missing: Map
     """Write the page of several reproductions next to their pictures, and return its path.
 
     Args:
-        results: of one data set and scale; each is saved into the page's folder.
+        results: of one data set and scale.
         path: of the page, name.md.
         missing: why others could not be measured, by their ids.
 
@@ -37,7 +37,7 @@ def write_report(results: Sequence[Reproduction], path: str | Path, missing: Map
     """
     path = Path(path)
     for one in results:
-        one.save(path.parent)
+        one.save_plot(path.parent)
     write_text(path, report(results, missing))
     return path
 
@@ -47,12 +47,13 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
     first = results[0]
     counted = Counter(verdict.ours for verdict in _verdicts(results))
     made = versions()
+    taken = {name: seconds for one in results for name, seconds in one.seconds.items()}
     lines = [
         f"# Reproduced: {len(results)} tables and figures on {data_named(first.data)['title']}",
         "",
         _ABOUT,
-        f"Scale `{first.scale}`; measured in {sum(one.seconds for one in _distinct(results)) / 60:.0f} minutes on "
-        f"{_machine()}; {', '.join(f'{name} {version}' for name, version in made.items())}; "
+        f"Scale `{first.scale}`; measured in {sum(taken.values()) / 60:.0f} minutes on "
+        f"{_machines(results)}; {', '.join(f'{name} {version}' for name, version in made.items())}; "
         f"{datetime.datetime.now(datetime.timezone.utc):%d %B %Y}.",
         "",
         f"Of {sum(counted.values())} claims {counted[True]} hold, {counted[False]} do not, and {counted[None]} cannot "
@@ -81,19 +82,6 @@ def _verdicts(results: Sequence[Reproduction]) -> list[Verdict]:
     return list({verdict.claim.id: verdict for one in results for verdict in one.verdicts}.values())
 
 
-def _distinct(results: Sequence[Reproduction]) -> list[Reproduction]:
-    """Return reproductions whose experiments no other one before has: their times are not counted twice."""
-    seen: set[str] = set()
-    found = []
-    for one in results:
-        if not set(one.recipe.experiments) <= seen:
-            found.append(one)
-        seen |= set(one.recipe.experiments)
-    return found
-
-
-def _machine() -> str:
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return f"{os.cpu_count()} cores of {names[0] if names else platform.processor() or platform.machine()}"
+def _machines(results: Sequence[Reproduction]) -> str:
+    """Say where the numbers were measured; here where that was not noted."""
+    return " and ".join(dict.fromkeys(name for one in results for name in one.machines)) or machine()

@@ -154,10 +154,10 @@ class Recipe:
         """Return the jobs of all experiments, each once."""
         return [job for name in self.experiments for job in experiment(name).jobs(scale)]
 
-    @property
-    def protocol(self) -> Mapping[str, str]:
-        """Which frames are map and queries, in words."""
-        return MappingProxyType(_contents()["protocols"][experiment(self.experiments[0]).protocol]["says"])
+    def protocol(self, scale: str = "full") -> Mapping[str, str]:
+        """Return which frames are map and queries, in words."""
+        says = _contents()["protocols"][experiment(self.experiments[0]).protocol]["says"]
+        return MappingProxyType(_resolved(says, scale))
 
 
 def recipe(id: str) -> Recipe:

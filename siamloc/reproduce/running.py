@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import platform
 import re
+import sys
 import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from siamloc.errors import ConfigError, FormatError, hint
+from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import content_key, read_json, write_json, write_text
 from siamloc.progress import track
 from siamloc.reproduce.claims import Claim, claim, holds
@@ -77,8 +79,10 @@ class Row:
 
     @property
     def difference(self) -> float | None:
-        """Ours minus the published one, in the measure's unit; None where one of them is missing."""
-        return None if self.published is None or self.ours is None else self.ours.value - self.published.value
+        """Ours minus the published one, in the measure's unit; None where one is missing, or only a bound is known."""
+        if self.published is None or self.ours is None or self.published.relation in "<>":
+            return None
+        return self.ours.value - self.published.value
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,8 @@ class Reproduction:
         scale: "smoke", "short" or "full".
         records: measured numbers.
         beside: those of our own recipe, on the same frames.
-        seconds: what measuring them took, whenever that was.
+        seconds: what measuring them took by experiment, whenever that was.
+        machines: where they were measured, as far as that is known.
     """
 
     recipe: Recipe
@@ -114,7 +119,8 @@ class Reproduction:
     scale: str
     records: tuple[Record, ...]
     beside: tuple[Record, ...]
-    seconds: float
+    seconds: Mapping[str, float]
+    machines: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Reproduction({self.recipe.id}: {len(self.records)} numbers on {self.data}, {self.scale})"
@@ -174,7 +180,7 @@ class Reproduction:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow([*heads, "measure", "unit", "published", "ours", "difference", "protocol", "data", "scale"])
         units = measures()
-        protocol = "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol.items())
+        protocol = self._protocol()
         for row in rows:
             writer.writerow(
                 [
@@ -214,17 +220,25 @@ class Reproduction:
         files = [folder / f"{self.recipe.id}.md", folder / f"{self.recipe.id}.csv"]
         write_text(files[0], self.table())
         write_text(files[1], self.as_csv())
-        if self.recipe.figure:
-            from siamloc.report.draw.look import save
+        return [*files, *self.save_plot(folder)]
 
-            files.append(save(self.plot(), folder / f"{self.recipe.id}.png"))
-        return files
+    def save_plot(self, folder: str | Path) -> list[Path]:
+        """Write ID.png where there is a figure; return the file, or nothing.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        from siamloc.report.draw.look import save
+
+        return [save(self.plot(), Path(folder) / f"{self.recipe.id}.png")] if self.recipe.figure else []
 
     def _where(self) -> str:
-        said = "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol.items())
         source, title = self.recipe.source, data_named(self.data)["title"]
         place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", _place(source)]))
-        return f"{place}. On {title}; {said}. Scale {self.scale}, {self.seconds:.0f} s."
+        return f"{place}. On {title}; {self._protocol()}. Scale {self.scale}, {sum(self.seconds.values()):.0f} s."
+
+    def _protocol(self) -> str:
+        return "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol(self.scale).items())
 
     def _best_table(self) -> list[str]:
         """Return the smallest and largest of our numbers in each figure, by what it tells apart."""
@@ -248,6 +262,7 @@ def reproduce(
     root: str | Path | None = None,
     scale: str = "short",
     out: str | Path = "reproduced",
+    measure: bool = True,
     progress: bool = True,
 ) -> Reproduction:
     """Measure what a recipe asks for; what was measured before on the same data is read from `out`.
@@ -258,11 +273,14 @@ def reproduce(
         root: where the data lie; where the data set usually lies if None.
         scale: "smoke" (seconds), "short" (minutes) or "full" (as published).
         out: folder of the measured numbers; every job is kept there as soon as it is done.
+        measure: whether to measure what is not there; else that is refused.
         progress: whether to show how far the work is.
 
     Raises:
         ConfigError: an unknown recipe, data set or scale.
-        DataError: data that are not there, or lack a drive; the sentence says where they should lie.
+        DataError: data that are not there, or lack a drive, and the sentence says where they should lie; something
+            that was not measured before, with `measure=False`.
+        StorageError: the disk refuses; what was finished before stays.
 
     Example:
         >>> reproduce("figure_3_11", scale="long")
@@ -274,12 +292,15 @@ def reproduce(
     jobs, opened = chosen.jobs(scale), _Opened(data, None if root is None else Path(root), Path(out) / "training")
     records: list[Record] = []
     beside: list[Record] = []
-    seconds = 0.0
+    seconds, machines = dict.fromkeys(chosen.experiments, 0.0), []
     for job in track(jobs, len(jobs), f"measuring {chosen.id}") if progress else jobs:
-        done = _done(job, opened, Path(out), data)
+        done = _done(job, opened, Path(out), data, measure)
         (beside if experiment(job.experiment).beside else records).extend(_with_size(done["records"], job))
-        seconds += done["seconds"]
-    return Reproduction(chosen, data, scale, tuple(records), tuple(beside), seconds)
+        seconds[job.experiment] += done["seconds"]
+        machines.append(done["machine"])
+    return Reproduction(
+        chosen, data, scale, tuple(records), tuple(beside), seconds, tuple(dict.fromkeys(filter(None, machines)))
+    )
 
 
 def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
@@ -313,13 +334,15 @@ def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
 def _needs(one: Recipe, data: str, scale: str) -> str:
     jobs = one.jobs(scale)
     runs = sorted({run for job in jobs for role in job.roles.values() for run in role["runs"]})
-    trained = sum(job.kind == "trained" for job in jobs)
+    trained = sum(job.kind in ("trained", "named_rooms") for job in jobs)
     parts = [
         f"[{one.source.document}] {_place(one.source) or 'section ' + one.source.section}",
         f"drives {' '.join(runs)}",
     ]
     if any(job.dense for job in jobs) and data_named(data).get("dense"):
         parts.append("frames every 5 cm")
+    if any(job.kind == "buildings" for job in jobs):
+        parts.append(f"the same drive of {data_named(data)['other']['folder']}")
     if trained:
         parts.append(f"{trained} training{'s' if trained > 1 else ''}")
     if trained and scale == "full":
@@ -363,7 +386,7 @@ class _Opened:
         if key not in self._held:
             about = data_named(self.name)
             if self.root is None and about["root"] is None:
-                raise ConfigError(f"say where {about['title']} lies: root=FOLDER. {about['how']}")
+                raise ConfigError(f"say where {about['title']} lies: root=FOLDER; {about['how']}")
             root = self.root or Path(about["root"])
             if job.dense and about.get("dense"):
                 root = root.parent / "dense" / root.name
@@ -371,7 +394,7 @@ class _Opened:
         return self._held[key]
 
 
-def _done(job: Job, opened: _Opened, out: Path, data: str) -> dict[str, Any]:
+def _done(job: Job, opened: _Opened, out: Path, data: str, measure: bool) -> dict[str, Any]:
     """Return the records of a job, and what they took; measured now, or read where they were measured before."""
     held = opened.of(job)
     wanted = {"version": _VERSION, "data": data, "frames": _fingerprint(job, held), **job.plain()}
@@ -379,32 +402,44 @@ def _done(job: Job, opened: _Opened, out: Path, data: str) -> dict[str, Any]:
     if path.is_file():
         try:
             kept = read_json(path)
-            return {"records": [_of_plain(one) for one in kept["records"]], "seconds": float(kept["seconds"])}
+            records = [_of_plain(one) for one in kept["records"]]
+            if not records:
+                raise ValueError("no records")
+            # The first records name their processor by its family, which says little.
+            known = kept.get("machine", "") if " " in str(kept.get("machine", "")) else ""
+            return {"records": records, "seconds": float(kept["seconds"]), "machine": known}
         except (FormatError, KeyError, TypeError, ValueError):
             pass  # cut short, or by another version: measured again
+    if not measure:
+        raise DataError(f"not all of it was measured before on these data and kept in {out}")
     from siamloc.reproduce.experiments import measured
 
     start = time.monotonic()
     records = list(measured(job, held))
-    seconds = time.monotonic() - start
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(
-        path,
-        {
-            "job": wanted,
-            "seconds": seconds,
-            "machine": platform.processor() or platform.machine(),
-            "records": [{"measure": r.measure, "value": r.value, "settings": dict(r.settings)} for r in records],
-        },
-    )
-    return {"records": records, "seconds": seconds}
+    took = {"seconds": time.monotonic() - start, "machine": machine()}
+    plain = [{"measure": one.measure, "value": one.value, "settings": dict(one.settings)} for one in records]
+    write_json(path, {"job": wanted, **took, "records": plain})
+    return {"records": records, **took}
+
+
+def machine() -> str:
+    """Say which machine this is: its processors, and its graphics card where PyTorch works on one."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    said = f"{os.cpu_count()} cores of {names[0] if names else platform.processor() or platform.machine()}"
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        said += f" with {torch.cuda.get_device_name()}"
+    return said
 
 
 def _fingerprint(job: Job, data: Data) -> str:
     """Return what changes with the frames that a job takes: their names, poses and rooms, wherever they lie."""
     told = []
-    for name, role in sorted(job.roles.items()):
-        frames = data.role(role)
+    held = [data, data.other] if job.kind == "buildings" else [data]
+    for name, role, one in ((*item, one) for one in held for item in sorted(job.roles.items())):
+        frames = one.role(role)
         names = [Path(path).name for path in frames.path.tolist()]
         told.append([name, frames.sequence.tolist(), names, frames.xy.tolist(), frames.room.tolist()])
     return content_key(told)

@@ -10,20 +10,19 @@ import cv2
 import pytest
 
 from siamloc.cli import main
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, StorageError
 from siamloc.reproduce import listing, recipe, recipes, reproduce, write_report
 from siamloc.reproduce import running as running_module
 from siamloc.reproduce.claims import claim, claims
-from siamloc.reproduce.experiments import Data
+from siamloc.reproduce.experiments import KINDS, Data
 from siamloc.reproduce.panels import shown
 from siamloc.reproduce.published import published
-from siamloc.reproduce.recipe_book import experiment, without_measurement
+from siamloc.reproduce.recipe_book import experiment, seconds_of, without_measurement
 from tests.drawn import draw_panorama, draw_sequence
 
 RUNS = {"cloudy1": 0, "cloudy2": 1, "cloudy3": 2, "night1": 5, "night2": 3, "sunny1": 6, "sunny2": 4}
 FRAMES = 36  # in each of three rooms
-NOT_ASKED = {  # two buildings, or rows of trained networks
-    *("c_gist_chooses_the_building", "c_building_at_least_75", "c_hog_chooses_with_many_cells"),
+NOT_ASKED = {  # of rows of trained networks
     *("t_sun_needs_sunny_frames", "t_analytic_own_lighting", "t_siamese_cloudy", "t_single_network_other_lighting"),
     "t_siamese_descriptor_small",
 }
@@ -31,14 +30,20 @@ NOT_ASKED = {  # two buildings, or rows of trained networks
 
 @pytest.fixture(scope="session")
 def root(tmp_path_factory):
-    """A data set in COLD's layout, with the runs that recipes name."""
-    folder = tmp_path_factory.mktemp("drawn") / "mini"
-    for run, seed in RUNS.items():
+    """A data set in COLD's layout, with the runs that recipes name, and another building beside it."""
+    beside = tmp_path_factory.mktemp("drawn")
+    drawn(beside / "mini", RUNS, FRAMES)
+    drawn(beside / "freiburg_like", {"cloudy3": 12}, FRAMES // 2)
+    return beside / "mini"
+
+
+def drawn(folder, runs, frames):
+    for run, seed in runs.items():
         place = folder / "part_a" / f"seq2_{run}"
         for name in ("omni_cam", "localization"):
             (place / name).mkdir(parents=True)
         lines = []
-        for time, pose in enumerate(draw_sequence(seed, FRAMES)):
+        for time, pose in enumerate(draw_sequence(seed, frames)):
             x, y, theta = pose["x"], pose["y"], pose["theta"]
             name = f"t{1000 + time}.000000_x{x:.6f}_y{y:.6f}_a{theta:.6f}.jpeg"
             lighting = run.rstrip("0123456789")
@@ -47,7 +52,6 @@ def root(tmp_path_factory):
             room = {"kitchen": "KT-A", "office": "1PO-A", "corridor": "CR-A"}[pose["room"]]
             lines.append(f"{name} {room}\n")
         (place / "localization" / "places.lst").write_text("".join(lines))
-    return folder
 
 
 @pytest.fixture(scope="session")
@@ -66,13 +70,18 @@ def test_every_recipe_runs_and_is_written(root, out):
         assert {row["data"] for row in rows} == {"mini"}
         assert all((verdict.ours in (True, False, None)) for verdict in found.verdicts)
         results.append(found)
-    page = write_report(results, out / "report.md", {"table_9_9": "no such data"})
+    page = write_report(results, out / "page" / "report.md", {"table_9_9": "no such data"})
+    assert {path.suffix for path in page.parent.iterdir()} == {".md", ".png"}
     text = page.read_text()
+    assert results[0].machines[0] in text
     assert "table_9_9 | not measured: no such data" in text
     assert text.count("![") == sum(bool(one.figure) for one in recipes())
-    for one in recipes():
-        assert (out / f"{one.id}.csv").is_file()
-        assert (out / f"{one.id}.png").is_file() == bool(one.figure)
+    for one in results:
+        assert (page.parent / f"{one.recipe.id}.png").is_file() == bool(one.recipe.figure)
+    for id, endings in {"figure_3_16": (".md", ".csv", ".png"), "table_5_5": (".md", ".csv")}.items():
+        one = next(one for one in results if one.recipe.id == id)
+        assert one.save(out / "saved") == [out / "saved" / f"{id}{ending}" for ending in endings]
+        assert all(path.is_file() for path in one.save(out / "saved"))
 
 
 def test_what_was_measured_is_not_measured_again(root, out, monkeypatch):
@@ -90,6 +99,51 @@ def test_what_was_measured_is_not_measured_again(root, out, monkeypatch):
     with pytest.raises(AssertionError, match="hits_hog is measured again"):
         reproduce("figure_3_11", data="mini", root=root, scale="smoke", out=out, progress=False)
     file.write_text(held)
+
+
+def test_what_was_not_measured_may_be_left_out(root, tmp_path, capsys):
+    with pytest.raises(DataError, match="not all of it was measured before on these data"):
+        reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, measure=False, progress=False)
+    words = ["data=mini", f"root={root}", "scale=smoke", f"out={tmp_path}"]
+    assert main(["reproduce", "all", *words, "measure=false"]) == 2
+    said = capsys.readouterr()
+    assert said.out.count("left out, because not all of it was measured before") == 1
+    assert "nothing was measured" in said.err
+    assert main(["reproduce", "figure_3_16", *words]) == 0
+    assert main(["reproduce", "all", *words, "measure=false", f"page={tmp_path / 'page'}"]) == 0
+    page = tmp_path / "page"
+    assert {path.name for path in page.iterdir()} == {"report.md", "figure_3_16.png"}
+    assert "| table_4_2 | not measured: not all of it" in (page / "report.md").read_text()
+
+
+def test_a_folder_that_refuses_is_said_in_one_sentence(root, tmp_path):
+    (tmp_path / "measured").write_text("a file")
+    with pytest.raises(StorageError):
+        reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, progress=False)
+
+
+def test_what_is_kept_and_makes_no_sense_is_measured_again(root, tmp_path):
+    def measured():
+        return reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, progress=False)
+
+    first = measured()
+    file = next((tmp_path / "measured" / "hits_radon_poc").iterdir())
+    for kept in ("[]", "null", "{}", '{"records": [], "seconds": 1}', '{"records": [{"measure": "a"}], "seconds": 1}'):
+        file.write_text(kept)
+        again = measured()
+        assert [one.measure for one in again.records] == [one.measure for one in first.records]
+        assert json.loads(file.read_text())["records"]
+
+
+def test_a_bound_has_no_difference_and_a_protocol_its_scale(root, out):
+    found = reproduce("figure_3_17", data="mini", root=root, scale="smoke", out=out, progress=False)
+    rows = {row.settings["descriptor"]: row for row in found.rows if row.settings["size"] == "largest"}
+    assert rows["wisurf"].published.relation == ">"
+    assert rows["wisurf"].ours is not None
+    assert rows["wisurf"].difference is None
+    assert rows["hog"].difference < 0
+    assert "frames 1.2 m apart" in found.table()
+    assert "40 cm" in found.recipe.protocol()["map"]
 
 
 def test_no_published_number_is_ever_ours(root, out, monkeypatch):
@@ -173,10 +227,19 @@ def test_the_listing_says_what_an_id_is_needs_and_takes():
         "7 minutes",
     ]
     assert any("1 training; " in line for line in lines)
+    at = next(number for number, line in enumerate(lines) if line.startswith("c_figure_19 "))
+    assert "; the same drive of mini; " in lines[at + 1]
     assert max(map(len, lines)) <= 160
     assert "hours each on a graphics card" in listing("cold", "full")
     with pytest.raises(ConfigError, match="unknown scale 'long'"):
         listing("mini", "long")
+
+
+def test_every_kind_of_experiment_says_how_long_it_takes():
+    for one in recipes():
+        for job in one.jobs("short"):
+            assert job.kind in KINDS
+            assert seconds_of(job, "smoke") < seconds_of(job, "short") < seconds_of(job, "full")
 
 
 def test_a_figure_inside_another_is_measured_with_it(root, out, capsys):
@@ -201,6 +264,12 @@ def test_as_many_nodes_by_both_methods(root, out):
     found = reproduce("table_4_3", data="mini", root=root, scale="smoke", out=out, progress=False)
     named = {(row.settings["descriptor"], row.settings.get("method")) for row in found.rows if row.ours}
     assert named == {(name, way) for name in ("hog", "gist") for way in (None, "incremental", "spectral")}
+
+
+def test_another_building_that_is_missing_is_named(root, tmp_path):
+    (tmp_path / "mini").symlink_to(root)
+    with pytest.raises(DataError, match=r"freiburg_like is looked for in .*freiburg_like, which does not exist"):
+        reproduce("c_figure_19", data="mini", root=tmp_path / "mini", scale="smoke", out=tmp_path, progress=False)
 
 
 def test_a_panel_shows_only_what_it_is_drawn_over(root, out):
