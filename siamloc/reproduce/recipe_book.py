@@ -16,6 +16,7 @@ from typing import Any
 
 import yaml
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, hint
 from siamloc.reproduce.published import Source
 
@@ -155,6 +156,7 @@ class Recipe:
         return MappingProxyType(_contents()["protocols"][experiment(self.experiments[0]).protocol]["says"])
 
 
+@typed
 def recipe(id: str) -> Recipe:
     """Return a recipe by its id.
 

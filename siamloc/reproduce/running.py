@@ -12,12 +12,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, FormatError, hint
-from siamloc.files import content_key, read_json, write_json, write_text
+from siamloc.files import content_key, plain, read_json, storage_errors, write_json, write_text
 from siamloc.progress import track
 from siamloc.reproduce.claims import Claim, claim, holds
 from siamloc.reproduce.published import Record, measures, published
 from siamloc.reproduce.recipe_book import SCALES, Job, Recipe, data_named, data_names, experiment, recipe, recipes
+from siamloc.settings import NotNegative, Text, checked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -196,6 +198,7 @@ class Reproduction:
             raise ConfigError(f"{self.recipe.id} has no figure: see its table")
         return drawn(self.recipe.figure, [*self.records, *self.beside])
 
+    @typed
     def save(self, folder: str | Path) -> list[Path]:
         """Write ID.md, ID.csv, and ID.png where there is a figure; return the files.
 
@@ -236,6 +239,7 @@ class Reproduction:
         return _markdown(heads, lines) if lines else []
 
 
+@typed
 def reproduce(
     id: str | Recipe,
     *,
@@ -269,6 +273,9 @@ def reproduce(
         raise ConfigError(f"unknown scale {scale!r}: {hint(str(scale), SCALES)}")
     if data not in data_names():
         raise ConfigError(f"recipes run on no data set {data!r}; {hint(str(data), data_names())}")
+    measured = Path(out) / "measured"
+    with storage_errors(measured):
+        measured.mkdir(parents=True, exist_ok=True)  # refused here, and not after the first job
     jobs, opened = chosen.jobs(scale), _Opened(data, None if root is None else Path(root), Path(out) / "training")
     records: list[Record] = []
     beside: list[Record] = []
@@ -280,6 +287,7 @@ def reproduce(
     return Reproduction(chosen, data, scale, tuple(records), tuple(beside), seconds)
 
 
+@typed
 def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
     """Return what can be reproduced: a line for each id with its title, its source, its jobs and what it needs."""
     lines = []
@@ -321,28 +329,33 @@ def _done(job: Job, opened: _Opened, out: Path, data: str) -> dict[str, Any]:
     held = opened.of(job)
     wanted = {"version": _VERSION, "data": data, "frames": _fingerprint(job, held), **job.plain()}
     path = out / "measured" / job.experiment / f"{content_key(wanted)}.json"
-    if path.is_file():
-        try:
-            kept = read_json(path)
-            return {"records": [_of_plain(one) for one in kept["records"]], "seconds": float(kept["seconds"])}
-        except (FormatError, KeyError, TypeError, ValueError):
-            pass  # cut short, or by another version: measured again
+    if (kept := _kept(path, wanted)) is not None:
+        return kept
     from siamloc.reproduce.experiments import measured
 
     start = time.monotonic()
     records = list(measured(job, held))
     seconds = time.monotonic() - start
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(
-        path,
-        {
-            "job": wanted,
-            "seconds": seconds,
-            "machine": platform.processor() or platform.machine(),
-            "records": [{"measure": r.measure, "value": r.value, "settings": dict(r.settings)} for r in records],
-        },
-    )
+    told = [{"measure": one.measure, "value": one.value, "settings": dict(one.settings)} for one in records]
+    machine = platform.processor() or platform.machine()
+    held_in = {"job": wanted, "seconds": seconds, "machine": machine, "records": told, "key": content_key(told)}
+    write_json(path, held_in)
     return {"records": records, "seconds": seconds}
+
+
+def _kept(path: Path, wanted: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return what was kept of a job; None where nothing is, or not what was written: then it is measured again."""
+    try:
+        kept = checked(read_json(path), dict, "kept")
+        told = checked(kept.get("records"), tuple[dict, ...], "records")
+        seconds = float(checked(kept.get("seconds"), NotNegative, "seconds"))
+        if not told or plain(kept.get("job")) != plain(dict(wanted)):
+            return None
+        if "key" in kept and kept["key"] != content_key(told):  # one that was kept by an older siamloc has none
+            return None
+        return {"records": [_of_plain(one) for one in told], "seconds": seconds}
+    except (FormatError, ConfigError, KeyError):
+        return None
 
 
 def _fingerprint(job: Job, data: Data) -> str:
@@ -356,7 +369,17 @@ def _fingerprint(job: Job, data: Data) -> str:
 
 
 def _of_plain(one: Mapping[str, Any]) -> Record:
-    return Record(str(one["measure"]), float(one["value"]), MappingProxyType(dict(one["settings"])))
+    """Return a record as it was kept.
+
+    Raises:
+        ConfigError, KeyError: something else.
+    """
+    measure, settings = checked(one["measure"], Text, "measure"), checked(one["settings"], dict, "settings")
+    if measure not in measures():
+        raise ConfigError(f"unknown measure {measure!r}: {hint(measure, measures())}")
+    for name, value in settings.items():
+        checked(value, str | bool | int | float | None, name)
+    return Record(measure, float(checked(one["value"], float, "value")), MappingProxyType(settings))
 
 
 def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:
