@@ -43,7 +43,7 @@ def test_damaged_files_are_told_in_a_sentence():
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["epochs=abc"], r"epochs must be a whole number from 1, got 'abc'"),
+        (["epochs=abc"], r"epochs must be a whole number from 1 to 10 million, got 'abc'"),
         (["+foo=1"], "unknown configuration key 'foo'"),
         (["+pairs.foo=1"], "unknown key pairs.foo"),
         (["pairs.scale=nan"], "pairs.scale must be"),

@@ -493,9 +493,9 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
 @pytest.mark.parametrize(
     ("wrong", "error", "says"),
     [
-        ({"epochs": 0}, ConfigError, "epochs must be a whole number from 1, got 0"),
+        ({"epochs": 0}, ConfigError, "epochs must be a whole number from 1 to 10 million, got 0"),
         ({"batch_size": 1.5}, ConfigError, "batch_size must be a whole number from 1"),
-        ({"seed": None}, ConfigError, "seed must be a whole number from 0, got None"),
+        ({"seed": None}, ConfigError, "seed must be a whole number from 0 to 4,294,967,295, got None"),
         ({"margin": 0}, ConfigError, "margin must be a number above 0"),
         ({"augment_where": "tpu"}, ConfigError, "augment_where must be auto or cpu or gpu"),
         ({"epoch": 3}, ConfigError, r"fit has no setting 'epoch': did you mean 'epochs'\?"),
