@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 
 import cv2
 import pytest
 
 from siamloc.cli import main
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, StorageError
 from siamloc.reproduce import recipe, recipes, reproduce, write_report
 from siamloc.reproduce import running as running_module
 from siamloc.reproduce.claims import claim
@@ -83,6 +84,47 @@ def test_what_was_measured_is_not_measured_again(root, out, monkeypatch):
     with pytest.raises(AssertionError, match="hits_hog is measured again"):
         reproduce("figure_3_11", data="mini", root=root, scale="smoke", out=out, progress=False)
     file.write_text(held)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"records": []},
+        {"records": "abc"},
+        {"records": [{"measure": "hit_rate", "value": math.nan, "settings": {}}]},
+        {"records": [{"measure": "zzz", "value": 1.0, "settings": {}}]},
+        {"records": [{"measure": "hit_rate", "value": 1.0, "settings": {"k5": [1]}}]},
+        {"records": [{"measure": "hit_rate", "value": 1.0, "settings": {}}]},  # which is whole, but not what was kept
+        {"job": {"kind": "retrieval"}},
+        {"seconds": -1},
+    ],
+)
+def test_kept_numbers_that_were_altered_are_measured_again(root, out, monkeypatch, change):
+    measured = {"data": "mini", "root": root, "scale": "smoke", "out": out, "progress": False}
+    reproduce("figure_3_11", **measured)
+    file = next((out / "measured" / "hits_hog").iterdir())
+    held = file.read_text()
+    file.write_text(json.dumps({**json.loads(held), **change}))
+
+    def refuse(job, data):
+        raise AssertionError(f"{job.experiment} is measured again")
+
+    monkeypatch.setattr("siamloc.reproduce.experiments.measured", refuse)
+    with pytest.raises(AssertionError, match="hits_hog is measured again"):
+        reproduce("figure_3_11", **measured)
+    file.write_text(held)
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(root, tmp_path, monkeypatch):
+    (tmp_path / "taken").write_text("a file")
+    monkeypatch.setattr("siamloc.reproduce.experiments.measured", None)
+    with pytest.raises(StorageError, match="a file stands where a folder is needed"):
+        reproduce("figure_3_11", data="mini", root=root, scale="smoke", out=tmp_path / "taken", progress=False)
+
+
+def test_one_recipe_is_named(capsys):
+    assert main(["reproduce", "figure_3_11", "figure_3_12"]) == 2
+    assert "siamloc reproduce takes one id, got figure_3_11 figure_3_12" in capsys.readouterr().err
 
 
 def test_no_published_number_is_ever_ours(root, out, monkeypatch):
