@@ -375,8 +375,6 @@ def _of_plain(one: Mapping[str, Any]) -> Record:
         ConfigError, KeyError: something else.
     """
     measure, settings = checked(one["measure"], Text, "measure"), checked(one["settings"], dict, "settings")
-    if measure not in measures():
-        raise ConfigError(f"unknown measure {measure!r}: {hint(measure, measures())}")
     for name, value in settings.items():
         checked(value, str | bool | int | float | None, name)
     return Record(measure, float(checked(one["value"], float, "value")), MappingProxyType(settings))
