@@ -212,8 +212,8 @@ def test_other_settings_are_not_resumed(train, trained, other, key):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"loss": "contrastive"}, "a loss is a function or a module"),
-        ({"network": "alexnet"}, "a network is a torch module"),
+        ({"loss": "contrastive"}, "loss must be"),
+        ({"network": "alexnet"}, "network must be a Module"),
     ],
 )
 def test_what_cannot_be_trained_is_refused_before_the_folder_is_touched(train, tmp_path, given, says):
@@ -454,7 +454,7 @@ def test_augmentation_by_name_by_plain_values_and_by_hand_is_the_same(train):
     assert made.settings["augment"]["name"] == "thesis"
     assert curve(train("off", augmentation="none")) == plain
     assert curve(train("effect", augmentation=augment.effect("exposure"))) != plain
-    with pytest.raises(ConfigError, match="augmentation is an effect or a policy"):
+    with pytest.raises(ConfigError, match="augmentation must be an Effect"):
         train("wrong", augmentation=3)
 
 
@@ -543,7 +543,7 @@ def test_further_arguments_reach_the_trainer(train):
 
 def test_a_training_that_diverges_is_one_sentence(train):
     with pytest.raises(ConfigError, match="the training diverged"):
-        train(optimizer={"learning_rate": 1e30}, epochs=3)
+        train(optimizer={"learning_rate": 1e9}, epochs=3)
 
 
 def test_runs_show_themselves(train, tmp_path):
