@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.errors import AnalyticError, hint
+from analytic.arrays import real
+from analytic.errors import AnalyticError, known
 
 Pairwise = Callable[[ArrayLike, ArrayLike], NDArray[np.float64]]
 
@@ -30,10 +31,10 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
         array([[8.54400375, 4.        ]])
     """
     a, b = _checked(a, b)
-    if not p >= 1:
-        raise AnalyticError(f"the Minkowski distance needs p >= 1, got {p}")
+    if isinstance(p, bool) or not isinstance(p, int | float | np.integer | np.floating) or not 1 <= p < np.inf:
+        raise AnalyticError(f"the Minkowski distance needs a number p >= 1, got {p!r}")
     if weights is not None:
-        w = np.asarray(weights, dtype=np.float64)
+        w = real(weights, "weights")
         if w.shape != (a.shape[1],) or not (w >= 0).all():
             raise AnalyticError(
                 f"weights must be {a.shape[1]} numbers that are not negative, got {w.min(initial=np.inf):g} as the "
@@ -113,13 +114,11 @@ def distance(name: str) -> Pairwise:
         array([[7.],
                [5.]])
     """
-    if name not in DISTANCES:
-        raise AnalyticError(f"unknown distance {name!r}: {hint(name, DISTANCES)}")
-    return DISTANCES[name]
+    return DISTANCES[known(name, DISTANCES, "distance")]
 
 
 def _checked(a: ArrayLike, b: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    a, b = real(a, "descriptors"), real(b, "descriptors")
     if a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
         raise AnalyticError(f"distances need two sets of shape (n, D) and (m, D), got {a.shape} and {b.shape}")
     return a, b

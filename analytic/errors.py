@@ -19,6 +19,22 @@ class AnalyticError(ValueError):
     """
 
 
+def known(name: object, valid: Iterable[str], what: str) -> str:
+    """Return a name that is one of the valid ones.
+
+    Raises:
+        AnalyticError: another name, or no text at all.
+
+    Example:
+        >>> known("hog", ["gist", "hog"], "descriptor")
+        'hog'
+    """
+    options = list(valid)
+    if not isinstance(name, str) or name not in options:
+        raise AnalyticError(f"unknown {what} {name!r}: {hint(name, options)}")
+    return name
+
+
 def hint(name: object, valid: Iterable[object]) -> str:
     """Return the end of an error message about an unknown name: the closest valid spelling, then all of them.
 

@@ -2,8 +2,9 @@
 
 Settings: for each leaf of each command's configuration, as several starting points make it, values of another type,
 negative, zero, infinite, huge, empty, lists and mappings. What is nonsense follows from the type of the default alone,
-not from what the code accepts. Files: bytes of each kind of file that siamloc reads are flipped, cut, swapped, repeated
-and replaced by those of another kind, and it is read again.
+not from what the code accepts. Calls: the same values for each argument of each public function. Files: bytes of each
+kind of file that siamloc reads are flipped, cut, swapped, repeated and replaced by those of another kind, and it is
+read again.
 
 Each case ends in a sentence (an error of siamloc's), in acceptance, in a traceback, or takes too long. Targets: no
 traceback, nothing above 10 s, and no nonsense accepted.
@@ -29,6 +30,7 @@ from omegaconf import OmegaConf
 from analytic.errors import AnalyticError
 from augment.errors import AugmentError
 from benchmarks.report import Report, parser
+from benchmarks.torture_calls import call_cases
 from benchmarks.torture_files import FILES, damaged
 from siamloc.cli.checking import check
 from siamloc.cli.compose import composed, plain
@@ -47,6 +49,8 @@ STARTS: tuple[tuple[str, ...], ...] = (
     _LEARNS,
     (*_LEARNS, "experiment=modern", "unwrap=polar"),
     (*_LEARNS, "pairs=in_batch", "loss=triplet", "augment=thesis", "unwrap=hyperbolic"),
+    (*_LEARNS, "pairs=frames", "loss=cross_entropy"),
+    (*_LEARNS, "pairs=distance"),
     *((*_LEARNS, "pairs=in_batch", "model/head=flat", f"loss={loss}") for loss in ("circle", "multi_similarity")),
     (*_LEARNS, "pairs=in_batch", "model/head=flat", "loss=metric_calibrated"),
     ("pretrain",),
@@ -56,9 +60,13 @@ STARTS: tuple[tuple[str, ...], ...] = (
     ("augment expand", *_COLD, "out=y"),
     ("augment preview",),
     ("demo",),
+    ("reproduce",),
     ("prepare", "data=folder", "data.root=x"),
     ("evaluate", *_COLD, "task=hierarchical", "descriptor=hog", "build=som", "heading=hog"),
-    *(("evaluate", *_COLD, "descriptor=hog", f"task={task}") for task in ("robustness", "mapping", "buildings")),
+    *(
+        ("evaluate", *_COLD, "descriptor=hog", f"task={task}")
+        for task in ("robustness", "mapping", "buildings", "compact")
+    ),
     *(("map", *_COLD, "descriptor=hog", f"build={way}") for way in ("spectral", "incremental", "sample", "rooms")),
     *(
         ("map", *_COLD, f"descriptor={name}")
@@ -68,7 +76,7 @@ STARTS: tuple[tuple[str, ...], ...] = (
 """Commands, with words that give every group of keys its turn."""
 
 NOTHING: Any = None
-_STRANGE: dict[str, Any] = {
+STRANGE: dict[str, Any] = {
     "a text": "abc",
     "an empty text": "",
     "true": True,
@@ -93,8 +101,9 @@ _STRANGE: dict[str, Any] = {
 _NEVER_A_NUMBER = {
     *("a text", "an empty text", "true", "not a number", "infinity", "minus infinity"),
     *("an empty list", "a list", "a list of other things", "a list of lists", "a mapping", "an empty mapping"),
+    *("huge", "a huge whole number"),
 }
-_NEVER_A_TEXT = (_NEVER_A_NUMBER - {"a text"}) | {"huge", "three halves"}
+_NEVER_A_TEXT = (_NEVER_A_NUMBER - {"a text", "a huge whole number"}) | {"three halves"}
 _MAY_BE = {
     ("pairs.lightings", "a mapping"),  # weights by lighting
     ("pairs.lightings", "an empty mapping"),
@@ -128,6 +137,7 @@ def main() -> None:
     parts = {
         "settings": setting_cases(),
         "unknown keys": unknown_cases(),
+        "calls": call_cases(STRANGE),
         "files": file_cases(options.files, options.seed),
     }
     for part, cases in parts.items():
@@ -185,7 +195,7 @@ def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
     for command, *words in STARTS:
         config = composed(command, words)
         for key, default in leaves(plain(config)):
-            for called, value in _STRANGE.items():
+            for called, value in STRANGE.items():
                 case = (COMMANDS[command].begins_with, key, f"{default!r} {called}")
                 if case in seen:
                     continue
@@ -199,7 +209,7 @@ def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
                 yield f"{command} {key}={value!r}", changed, is_nonsense(key, default, called)
     for command, kind in {"localize": Localize, "live": Watch}.items():
         for key, default in kind().plain().items():
-            for called, value in _STRANGE.items():
+            for called, value in STRANGE.items():
 
                 def set_to(kind: type[Settings] = kind, key: str = key, value: Any = value) -> None:
                     kind.of({"images": ["a.png"], "bundle": "b", key: value})

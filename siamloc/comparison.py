@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError
 from siamloc.files import write_text
 
@@ -67,6 +68,7 @@ class Comparison:
         lines = ("  ".join(map(str.ljust, line, widths)).rstrip() for line in cells)
         return "\n".join(lines)
 
+    @typed
     def save(self, path: str | Path) -> Path:
         """Write the rows as CSV, numbers with every digit, unknown ones empty; return the path.
 
@@ -81,6 +83,7 @@ class Comparison:
         write_text(Path(path), text.getvalue())
         return Path(path)
 
+    @typed
     def plot(self, against: str | None = None) -> Figure:
         """Draw the figure against a setting, with a line for each combination of the others.
 
@@ -95,6 +98,7 @@ class Comparison:
 
         return swept_curves(self.rows, self.differing, self.by, against, highest=self.highest)
 
+    @typed
     def save_picture(self, path: str | Path, against: str | None = None) -> Path:
         """Write the picture as PNG, and return its path.
 

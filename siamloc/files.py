@@ -23,6 +23,8 @@ from siamloc.errors import ConfigError, FormatError, StorageError
 from siamloc.locks import held, is_at, lock, release
 
 _FILE = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
+PICTURES = (".jpg", ".jpeg", ".png", ".webp")
+"""Endings of the pictures that are written."""
 _NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL
 _FOLDER = os.O_RDONLY
 
@@ -38,6 +40,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         StorageError: the disk is full or refuses.
     """
     path = Path(path)
+    if not path.name:
+        raise StorageError(f"{str(path)!r} names no file: give it a name")
     if path.exists() and not path.is_file() and not path.is_dir():
         raise StorageError(f"{path} is a device or a pipe, which a file must not take the place of: name a file")
     with storage_errors(path):
@@ -262,6 +266,11 @@ def write_text(path: str | Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def is_picture(path: str | Path) -> bool:
+    """Say whether a file's name has the ending of a picture."""
+    return Path(path).suffix.lower() in PICTURES
+
+
 def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
     """Write a picture (rows, columns, 3), uint8, RGB, atomically, in the format that the name's ending says.
 
@@ -271,9 +280,9 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
     """
     import cv2
 
-    path, endings = Path(path), (".jpg", ".jpeg", ".png", ".webp")
-    if path.suffix.lower() not in endings:
-        raise ConfigError(f"{path} must be a picture, with one of the endings {' '.join(endings)}")
+    path = Path(path)
+    if not is_picture(path):
+        raise ConfigError(f"{path} must be a picture, with one of the endings {' '.join(PICTURES)}")
     quality = [cv2.IMWRITE_JPEG_QUALITY, 88] if path.suffix.lower() in (".jpg", ".jpeg") else []
     encoded = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(picture[:, :, ::-1]), quality)[1]
     with atomic_path(path) as temporary:
@@ -348,6 +357,11 @@ def content_key(value: Any, length: int = 16) -> str:
     """Return a short hash of a plain value; equal values give equal keys on every machine."""
     text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:length]
+
+
+def real_path(path: str | Path) -> Path:
+    """Return an absolute path with all links followed; links that lead in a circle stay as they are."""
+    return Path(os.path.realpath(path))
 
 
 def file_hash(path: str | Path) -> str:

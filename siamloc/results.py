@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc import __version__
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import read_json, write_json, write_text
 
@@ -115,6 +116,7 @@ def write_results(
     return path
 
 
+@typed
 def read_results(folder: str | Path) -> dict[str, Any]:
     """Read `results.json`. NaN was written as null and comes back as None.
 
@@ -151,6 +153,7 @@ def _is_nested(value: Any, depth: int) -> bool:
     return isinstance(value, Mapping) and (depth < 2 or all(isinstance(one, Mapping) for one in value.values()))
 
 
+@typed
 def read_rows(folder: str | Path, table: str = "queries") -> Columns:
     """Read one table of a result folder as columns, with the types and every digit that were written.
 

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import clear_temporaries, plain, read_json, storage_errors, write_json
+from siamloc.files import clear_temporaries, plain, read_json, real_path, storage_errors, write_json
 from siamloc.locks import held
 from siamloc.results import versions
+from siamloc.settings import checked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,6 +53,7 @@ class Run:
     folder: Path
 
     def __post_init__(self) -> None:
+        checked(self.folder, str | Path, "the folder of a run")
         if str(self.folder).strip() == "":
             raise ConfigError("a run needs a folder of its own, such as run='runs/robot'; got an empty name")
         object.__setattr__(self, "folder", Path(self.folder).expanduser())
@@ -101,14 +104,17 @@ class Run:
         """Folder of the curves and pictures for TensorBoard."""
         return self.folder / "tensorboard"
 
+    @typed
     def evaluation(self, descriptor: str) -> Path:
         """Folder of the results of a descriptor."""
         return self.folder / "evaluation" / descriptor
 
+    @typed
     def layer(self, descriptor: str, build: str) -> Path:
         """Folder of a coarse layer: `layer.npz`, and for an incremental map `mapper.npz` and what it did."""
         return self.folder / "layers" / f"{descriptor}-{build}"
 
+    @typed
     def checkpoint(self, which: str = "best") -> Path:
         """Find the checkpoint called "best" or "last"; best falls back to last where nothing was validated.
 
@@ -271,7 +277,7 @@ class Run:
 
     def _holds(self, name: str) -> bool:
         """Say whether a name stays inside the folder, links to folders followed."""
-        inside = (self.folder / name).parent.resolve().is_relative_to(self.folder.resolve())
+        inside = real_path((self.folder / name).parent).is_relative_to(real_path(self.folder))
         return inside and Path(name) != Path() and not (self.folder / name).is_dir()
 
     def _summary(self) -> str:
@@ -321,6 +327,7 @@ def _check_curves(curves: Mapping[str, NDArray[np.float64]]) -> None:
             raise ValueError(f"{name} is beyond 1e12")
 
 
+@typed
 def newest_run(folder: Path = DEFAULT_FOLDER) -> Run:
     """Find the run under a folder whose record is the newest.
 
@@ -333,6 +340,7 @@ def newest_run(folder: Path = DEFAULT_FOLDER) -> Run:
     return Run(records[-1].parent)
 
 
+@typed
 def runs_in(folder: str | Path) -> list[Run]:
     """Return the runs of a sweep: those right inside a folder that is no run itself; none if it is one.
 
@@ -345,6 +353,7 @@ def runs_in(folder: str | Path) -> list[Run]:
     return [Run(record.parent) for record in sorted(Run(Path(folder)).folder.glob("*/run.json"))]
 
 
+@typed
 def run_with(evaluation: str | Path) -> Run | None:
     """Return the run that an evaluation lies in; None where its folder lies in none.
 

@@ -1,8 +1,8 @@
 """Settings: the names, types and ranges of what a call takes, written down once.
 
 A group of settings is a frozen dataclass. Its annotations say what each value may be; they are checked when the object
-is made, with one sentence for every mistake. The same class gives a function its keywords (`takes`) and the command
-line its defaults (`defaults_of`).
+is made, with one sentence for every mistake. The same class gives a function its keywords (`siamloc.calls.takes`) and
+the command line its defaults (`defaults_of`).
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
@@ -14,31 +14,23 @@ line its defaults (`defaults_of`).
     Filter(window=7, share=None)
     >>> Filter(window=0)
     Traceback (most recent call last):
-    siamloc.errors.ConfigError: task.filter.window must be a whole number from 1, got 0
+    siamloc.errors.ConfigError: task.filter.window must be a whole number from 1 to 10 million, got 0
 """
 
 from __future__ import annotations
 
 import dataclasses
-import inspect
-import math
-import re
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
-from functools import wraps
 from pathlib import Path
-from textwrap import dedent, indent
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from siamloc.errors import ConfigError, hint
 
 Result = TypeVar("Result")
 Kind = TypeVar("Kind", bound="Settings")
-
-_ATTRIBUTES = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", flags=re.MULTILINE)
-_SETTINGS = re.compile(r"^    settings: .*\n(?:        .*\n)*", flags=re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -54,8 +46,13 @@ class Rule:
     holds: Callable[[Any], bool]
 
 
-Natural = Annotated[int, Rule("a whole number from 0", lambda value: value >= 0)]
-Count = Annotated[int, Rule("a whole number from 1", lambda value: value >= 1)]
+LARGEST = 10**10
+"""No number of a setting is larger than this, in either direction, whatever it is of; whole numbers have rules."""
+
+Natural = Annotated[int, Rule("a whole number from 0 to 10 million", lambda value: 0 <= value <= 10_000_000)]
+Count = Annotated[int, Rule("a whole number from 1 to 10 million", lambda value: 1 <= value <= 10_000_000)]
+Thousand = Annotated[int, Rule("a whole number from 1 to 1,000", lambda value: 1 <= value <= 1000)]
+Seed = Annotated[int, Rule("a whole number from 0 to 4,294,967,295", lambda value: 0 <= value < 2**32)]
 Positive = Annotated[float, Rule("a number above 0", lambda value: value > 0)]
 NotNegative = Annotated[float, Rule("a number from 0", lambda value: value >= 0)]
 Share = Annotated[float, Rule("a number from 0 to 1", lambda value: 0 <= value <= 1)]
@@ -66,9 +63,19 @@ Size = Annotated[
 ]
 Text = Annotated[str, Rule("a text that is not empty", lambda value: bool(value.strip()))]
 Workers = Annotated[int, Rule("a whole number from 0 to 1,024", lambda value: 0 <= value <= 1024)]
+Pace = Annotated[float, Rule("0, or a number from 0.001 to 1,000", lambda value: value == 0 or 0.001 <= value <= 1000)]
 Port = Annotated[int, Rule("a whole number from 0 to 65,535", lambda value: 0 <= value <= 65_535)]
-Many = Annotated[int, Rule("a whole number from 1 to 10 million", lambda value: 1 <= value <= 10_000_000)]
-"""How many of something are kept in memory."""
+
+
+class _Named(type):
+    def __getattr__(cls, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return _Named(name, (Absent,), {})
+
+
+class Absent(metaclass=_Named):
+    """Stands in for a class that is not loaded: a value is of its kind if a class of that name is among its bases."""
 
 
 class Settings:
@@ -97,7 +104,7 @@ class Settings:
             if key not in known:
                 raise ConfigError(f"unknown key {cls._key(str(key))}: {hint(str(key), known)}")
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]
-            if field.name not in values and _default(field) is dataclasses.MISSING:
+            if field.name not in values and default_of(field) is dataclasses.MISSING:
                 key = cls._key(field.name)
                 raise ConfigError(f"{key} is not set: give it as {key}=VALUE")
         return cls(**values)
@@ -119,47 +126,8 @@ def fields_of(kind: type) -> dict[str, Any]:
 
 def defaults_of(kind: type[Settings]) -> dict[str, Any]:
     """Return the defaults of a settings class as plain values; fields without one are left out."""
-    values = {field.name: _default(field) for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    values = {field.name: default_of(field) for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     return {name: _plain(value) for name, value in values.items() if value is not dataclasses.MISSING}
-
-
-def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Let a function be called with the fields of a settings class as keywords.
-
-    The function itself has one keyword, `settings`; a caller gives either that, made or as plain values, or the fields.
-    What it is called with is shown by `help` and by a notebook's completion, field by field; in the docstring the
-    fields take the place of the line about `settings`.
-    """
-
-    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
-        own = inspect.signature(function)
-        # Keywords that are fields become `settings`; the rest are the function's own.
-        parameters = [one for one in own.parameters.values() if one.name != "settings"]
-        fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-        named = [*(one.name for one in parameters if one.kind is one.KEYWORD_ONLY), *fields]
-
-        @wraps(function)
-        def call(*arguments: Any, settings: Settings | Mapping[str, Any] | None = None, **keywords: Any) -> Result:
-            given = {name: keywords.pop(name) for name in list(keywords) if name in fields}
-            for name in keywords:
-                if name not in own.parameters:
-                    raise ConfigError(f"{function.__name__} has no setting {name!r}: {hint(name, named)}")
-            if settings is not None and given:
-                raise ConfigError(f"{function.__name__} takes settings=... or {', '.join(given)}, not both")
-            chosen = kind.of(given) if settings is None else checked(settings, kind, "settings")
-            return function(*arguments, settings=chosen, **keywords)
-
-        shown = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_shown(field), annotation=field.type)
-            for name, field in fields.items()
-        ]
-        call.__signature__ = own.replace(parameters=[*parameters, *shown])  # type: ignore[attr-defined]
-        if listed := _described(kind):
-            text = inspect.cleandoc(function.__doc__ or "")
-            call.__doc__ = _SETTINGS.sub(lambda _: f"{indent(listed, '    ')}\n", text, count=1)
-        return call
-
-    return decorate
 
 
 def checked(value: Any, kind: Any, key: str) -> Any:
@@ -170,7 +138,9 @@ def checked(value: Any, kind: Any, key: str) -> Any:
     """
     fits, found = _fit(value, kind, key)
     if not fits:
-        raise ConfigError(f"{key} must be {words_for(kind)}, got {shortened(repr(value))}")
+        only_too_large = _beyond(value) and _fit(_within(value), kind, key)[0]
+        most = f", at most {LARGEST:,} in size" if only_too_large else ""
+        raise ConfigError(f"{key} must be {words_for(kind)}{most}, got {shortened(repr(value))}")
     return found
 
 
@@ -199,11 +169,18 @@ def words_for(kind: Any) -> str:
         if origin is tuple and parts[-1] is not Ellipsis:
             return f"a list of {len(parts)}: {', '.join(words_for(part) for part in parts)}"
         return f"a list, each item {words_for(parts[0])}"
+    if origin is Callable:
+        return "a function"
+    if getattr(origin, "__module__", "") == "numpy":
+        return "an array"
     if origin in (dict, Mapping) or kind in (dict, Mapping):
         return "a mapping of keys to values"
+    if kind is None:
+        return "null"
     if isinstance(kind, type) and issubclass(kind, Settings):
         return f"a group with the keys {', '.join(fields_of(kind))}"
-    return _WORDS.get(kind, getattr(kind, "__name__", str(kind)))
+    name = getattr(kind, "__name__", str(kind))
+    return _WORDS.get(kind, f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")
 
 
 _WORDS = {
@@ -216,13 +193,14 @@ _WORDS = {
 }
 
 
+_LISTS = (tuple, list, Sequence)
+
+
 def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
     """Say whether a value is of a kind, and return it in that kind's form."""
     origin, parts = get_origin(kind), get_args(kind)
     if kind is Any:
         return True, value
-    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
-        value = value.tolist()
     if origin is Annotated:
         fits, found = _fit(value, parts[0], key)
         return fits and all(rule.holds(found) for rule in parts[1:] if isinstance(rule, Rule)), found
@@ -232,9 +210,13 @@ def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
             if fits:
                 return True, found
         return False, value
+    if isinstance(origin, type) and origin not in (Annotated, *_LISTS, dict, Mapping, types.UnionType):
+        return isinstance(value, origin), value  # an array, a function: what is in it cannot be told
+    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
+        value = value.tolist()
     if origin is Literal:
         return isinstance(value, str | int) and not isinstance(value, bool) and value in parts, value
-    if origin in (tuple, list, Sequence):
+    if origin in _LISTS:
         return _fit_list(value, origin, parts, key)
     if origin in (dict, Mapping) or kind in (dict, Mapping):
         return isinstance(value, Mapping), dict(value) if isinstance(value, Mapping) else value
@@ -273,10 +255,16 @@ def _fit_list(value: Any, origin: Any, parts: tuple[Any, ...], key: str) -> tupl
 
 
 def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
+    if kind is None:
+        return value is None, value
+    if getattr(kind, "_is_protocol", False):  # whatever object can do the same
+        return value is not None and not isinstance(value, str | bytes | int | float | list | tuple | Mapping), value
+    if isinstance(kind, type) and issubclass(kind, Absent):
+        return any(one.__name__ == kind.__name__ for one in type(value).__mro__), value
     if isinstance(value, bool) and kind is not bool:
         return False, value
     if kind is float:
-        return isinstance(value, int | float) and math.isfinite(value), value
+        return isinstance(value, int | float) and not _beyond(value), value
     if kind is Path:
         if isinstance(value, str):
             return bool(value.strip()), Path(value).expanduser()
@@ -284,24 +272,27 @@ def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
     return not isinstance(kind, type) or isinstance(value, kind), value
 
 
-def _default(field: dataclasses.Field[Any]) -> Any:
+def _beyond(value: Any) -> bool:
+    """Say whether a value, or an item of a list, is no number that can be calculated with: too large, or none."""
+    if isinstance(value, list | tuple):
+        return any(map(_beyond, value))
+    return isinstance(value, int | float) and not abs(value) <= LARGEST
+
+
+def _within(value: Any) -> Any:
+    """Return a value with each number cut to the largest size that one may have."""
+    if isinstance(value, list | tuple):
+        return [_within(item) for item in value]
+    if not isinstance(value, int | float) or value != value:
+        return value
+    return type(value)(min(max(value, -LARGEST), LARGEST))
+
+
+def default_of(field: dataclasses.Field[Any]) -> Any:
+    """Return the default of a field; dataclasses.MISSING where it has none."""
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
     return field.default
-
-
-def _described(kind: type[Settings]) -> str:
-    """Return what the docstring of a settings class, and of those it builds on, says of the fields."""
-    texts = [
-        inspect.cleandoc(one.__doc__) for one in reversed(kind.__mro__) if issubclass(one, Settings) and one.__doc__
-    ]
-    found = [_ATTRIBUTES.search(text) for text in texts[1:]]
-    return "\n".join(dedent(one[1]).rstrip("\n") for one in found if one)
-
-
-def _shown(field: dataclasses.Field[Any]) -> Any:
-    default = _default(field)
-    return inspect.Parameter.empty if default is dataclasses.MISSING else default
 
 
 def _plain(value: Any) -> Any:

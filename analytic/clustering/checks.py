@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from analytic.arrays import real
 from analytic.errors import AnalyticError
 
 _BLOCK_BYTES = 32 << 20
@@ -19,10 +20,7 @@ def vectors(values: ArrayLike, what: str = "descriptors") -> NDArray[np.float64]
     Raises:
         AnalyticError: another shape, no rows, or values that are not finite.
     """
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise AnalyticError(f"{what} must be an array of numbers of shape (n, D): {error}") from error
+    array = real(values, what)
     if array.ndim != 2 or not array.size:
         raise AnalyticError(f"{what} must have shape (n, D) with n and D at least 1, got {array.shape}")
     wrong = int((~np.isfinite(array)).any(axis=1).sum())

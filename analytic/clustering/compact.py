@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from analytic.arrays import real
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
 
@@ -26,7 +27,7 @@ def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
         >>> sample(5, 2).tolist()
         [0, 0, 0, 1, 1]
     """
-    frames = checks.whole(n, "the number of frames", 1)
+    frames = checks.whole(n, "the number of frames", 1, 100_000_000)
     count = checks.clusters(n_clusters, frames)
     return np.arange(frames, dtype=np.int64) * count // frames
 
@@ -82,7 +83,7 @@ def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
         >>> positions([[0.0, 1.0], [2.0, 1.0], [float("nan"), 1.0]], [0, 0, 1]).tolist()
         [[1.0, 1.0], [nan, nan]]
     """
-    array = np.asarray(points, dtype=np.float64)
+    array = real(points, "positions")
     unknown = np.isnan(array).any(axis=-1) if array.ndim == 2 else np.zeros(0, dtype=bool)
     known = checks.vectors(np.where(np.isnan(array), 0.0, array), "positions")
     names = checks.cluster_labels(labels, len(known))

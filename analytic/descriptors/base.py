@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from numbers import Integral, Real
@@ -29,6 +30,8 @@ _KINDS: dict[str, tuple[type, type, str]] = {
     "float": (Real, float, "a number"),
     "str": (str, str, "a text"),
 }
+MOST = 16_384  # rows or columns of an image, and so of anything that is counted in one
+_NUMBERS = 1 << 24  # of the description of one image
 Part = Any  # a tensor, or an array
 
 
@@ -189,6 +192,8 @@ class ImageDescriptor(Descriptor):
             value = value.item() if isinstance(value, np.generic) else value
             if not isinstance(value, kind) or isinstance(value, bool) != (kind is bool):
                 raise AnalyticError(f"{self.name} needs {wanted} for {field.name}, got {value!r}")
+            if isinstance(value, int | float) and abs(value) > MOST:
+                raise AnalyticError(f"{self.name} needs {wanted} up to {MOST:,} for {field.name}, got {value!r}")
             object.__setattr__(self, field.name, plain(value))
         self._check_parameters()
 
@@ -243,6 +248,12 @@ class ImageDescriptor(Descriptor):
         if width < 2:
             raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
         self._check_size(height, width)
+        numbers = sum(math.prod(shape) for shape in self.sizes(height, width))
+        if numbers > _NUMBERS:
+            raise AnalyticError(
+                f"{self.name} with these parameters describes an image by {numbers:,} numbers, more than {_NUMBERS:,}: "
+                "ask for fewer"
+            )
 
     def _describe_part(self, images: Tensor) -> tuple[NDArray[Any], NDArray[Any]]:
         import torch

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Any, cast
 
 from analytic.descriptors.base import ImageDescriptor
-from analytic.errors import AnalyticError, hint
+from analytic.errors import AnalyticError, hint, known
 
 DESCRIPTORS: dict[str, tuple[str, str]] = {
     "fs": ("fourier", "FourierSignature"),
@@ -62,7 +62,5 @@ def parameters(name: str) -> dict[str, Any]:
 
 
 def _class(name: str) -> type[ImageDescriptor]:
-    if name not in DESCRIPTORS:
-        raise AnalyticError(f"unknown descriptor {name!r}: {hint(name, DESCRIPTORS)}")
-    module, kind = DESCRIPTORS[name]
+    module, kind = DESCRIPTORS[known(name, DESCRIPTORS, "descriptor")]
     return cast(type[ImageDescriptor], getattr(import_module(f"analytic.descriptors.{module}"), kind))

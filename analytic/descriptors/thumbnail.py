@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analytic.description import Description
-from analytic.descriptors.base import Descriptor
+from analytic.descriptors.base import MOST, Descriptor
 from analytic.errors import AnalyticError
 from analytic.images import as_grey
 
@@ -37,8 +37,10 @@ class Thumbnail(Descriptor):
 
     def __init__(self, rows: int = 8, columns: int = 32) -> None:
         whole = all(isinstance(size, int | np.integer) and not isinstance(size, bool) for size in (rows, columns))
-        if not whole or rows < 1 or columns < 1:
-            raise AnalyticError(f"rows and columns of a thumbnail must be whole numbers from 1, got {rows} x {columns}")
+        if not whole or not (1 <= rows <= MOST and 1 <= columns <= MOST):
+            raise AnalyticError(
+                f"rows and columns of a thumbnail must be whole numbers from 1 to {MOST:,}, got {rows} x {columns}"
+            )
         self.rows = int(rows)
         self.columns = int(columns)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from math import floor, isfinite
+from math import floor
 from typing import Any
 
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError, hint
 
 _CLOSE = 1e-9  # a product such as 0.2 * 15 may be off by rounding, and must not fall below the whole number
+_MOST = 10_000_000
 _SMALLEST_GAUSSIAN = 2  # frames that a standard deviation needs
 
 
@@ -157,7 +158,7 @@ def parameters(values: dict[str, Any]) -> Parameters:
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= _MOST
 
 
 def _positive(name: str, value: Any) -> None:
@@ -166,5 +167,5 @@ def _positive(name: str, value: Any) -> None:
 
 
 def _whole(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise AnalyticError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= _MOST:
+        raise AnalyticError(f"{name} must be a whole number from {least} to {_MOST:,}, got {value!r}")

@@ -80,7 +80,7 @@ def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance
         >>> found.frames.round(3).tolist(), found.sizes.tolist()
         ([0.889, 0.875, 0.0], [2, 1])
     """
-    if mode not in MODES:
+    if not isinstance(mode, str) or mode not in MODES:
         raise AnalyticError(f"a silhouette has mode {' or '.join(map(repr, MODES))}, got {mode!r}")
     distance_named(distance)
     x = checks.vectors(X, "positions or descriptors")

@@ -75,6 +75,9 @@ def _dispatch(words: list[str]) -> int:
     from siamloc.cli.compose import run
 
     if key := COMMANDS[command].takes:
+        alone = [word for word in overrides if not word.startswith("-") and "=" not in word]
+        if len(alone) > 1:
+            raise ConfigError(f"siamloc {command} takes one {key}, got {' '.join(alone)}: run it once for each")
         overrides = [_with_key(key, word) for word in overrides]
     return run(command, getattr(commands, COMMANDS[command].function), overrides)
 

@@ -16,15 +16,30 @@ from omegaconf import DictConfig, OmegaConf
 
 from siamloc.cli.schema import OF_TRAINING, config_folder
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import Count, Natural, Rule, Settings, Share, Size, Text, Workers, checked, fields_of
+from siamloc.files import PICTURES, is_picture
+from siamloc.models.registry import Outputs
+from siamloc.settings import (
+    Count,
+    Natural,
+    Rule,
+    Seed,
+    Settings,
+    Share,
+    Size,
+    Text,
+    Thousand,
+    Workers,
+    checked,
+    fields_of,
+)
 from siamloc.training.settings import Training
 
 Folder = Annotated[str, Rule("the name of a folder", lambda value: bool(value.strip()))]
 Device = Annotated[str, Rule("auto, cpu or cuda", lambda value: re.fullmatch(r"auto|cpu|cuda(:\d+)?", value))]
 Images = tuple[Text, ...] | Text | None
-Thousand = Annotated[int, Rule("a whole number from 1 to 1,000", lambda value: 1 <= value <= 1000)]
 Listed = Annotated[str, Rule("numbers between commas", lambda value: bool(re.fullmatch(r"\d+(,\d+)*,?", value)))]
 Depth = Annotated[int, Rule("a whole number from 1 to 10,000", lambda value: 1 <= value <= 10_000)]
+Picture = Annotated[str, Rule(f"a picture's name, ending {' '.join(PICTURES)}", is_picture)]
 Several = Annotated[tuple[Text, ...], Rule("a list of one name or more", lambda value: len(value) > 0)]
 Devices = Annotated[tuple[Natural, ...], Rule("a list of one number or more", lambda value: len(value) > 0)]
 
@@ -55,7 +70,7 @@ class Head(Settings):
     WHERE = "model.head"
 
     name: Text
-    outputs: Count | None = None
+    outputs: Outputs | None = None
 
 
 @dataclass(frozen=True)
@@ -154,7 +169,7 @@ class Expand(Settings):
     out: Folder
     depth: Depth = 16
     sequences: tuple[Text, ...] | Text | None = ()
-    seed: Natural = 0
+    seed: Seed = 0
     workers: Thousand = 2
     resume: bool = False
 
@@ -163,7 +178,7 @@ class Expand(Settings):
 class Preview(Settings):
     """The keys of `conf/preview.yaml` that belong to no group."""
 
-    out: Text = "augmentation.png"
+    out: Picture = "augmentation.png"
     images: Images = ()
     count: Thousand = 6
 
@@ -174,7 +189,7 @@ class Demo(Settings):
 
     run: Folder = "runs/demo"
     data: Text = "data"
-    seed: Natural = 0
+    seed: Seed = 0
     overwrite: bool = False
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.runs import Run, newest_run
-from siamloc.settings import Many, NotNegative, Port, Rule, Settings, Text, fields_of
+from siamloc.settings import Count, Pace, Port, Rule, Settings, Text, fields_of
 
 if TYPE_CHECKING:
     from siamloc.runtime import Localizer
@@ -42,7 +42,7 @@ class Robot(Settings):
     images: tuple[Text, ...] | Text = ()
     run: Path | None = None
     bundle: Path | None = None
-    top: Many = 3
+    top: Count = 3
     track: bool = False
     threads: Threads | None = None
     hierarchical: bool | None = None
@@ -143,7 +143,7 @@ class Watch(Robot):
 
     host: Text = "127.0.0.1"
     port: Port = 8000
-    fps: NotNegative = 5.0
+    fps: Pace = 5.0
 
 
 def live(words: Sequence[str]) -> int:

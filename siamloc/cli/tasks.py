@@ -33,6 +33,7 @@ from siamloc.evaluation.disturbed import Robustness
 from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
+from siamloc.files import real_path
 from siamloc.maps import Built, VisualMap
 from siamloc.runs import Run
 
@@ -95,7 +96,7 @@ def _hierarchical(config: DictConfig, run: Run, settings: Hierarchical) -> tuple
     coarse, coarse_label = None, label
     if other is not None and other != label_of(config.descriptor):
         options = {"name": "network", "run": other} if (Path(other) / "run.json").is_file() else options_of(other)
-        coarse_label = f"network-{Path(other).resolve().name}" if "run" in options else label_of(options)
+        coarse_label = f"network-{real_path(other).name}" if "run" in options else label_of(options)
         coarse = maps.build(descriptor_of(config, run, options), images, known.frames, distance=config.distance)
     if (known if coarse is None else coarse).aligned and settings.coarse.by == "representatives":
         raise ConfigError(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import typed
 from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -19,6 +20,7 @@ _FITS, _FAILS = 0.9, 0.7  # how well headings follow the direction of travel, fr
 _TURN = 2 * np.pi
 
 
+@typed
 def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str]:
     """Check a data set for what goes unnoticed until the results are poor.
 
@@ -41,6 +43,7 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
     return [*_headings(frames), *_missing(frames), *_drives(frames), *_sizes(frames, images), *_copies(frames)]
 
 
+@typed
 def summary(frames: FrameTable) -> str:
     """Describe a data set in a line for each drive and each room: frames, lighting, and how far apart the frames lie.
 
@@ -64,6 +67,7 @@ def summary(frames: FrameTable) -> str:
     return "\n".join(lines)
 
 
+@typed
 def room_sizes(frames: FrameTable) -> dict[str, tuple[int, float]]:
     """Return of each room its frames and the largest distance between two of them ([T] table 5.5).
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from augment.errors import AugmentError
 from augment.expand import expand as write_variants
 from augment.expand import headings
+from siamloc.calls import typed
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.data.expansion import outputs, write_lists
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, DataError
-from siamloc.files import alone, storage_errors
+from siamloc.files import alone, real_path, storage_errors
 from siamloc.progress import track
 
 
@@ -65,6 +66,7 @@ class Expanded:
         return "\n".join(lines)
 
 
+@typed
 def expand(
     frames: FrameTable,
     out: str | Path,
@@ -139,8 +141,8 @@ def expand(
 
 def _check_apart(folder: Path, root: Path, kind: str, frames: FrameTable) -> None:
     """Raise ConfigError if the pictures would come to lie where they would be read as frames again."""
-    inside = folder.resolve()
-    if kind != "manifest" and inside.is_relative_to(root.resolve()):
+    inside = real_path(folder)
+    if kind != "manifest" and inside.is_relative_to(real_path(root)):
         raise ConfigError(f"out={folder} lies in the data set {root} itself: choose a folder outside of it")
-    if any(parent.is_relative_to(inside) for parent in {Path(path).resolve().parent for path in frames.path.tolist()}):
+    if any(parent.is_relative_to(inside) for parent in {real_path(path).parent for path in frames.path.tolist()}):
         raise ConfigError(f"out={folder} holds images that are to be expanded: choose a folder outside of the data")

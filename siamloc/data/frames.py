@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")
@@ -70,6 +71,8 @@ class FrameTable:
     source: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.path, Sequence | np.ndarray) or isinstance(self.path, str | bytes):
+            raise DataError(f"column 'path' must be a list of image files, got {self.path!r}")
         n = len(self.path)
         for name in _COLUMNS:
             value = getattr(self, name)
@@ -123,6 +126,7 @@ class FrameTable:
         """Return the columns by name."""
         return {name: getattr(self, name) for name in _COLUMNS}
 
+    @typed
     def take(self, rows: ArrayLike | slice) -> FrameTable:
         """Return the rows given by positions, a mask (n,) or a slice, in that order."""
         key: Any = rows if isinstance(rows, slice) else np.asarray(rows)
@@ -130,6 +134,7 @@ class FrameTable:
             key = key.astype(np.int64)
         return self.with_columns(**{name: column[key] for name, column in self.columns().items()})
 
+    @typed
     def select(self, **wanted: str | Iterable[str]) -> FrameTable:
         """Return the frames whose labels are among the wanted ones.
 
@@ -148,6 +153,8 @@ class FrameTable:
             present = sorted(set(values.tolist()))
             labelled = [value for value in present if value]
             chosen: set[str] = set()
+            if not isinstance(labels, Iterable):
+                raise ConfigError(f"{column} must be a label or a list of labels, got {labels!r}")
             for label in [labels] if isinstance(labels, str) else labels:
                 matches = [value for value in present if value == label or fnmatchcase(value, str(label))]
                 if not matches and not labelled:
@@ -158,21 +165,23 @@ class FrameTable:
             mask &= np.isin(values, sorted(chosen))
         return self.take(mask)
 
+    @typed
     def every(self, k: int, offset: int = 0) -> FrameTable:
         """Return every k-th frame of each sequence, beginning with its first, or so many frames later.
 
         Raises:
             ConfigError: k is not a positive whole number, or the offset none from 0 to k - 1.
         """
-        if k != int(k) or k < 1:
+        if k < 1:
             raise ConfigError(f"every k-th frame needs a whole k >= 1, got {k}")
-        if offset != int(offset) or not 0 <= offset < k:
+        if not 0 <= offset < k:
             raise ConfigError(f"of every {k} frames the first one kept is 0 to {k - 1}, got offset={offset}")
         keep = np.zeros(len(self), dtype=bool)
         for rows in self.rows_by("sequence").values():
-            keep[rows[int(offset) :: int(k)]] = True
+            keep[rows[offset::k]] = True
         return self.take(keep)
 
+    @typed
     def spaced(self, metres: float) -> FrameTable:
         """Return, of each sequence, the first frame and then each that is `metres` away from the last one kept.
 
@@ -237,6 +246,7 @@ class FrameTable:
         return cls(**{name: [row.get(name, empty[name]) for row in rows] for name in _COLUMNS})  # type: ignore[arg-type]
 
 
+@typed
 def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
     """Join tables one after the other. What they all have as `unit` and `source` is kept.
 
@@ -283,4 +293,8 @@ def _filled(name: str, n: int) -> NDArray[Any]:
 
 
 def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
-    return np.array(value, dtype=np.str_ if name in _TEXT else np.float64)
+    try:
+        return np.array(value, dtype=np.str_ if name in _TEXT else np.float64)
+    except (TypeError, ValueError) as error:
+        what = "texts" if name in _TEXT else "numbers"
+        raise DataError(f"column {name!r} must hold {what}, one for each frame: {error}") from error

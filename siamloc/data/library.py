@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.calls import typed
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
@@ -61,6 +62,7 @@ class PanoramaLibrary:
         (2, 3, 8, 32)
     """
 
+    @typed
     def __init__(
         self,
         frames: FrameTable,

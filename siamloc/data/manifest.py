@@ -17,6 +17,7 @@ COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "
 
 _NUMBERS = ("x", "y", "theta", "time")
 
+_MOST_COLUMNS = 1000
 _FARTHEST = 1e7  # metres from the origin
 
 
@@ -46,6 +47,10 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     header = next(lines, None)
     if header is None:
         raise DataError(f"{file} is empty: expected a first line with the columns {', '.join(COLUMNS)}")
+    if len(header[1]) > _MOST_COLUMNS:
+        raise DataError(
+            f"{file} has {len(header[1]):,} columns, more than {_MOST_COLUMNS:,}: keep those of {', '.join(COLUMNS)}"
+        )
     names = _column_names(file, header[1])
     frames = []
     seen: dict[tuple[str, str], int] = {}

@@ -9,9 +9,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.settings import Many, Positive, Settings, Share, checked
+from siamloc.settings import Count, Positive, Settings, Share, checked
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class PairSettings(Settings):
 
     label: Literal["auto", "room", "distance"] = "auto"
     same_room_share: Share | None = None
-    epoch_pairs: Many | None = None
+    epoch_pairs: Count | None = None
     balance: Literal["frames", "rooms"] = "frames"
     scale: Positive | Mapping[str, Any] | None = None
 
@@ -99,6 +100,7 @@ class PairSampler:
         2
     """
 
+    @typed
     def __init__(self, frames: FrameTable, settings: PairSettings | None = None, *, seed: int = 0) -> None:
         if len(frames) < 2:
             raise DataError(f"pairs need at least two frames, got {len(frames)}")

@@ -23,17 +23,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.settings import NotNegative, Positive, Settings, checked
 
 Array = NDArray[Any]
 
 
+@typed
 def column_azimuth(width: int) -> Array:
     """Return the azimuth in rad of the middle of each panorama column (W,), from +pi down to -pi."""
     return (width / 2 - np.arange(width) - 0.5) * (2 * np.pi / width)
 
 
+@typed
 def azimuth_column(azimuth: Array | float, width: int) -> Array:
     """Return the fractional column [-0.5, W - 0.5) at which a direction appears; inverse of `column_azimuth`."""
     column = width / 2 - 0.5 - np.asarray(azimuth, dtype=np.float64) * width / (2 * np.pi)
@@ -229,6 +232,7 @@ CAMERAS: dict[str, type[PolarRing] | type[HyperbolicMirror] | None] = {
 }
 
 
+@typed
 def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | None = None) -> Array:
     """Unwrap an omnidirectional image to a panorama by bilinear sampling.
 

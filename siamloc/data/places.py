@@ -9,9 +9,10 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.settings import Many, NotNegative, Positive, Settings, Share, checked
+from siamloc.settings import Count, NotNegative, Positive, Settings, Share, checked
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,14 @@ class PlaceSettings(Settings):
     )
 
     by: Literal["position", "sequence"] = "position"
-    places: Many = 16
-    images: Many = 4
+    places: Count = 16
+    images: Count = 4
     radius: NotNegative = 0.3
     near: Share = 0.0
     reach: NotNegative = 2.0
     same_room_share: Share | None = None
     lightings: Mapping[str, float] | None = None
-    epoch_batches: Many | None = None
+    epoch_batches: Count | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,6 +88,7 @@ class PlaceSampler:
         True
     """
 
+    @typed
     def __init__(self, frames: FrameTable, settings: PlaceSettings | None = None, *, seed: int = 0) -> None:
         from scipy.spatial import cKDTree
 

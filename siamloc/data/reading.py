@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from siamloc.calls import typed
 from siamloc.data.cold import read_cold
 from siamloc.data.folder import read_folder
 from siamloc.data.frames import FrameTable
@@ -22,6 +23,7 @@ READERS: dict[str, Callable[..., FrameTable]] = {"cold": read_cold, "folder": re
 _PATHS = ("root", "places", "manifest")
 
 
+@typed
 def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTable:
     """Read the frames of a data set.
 

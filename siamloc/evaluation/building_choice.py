@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -22,6 +23,7 @@ from siamloc.results import Columns, rows_by_label
 from siamloc.stopwatch import Stopwatch
 
 
+@typed
 def buildings(
     known: VisualMap | Sequence[VisualMap],
     images: PanoramaLibrary,
@@ -98,6 +100,7 @@ def buildings(
     )
 
 
+@typed
 def by_building(known: Sequence[VisualMap]) -> dict[str, VisualMap]:
     """Return maps of one building each, by the building's name.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description, clustering
+from siamloc.calls import takes
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -23,7 +24,7 @@ from siamloc.maps import HierarchicalSearch, NodeRanking, Retrieval, VectorIndex
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.progress import track
 from siamloc.results import Columns, rows_by_label
-from siamloc.settings import Count, Settings, takes
+from siamloc.settings import Count, Seed, Settings
 from siamloc.stopwatch import Stopwatch
 
 _REPEATED, _SHORT = 9, 0.2  # searches, and seconds
@@ -63,7 +64,7 @@ def compact(
     clusters: VisualMap | None = None,
     protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     name: str | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     settings: Compact,
 ) -> Result:
     """Locate queries in maps of fewer and fewer nodes, each of which one descriptor stands for.

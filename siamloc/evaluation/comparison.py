@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from siamloc.calls import typed
 from siamloc.comparison import Comparison, differing, files_named, flat
 from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.results import FURTHER, read_results
@@ -25,6 +26,7 @@ _ALWAYS = ("descriptor", "distance", "heading", "build")
 _LEFT_OUT = ("data.cache", "data.name", "model.image_size", "frames", "data.unit")
 
 
+@typed
 def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -> Comparison:
     """Compare evaluations by what they measured: those of a sweep, or any others.
 

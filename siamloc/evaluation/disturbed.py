@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
+from siamloc.calls import takes
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -21,7 +22,7 @@ from siamloc.evaluation.session import Baselines, Session, cost
 from siamloc.maps import Retrieval, VisualMap, headings, match
 from siamloc.progress import track
 from siamloc.results import Columns
-from siamloc.settings import Count, NotNegative, Rule, Settings, takes
+from siamloc.settings import Count, NotNegative, Rule, Seed, Settings
 from siamloc.stopwatch import Stopwatch
 
 Images = NDArray[np.uint8]
@@ -94,7 +95,7 @@ def robustness(
     protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     baselines: Baselines = (),
     name: str | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     settings: Robustness,
 ) -> Result:
     """Measure how errors grow when the queries' images are disturbed.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
+from siamloc.calls import takes
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -26,7 +27,7 @@ from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, Ranking, rank_by_position
 from siamloc.results import Columns, rows_by_label
-from siamloc.settings import Count, Natural, NotNegative, Rule, Settings, takes
+from siamloc.settings import Count, Natural, NotNegative, Rule, Settings
 from siamloc.stopwatch import Stopwatch
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import takes, typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler, PairSettings
@@ -35,7 +36,7 @@ from siamloc.evaluation.session import Baselines, Search, Session, cost
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
 from siamloc.results import FURTHER
-from siamloc.settings import Count, Many, NotNegative, Settings, Share, takes
+from siamloc.settings import Count, NotNegative, Seed, Settings, Share
 from siamloc.stopwatch import Stopwatch
 
 
@@ -50,7 +51,7 @@ class JudgedPairs(Settings):
 
     WHERE = "task.pairs"
 
-    count: Many = 7000
+    count: Count = 7000
     same_room_share: Share = 0.5
 
 
@@ -97,7 +98,7 @@ def localization(
     protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     baselines: Baselines = (),
     name: str | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     settings: Localization,
 ) -> Result:
     """Locate queries in a map and compare with their true poses and rooms.
@@ -161,6 +162,7 @@ def localization(
     )
 
 
+@typed
 def rooms(known: VisualMap, images: PanoramaLibrary, queries: FrameTable, **options: Any) -> Result:
     """Find the room of queries by the map frame that looks most like each; options are those of `localization`.
 
@@ -177,6 +179,7 @@ def rooms(known: VisualMap, images: PanoramaLibrary, queries: FrameTable, **opti
     return localization(known, images, queries, names=("room_retrieval",), **options)
 
 
+@typed
 def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTable, **options: Any) -> ErrorModel:
     """Learn from validation frames how far off an estimate in a map probably is.
 

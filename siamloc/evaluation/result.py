@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from siamloc.calls import typed
 from siamloc.errors import DataError, FormatError
 from siamloc.files import atomic_files, plain, storage_errors
 from siamloc.results import Columns, read_results, read_rows, tables_of, write_results
@@ -143,6 +144,7 @@ class Result:
             raise DataError(f"there is no picture {name!r} of {self!r}: there is {', '.join(drawn) or 'none'}")
         return drawn[name if name is not None else next(iter(drawn))]()
 
+    @typed
     def save(self, folder: str | Path, *, pictures: bool = True) -> list[Path]:
         """Write `results.json`, a CSV file for each table, and the pictures; return the pictures' paths.
 
@@ -190,6 +192,7 @@ class Result:
         }
 
     @classmethod
+    @typed
     def load(cls, folder: str | Path) -> Result:
         """Read a result that `save` wrote; the tables of its baselines come among its own, as `queries_hog`.
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from siamloc import maps
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -107,6 +108,7 @@ class Session:
         DataError: no query's image can be read.
     """
 
+    @typed
     def __init__(
         self,
         known: VisualMap,

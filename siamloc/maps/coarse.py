@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.arrays_file import DAMAGE, read_arrays
+from siamloc.calls import typed
 from siamloc.errors import DataError, FormatError
 from siamloc.files import atomic_path, parsed_json, plain
 from siamloc.maps.visual_map import VisualMap
@@ -141,6 +142,7 @@ class CoarseLayer:
         """Return the rows of the map in a node."""
         return np.flatnonzero(self.labels == node)
 
+    @typed
     def save(self, path: str | Path) -> None:
         """Write the layer into one npz file, atomically.
 
@@ -160,6 +162,7 @@ class CoarseLayer:
         return {name: getattr(self, name) for name in _ARRAYS} | dict(zip(_CLASSES, classes, strict=False))
 
     @classmethod
+    @typed
     def load(cls, path: str | Path) -> CoarseLayer:
         """Read a layer that `save` wrote.
 

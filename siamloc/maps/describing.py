@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.heading import HeadingPart, NetworkHeading, WithHeading
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from siamloc.data.library import PanoramaLibrary
 
 
+@typed
 def build(
     described_by: Descriptor | nn.Module | str,
     images: PanoramaLibrary,
@@ -100,6 +102,7 @@ def build(
     )
 
 
+@typed
 def describe(
     by: VisualMap | Descriptor,
     images: PanoramaLibrary,

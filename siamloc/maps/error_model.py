@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.learned import Learned
 from siamloc.maps.search import Retrieval
@@ -134,6 +135,7 @@ class ErrorModel(Learned):
         object.__setattr__(self, "errors", tuple(errors.tolist()))
 
     @classmethod
+    @typed
     def fit(
         cls,
         found: Retrieval,

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from analytic import clustering
 from analytic.mapper import IncrementalMapper, Parameters
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import read_json, storage_errors, write_json, write_text
 from siamloc.locks import held
 from siamloc.maps.coarse import CoarseLayer, naming
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
-from siamloc.settings import Count, Positive, Settings
+from siamloc.settings import Count, Positive, Seed, Settings
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,7 @@ class Built:
                 "ranks nodes by another descriptor, give the map it was built over as coarse_map="
             )
 
+    @typed
     def save(self, folder: str | Path) -> None:
         """Write the layer with all that explains it into a folder.
 
@@ -166,6 +168,7 @@ class Built:
         return text
 
     @classmethod
+    @typed
     def load(cls, folder: str | Path) -> Built:
         """Read what `save` wrote, except the mapper: that is `analytic.IncrementalMapper.load(folder / "mapper.npz")`.
 
@@ -181,11 +184,12 @@ class Built:
             raise FormatError(f"{folder / 'placing.json'} is not whole: build the layer again") from error
 
 
+@typed
 def group(
     known: VisualMap,
     way: str,
     *,
-    seed: int = 0,
+    seed: Seed = 0,
     folder: str | Path | None = None,
     progress: bool = True,
     **parameters: Any,

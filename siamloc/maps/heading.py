@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.files import plain
 from siamloc.maps.packing import packed
@@ -149,6 +150,7 @@ class WithHeading(Descriptor):
 
     name: ClassVar[str] = "with_heading"
 
+    @typed
     def __init__(self, position: Descriptor, heading: Descriptor) -> None:
         if position.aligned or heading.aligned:
             found = position if position.aligned else heading

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.matching import match, nearest_in_rows
@@ -185,6 +186,7 @@ class HierarchicalSearch:
         (array([2, 1]), array([1, 0]), array([4, 4]))
     """
 
+    @typed
     def __init__(
         self,
         known: VisualMap,

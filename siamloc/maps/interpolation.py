@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.search import Retrieval
@@ -47,6 +48,7 @@ def path_positions(frames: FrameTable) -> NDArray[np.float64]:
     return along
 
 
+@typed
 def interpolate_poses(
     found: Retrieval,
     frames: FrameTable,

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
 
+from siamloc.calls import typed
 from siamloc.errors import FormatError
 from siamloc.files import read_json, write_json
 from siamloc.settings import checked
@@ -66,6 +67,7 @@ class Learned:
         """Return the values of an older version as those of this one."""
         return held
 
+    @typed
     def save(self, path: str | Path) -> None:
         """Write it as JSON, atomically.
 
@@ -75,6 +77,7 @@ class Learned:
         write_json(path, self.as_dict())
 
     @classmethod
+    @typed
     def load(cls, path: str | Path) -> Self:
         """Read what `save` wrote.
 

@@ -9,12 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from analytic.distances import distance as distance_named
+from siamloc.calls import typed
 from siamloc.maps.search import Retrieval, check_excluded, check_neighbours
 from siamloc.maps.visual_map import VisualMap
 
 _PAIRS = 1 << 17  # aligned distances held at once
 
 
+@typed
 def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
     """Find the k nearest map frames of each query, exactly; min(k, m) of them.
 
@@ -51,6 +53,7 @@ def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: Array
     return Retrieval.concatenate(parts)
 
 
+@typed
 def headings(known: VisualMap, queries: Description, found: Retrieval, count: int = 1) -> NDArray[np.float64]:
     """Estimate the heading of each query by each of the first map frames found for it.
 
@@ -76,6 +79,7 @@ def headings(known: VisualMap, queries: Description, found: Retrieval, count: in
     return np.pi - np.remainder(np.pi - turned, 2 * np.pi)
 
 
+@typed
 def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
     """Return the distances (n, m) of queries to all map frames, by the map's distance.
 

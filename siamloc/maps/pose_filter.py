@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.refinement import FREEDOM, RefinedPoses
 
@@ -60,6 +61,7 @@ class PoseFilter:
         [[0.8, 0.0]]
     """
 
+    @typed
     def __init__(self, step: float, kidnapping: float = 1e-3) -> None:
         if not 0 < step < math.inf:
             raise ConfigError(f"the step of a pose filter must be positive, got {step}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from siamloc.calls import typed
 from siamloc.files import write_text
 from siamloc.maps.visual_map import VisualMap
 
@@ -16,6 +17,7 @@ _CONFIG = """embeddings {
 """
 
 
+@typed
 def write_projector(known: VisualMap, folder: str | Path) -> list[Path]:
     """Write the descriptors of a map with the room, lighting, sequence and position of each frame.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.interpolation import interpolate_poses
 from siamloc.maps.learned import Learned
@@ -167,6 +168,7 @@ class Refinement(Learned):
         return RefinedPoses(poses.xy, poses.theta, nothing, poses.used / count, found.indices[:, 0])
 
 
+@typed
 def refine(
     known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None, k: int = 3
 ) -> RefinedPoses:

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.distances import DISTANCES
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.settings import Count, checked
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and its answer
 _BYTES_PER_PAIR = 80  # of rows in which everything ties: score, mask, two indices, distance, and sorting them
@@ -79,6 +81,7 @@ class VectorIndex:
         array([[0, 2]])
     """
 
+    @typed
     def __init__(self, references: ArrayLike, distance: str = "euclidean") -> None:
         if distance not in DISTANCES:
             raise ConfigError(f"unknown distance {distance!r}: {hint(distance, DISTANCES)}")
@@ -92,6 +95,7 @@ class VectorIndex:
     def __len__(self) -> int:
         return len(self._references)
 
+    @typed
     def search(
         self,
         queries: ArrayLike,
@@ -245,9 +249,7 @@ def check_neighbours(k: int) -> int:
     Raises:
         ConfigError: it is not a whole number from 1.
     """
-    if int(k) != k or k < 1:
-        raise ConfigError(f"a search needs a whole number of neighbours k >= 1, got {k}")
-    return int(k)
+    return int(checked(k, Count, "k, the number of neighbours,"))
 
 
 def _candidates(scores: NDArray, slack: NDArray, k: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -295,6 +297,8 @@ def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArr
 
 def _checked(array: ArrayLike, what: str) -> NDArray:
     values = np.asarray(array)
+    if values.dtype.kind not in "biuf":
+        raise DataError(f"a search needs {what} descriptors of real numbers, got {values.dtype}")
     values = values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
     if values.ndim != 2:
         raise DataError(f"a search needs {what} descriptors of shape (n, D), got shape {values.shape}")

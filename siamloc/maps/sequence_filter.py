@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED
@@ -73,6 +74,7 @@ class SequenceFilter:
         DataError: not one label for each map frame.
     """
 
+    @typed
     def __init__(
         self, motion: MotionModel, temperature: float, kidnapping: float = 1e-3, labels: ArrayLike | None = None
     ) -> None:
@@ -185,6 +187,7 @@ class MotionModel:
         return len(self.xy)
 
     @classmethod
+    @typed
     def learn(cls, frames: FrameTable, step: float | None = None, interval: float | None = None) -> MotionModel:
         """Learn the motion from the frames of a map.
 
@@ -304,6 +307,7 @@ def learn_temperature(distances: ArrayLike, true: ArrayLike) -> float:
     return scale * float(np.exp((low + high) / 2))
 
 
+@typed
 def temperature_of_map(known: VisualMap) -> float:
     """Return the temperature learned from the map itself: each frame is looked for among the others.
 
@@ -325,6 +329,7 @@ def temperature_of_map(known: VisualMap) -> float:
     return learn_temperature(apart, away.argmin(axis=1))
 
 
+@typed
 def tune_filter(
     motion: MotionModel,
     distances: ArrayLike,

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description, Descriptor
 from analytic.arrays_file import DAMAGE, read_arrays
 from analytic.distances import DISTANCES
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import atomic_path, parsed_json, plain
@@ -187,6 +188,7 @@ class VisualMap:
             return self.description.take(rows)
         return Description(self.descriptors[rows], self.heading.take(rows).orientation)
 
+    @typed
     def search(self, descriptors: ArrayLike, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
         """Find the k nearest map frames of each descriptor (n, D), exactly; min(k, len(map)) of them.
 
@@ -298,6 +300,7 @@ class VisualMap:
                 "Describe the queries with the map's model, or build the map again"
             )
 
+    @typed
     def save(self, path: str | Path, precision: Precision = "float32") -> None:
         """Write the map into one npz file, atomically; equal maps give equal files.
 
@@ -342,6 +345,7 @@ class VisualMap:
                     np.lib.format.write_array(member, array, allow_pickle=False)
 
     @classmethod
+    @typed
     def load(cls, path: str | Path, descriptor: Descriptor | None = None) -> VisualMap:
         """Read a map that `save` wrote.
 
@@ -475,7 +479,7 @@ def _shown(identity: Mapping[str, Any], key: str) -> str:
 
 def _check_distance(name: str, width: int) -> None:
     """Refuse a distance that is none, or by which all descriptors are alike."""
-    if name not in DISTANCES:
+    if not isinstance(name, str) or name not in DISTANCES:
         raise ConfigError(f"unknown distance {name!r}: {hint(str(name), DISTANCES)}")
     least = {"cosine": 2, "correlation": 3}.get(name, 1)
     if width < least:

@@ -9,12 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from siamloc.calls import takes
 from siamloc.errors import ConfigError, hint
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.near_and_far import CircleLoss, MultiSimilarityLoss, NearAndFarLoss, TripletLoss
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
 from siamloc.models.registry import MetricCalibrated, SoftContrastive
-from siamloc.settings import takes
 
 
 class SoftContrastiveLoss(ScheduledLoss):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor, nn
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
 from siamloc.models.checkpoint_file import CONTENT_KEY, network_state, read_checkpoint
 from siamloc.models.network import build
@@ -16,6 +17,7 @@ from siamloc.models.weights import mismatch, read_weights
 from siamloc.runs import Run
 
 
+@typed
 def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: nn.Module | None = None) -> nn.Module:
     """Load a trained network, on the CPU and in evaluation mode.
 

@@ -8,10 +8,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from siamloc.calls import takes
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.origins import Origins, check_batch
 from siamloc.models.registry import CrossEntropy
-from siamloc.settings import takes
 
 _ROOMS = 2  # that have to be told apart at least
 

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.between_columns import BetweenColumns
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.network import Network
@@ -142,6 +143,7 @@ class NetworkDescriptor(BetweenColumns):
         return super().pairwise(queries, references, distance)
 
 
+@typed
 def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | None = None) -> Descriptor:
     """Make a descriptor of whatever describes images: of a network, or of a descriptor as it is.
 

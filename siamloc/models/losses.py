@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 
 
@@ -43,6 +44,7 @@ class ContrastiveLoss(nn.Module):
         tensor(0.6250)
     """
 
+    @typed
     def __init__(self, margin: float = 2.0) -> None:
         super().__init__()
         if not (margin > 0 and math.isfinite(margin)):

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.models.canonical import Canonical
 from siamloc.models.circular import circular as around
@@ -33,6 +34,7 @@ _BY_FREQUENCY = (Fourier, Magnitudes)  # heads that forget how far the robot has
 RESIDUAL = 0.1  # share of the two convolutions in what a residual block gives at first
 
 
+@typed
 def build(
     branch: str,
     head: str,
@@ -145,6 +147,7 @@ class Network(nn.Module):
 
     rooms: RoomClassifier | None = None
 
+    @typed
     def __init__(
         self,
         branch: str,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError
 from siamloc.models.checkpoint import load
 from siamloc.models.network import Network, build
@@ -13,6 +14,7 @@ from siamloc.models.weights import check_shipped
 from siamloc.models.weights_file import write_weights
 
 
+@typed
 def pretrained(*, circular: bool = True, relative: bool = True) -> Network:
     """Make the network that comes with siamloc, in evaluation mode on the CPU; its card lies beside its weights.
 
@@ -62,6 +64,7 @@ def _rebuilt(network: Network, **changes: Any) -> Network:
     return found
 
 
+@typed
 def save_weights(network: Network, path: str | Path) -> Path:
     """Write the weights of a network into a file that `load` and `build(weights=...)` read, half as large as they are.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import Natural, NotNegative, Positive, Rule, Settings, Share
+from siamloc.settings import Natural, NotNegative, Positive, Rule, Settings, Share, checked
 
 Normalization = Literal["channels", "image", "local", "local_brightness"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
@@ -70,6 +70,7 @@ length, whose number of outputs can be chosen. `magnitudes` has no neurons, and 
 as many numbers."""
 
 
+Outputs = Annotated[int, Rule("a whole number from 1 to 65,536", lambda value: 1 <= value <= 65_536)]
 BelowOne = Annotated[float, Rule("a number from 0 to below 1", lambda value: 0 <= value < 1)]
 
 
@@ -314,6 +315,4 @@ def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
         return HEADS[name]
     if len(HEADS[name]) > 1:
         raise ConfigError(f"the head {name} gives {HEADS[name][-1]} numbers, as its name says: leave outputs out")
-    if isinstance(outputs, bool) or not isinstance(outputs, int) or outputs < 1:
-        raise ConfigError(f"outputs must be a whole number from 1, got {outputs!r}")
-    return (outputs,)
+    return (checked(outputs, Outputs, "outputs"),)

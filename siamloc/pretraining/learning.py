@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 import augment
+from siamloc.calls import typed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.models.batch_losses import UNIT_LENGTH
@@ -27,6 +28,7 @@ from siamloc.training.run_folder import check_folder
 from siamloc.training.settings import Monitor, Training
 
 
+@typed
 def pretrain(
     network: Network,
     *,

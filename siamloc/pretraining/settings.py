@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from siamloc.errors import ConfigError
-from siamloc.settings import Count, Natural, Positive, Settings
+from siamloc.settings import Count, Positive, Settings, Thousand, Workers
 from siamloc.training.recipes import RECIPES, Recipe
 
 
@@ -30,15 +30,15 @@ class ViewSettings(Settings):
     WHERE = "views"
 
     batches: Count = 15
-    held: Count = 24
-    together: Count = 2
-    drives: Count = 2
-    lights: Count = 4
-    poses: Count = 80
+    held: Thousand = 24
+    together: Thousand = 2
+    drives: Thousand = 2
+    lights: Thousand = 4
+    poses: Thousand = 80
     spacing: Positive = 0.3
     cameras: Literal["any", "panoramas", "built_in"] = "any"
     exposure: Literal["drawn", "metered"] = "drawn"
-    processes: Natural = 1
+    processes: Workers = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -30,6 +30,7 @@ from typing import Any
 
 import yaml
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, hint
 from siamloc.reproduce.published import Record, Source, published
 
@@ -84,6 +85,7 @@ def claims() -> tuple[Claim, ...]:
     return tuple(_claims().values())
 
 
+@typed
 def holds(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
     """Hold a check against numbers, published or measured.
 

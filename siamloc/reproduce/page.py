@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from siamloc.calls import typed
 from siamloc.files import write_text
 from siamloc.reproduce.recipe_book import data_named
 from siamloc.reproduce.running import Reproduction, Verdict, machine
@@ -24,6 +25,7 @@ Neither the building nor a check is tuned to a claim.
 """
 
 
+@typed
 def write_report(results: Sequence[Reproduction], path: str | Path, missing: Mapping[str, str] | None = None) -> Path:
     """Write the page of several reproductions next to their pictures, and return its path.
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import yaml
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, hint
 from siamloc.reproduce.published import Source
 
@@ -160,6 +161,7 @@ class Recipe:
         return MappingProxyType(_resolved(says, scale))
 
 
+@typed
 def recipe(id: str) -> Recipe:
     """Return a recipe by its id, or by that of a figure that it covers.
 

@@ -16,8 +16,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import content_key, read_json, write_json, write_text
+from siamloc.files import content_key, plain, read_json, storage_errors, write_json, write_text
 from siamloc.progress import track
 from siamloc.reproduce.claims import Claim, claim, holds
 from siamloc.reproduce.panels import grouped, names_of, said, shown, title, unit
@@ -34,6 +35,7 @@ from siamloc.reproduce.recipe_book import (
     seconds_of,
     without_measurement,
 )
+from siamloc.settings import NotNegative, Text, checked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -209,6 +211,7 @@ class Reproduction:
             raise ConfigError(f"{self.recipe.id} has no figure: see its table")
         return drawn(self.recipe.figure, [*self.records, *self.beside])
 
+    @typed
     def save(self, folder: str | Path) -> list[Path]:
         """Write ID.md, ID.csv, and ID.png where there is a figure; return the files.
 
@@ -255,6 +258,7 @@ class Reproduction:
         return _markdown(["measure", "of", "smallest", "with", "largest", "with"], lines) if lines else []
 
 
+@typed
 def reproduce(
     id: str | Recipe,
     *,
@@ -289,6 +293,9 @@ def reproduce(
     """
     chosen = recipe(id) if isinstance(id, str) else id
     _check(data, scale)
+    measured = Path(out) / "measured"
+    with storage_errors(measured):
+        measured.mkdir(parents=True, exist_ok=True)  # refused here, and not after the first job
     jobs, opened = chosen.jobs(scale), _Opened(data, None if root is None else Path(root), Path(out) / "training")
     records: list[Record] = []
     beside: list[Record] = []
@@ -303,6 +310,7 @@ def reproduce(
     )
 
 
+@typed
 def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
     """Return what can be reproduced: for each id what it is, what it needs, and about how long it takes.
 
@@ -399,17 +407,8 @@ def _done(job: Job, opened: _Opened, out: Path, data: str, measure: bool) -> dic
     held = opened.of(job)
     wanted = {"version": _VERSION, "data": data, "frames": _fingerprint(job, held), **job.plain()}
     path = out / "measured" / job.experiment / f"{content_key(wanted)}.json"
-    if path.is_file():
-        try:
-            kept = read_json(path)
-            records = [_of_plain(one) for one in kept["records"]]
-            if not records:
-                raise ValueError("no records")
-            # The first records name their processor by its family, which says little.
-            known = kept.get("machine", "") if " " in str(kept.get("machine", "")) else ""
-            return {"records": records, "seconds": float(kept["seconds"]), "machine": known}
-        except (FormatError, KeyError, TypeError, ValueError):
-            pass  # cut short, or by another version: measured again
+    if (kept := _kept(path, wanted)) is not None:
+        return kept
     if not measure:
         raise DataError(f"not all of it was measured before on these data and kept in {out}")
     from siamloc.reproduce.experiments import measured
@@ -417,8 +416,8 @@ def _done(job: Job, opened: _Opened, out: Path, data: str, measure: bool) -> dic
     start = time.monotonic()
     records = list(measured(job, held))
     took = {"seconds": time.monotonic() - start, "machine": machine()}
-    plain = [{"measure": one.measure, "value": one.value, "settings": dict(one.settings)} for one in records]
-    write_json(path, {"job": wanted, **took, "records": plain})
+    told = [{"measure": one.measure, "value": one.value, "settings": dict(one.settings)} for one in records]
+    write_json(path, {"job": wanted, **took, "records": told, "key": content_key(told)})
     return {"records": records, **took}
 
 
@@ -434,6 +433,27 @@ def machine() -> str:
     return said
 
 
+def _kept(path: Path, wanted: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return what was kept of a job; None where nothing is, or not what was written: then it is measured again."""
+    try:
+        kept = checked(read_json(path), dict, "kept")
+        told = checked(kept.get("records"), tuple[dict, ...], "records")
+        seconds = float(checked(kept.get("seconds"), NotNegative, "seconds"))
+        if not told or plain(kept.get("job")) != plain(dict(wanted)):
+            return None
+        if "key" in kept and kept["key"] != content_key(told):  # one that was kept by an older siamloc has none
+            return None
+        # The first records name their processor by its family, which says little.
+        known = str(kept.get("machine", ""))
+        return {
+            "records": [_of_plain(one) for one in told],
+            "seconds": seconds,
+            "machine": known if " " in known else "",
+        }
+    except (FormatError, ConfigError, KeyError):
+        return None
+
+
 def _fingerprint(job: Job, data: Data) -> str:
     """Return what changes with the frames that a job takes: their names, poses and rooms, wherever they lie."""
     told = []
@@ -446,7 +466,15 @@ def _fingerprint(job: Job, data: Data) -> str:
 
 
 def _of_plain(one: Mapping[str, Any]) -> Record:
-    return Record(str(one["measure"]), float(one["value"]), MappingProxyType(dict(one["settings"])))
+    """Return a record as it was kept.
+
+    Raises:
+        ConfigError, KeyError: something else.
+    """
+    measure, settings = checked(one["measure"], Text, "measure"), checked(one["settings"], dict, "settings")
+    for name, value in settings.items():
+        checked(value, str | bool | int | float | None, name)
+    return Record(measure, float(checked(one["value"], float, "value")), MappingProxyType(settings))
 
 
 def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from siamloc.calls import typed
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
 from siamloc.files import parsed_json
@@ -173,6 +174,7 @@ class Bundle:
         return f"{first}\nthe robot gets: {', '.join(gets)}"
 
     @classmethod
+    @typed
     def open(cls, path: str | Path) -> Bundle:
         """Open a bundle and check that its files are the ones it was written with.
 

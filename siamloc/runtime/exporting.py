@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from analytic import Descriptor
+from siamloc.calls import typed
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.files import atomic_folder, atomic_path, file_hash, plain, read_json, scratch_folder, write_json
@@ -54,6 +55,7 @@ _UNKNOWN = {"max_abs_difference": 0.0, "max_relative_difference": 0.0}
 _TRIED = 3  # panoramas that a bundle has to describe as the original does
 
 
+@typed
 def export(
     described_by: nn.Module | Descriptor,
     known: VisualMap | None,

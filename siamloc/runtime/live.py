@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.files import plain
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.stream import CAMERA, Located, locate_all, named
 from siamloc.runtime.thumbnails import jpeg
-from siamloc.settings import NotNegative, Port, Text, checked
+from siamloc.settings import Pace, Port, Text, checked
 
 if TYPE_CHECKING:
     from aiohttp import web
@@ -78,6 +79,7 @@ class Live:
             page.join()
     """
 
+    @typed
     def __init__(
         self,
         localizer: Localizer,
@@ -90,7 +92,7 @@ class Live:
     ) -> None:
         from aiohttp import web  # noqa: F401 (refused here, and not in another thread)
 
-        self.host, self.fps = checked(host, Text, "host"), checked(fps, NotNegative, "fps")
+        self.host, self.fps = checked(host, Text, "host"), checked(fps, Pace, "fps")
         named(images)
         localizer.bundle.thumbnail(0)  # damaged pictures are refused here
         if track:

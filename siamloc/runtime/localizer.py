@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description
+from siamloc.calls import typed
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
@@ -151,6 +152,7 @@ class Localizer:
             a provider that this onnxruntime lacks.
     """
 
+    @typed
     def __init__(
         self,
         bundle_path: str | Path,
@@ -192,6 +194,7 @@ class Localizer:
         """What x and y count in."""
         return self.map.unit
 
+    @typed
     def tracker(self, step: float | None = None) -> PoseFilter | FrameFilter:
         """Return what follows a robot from image to image, for `locate`; one for each drive.
 
@@ -234,11 +237,13 @@ class Localizer:
             seen(panorama)
         return self._located(panorama, self.describe(panorama[None]), tracker, start)
 
+    @typed
     def locate_panorama(self, panorama: NDArray[np.uint8], tracker: PoseFilter | FrameFilter | None = None) -> Location:
         """Locate a panorama (3, H, W), uint8, RGB, of the bundle's size; see `locate`."""
         start = time.perf_counter()
         return self._located(panorama, self.describe(panorama[None]), tracker, start)
 
+    @typed
     def locate_batch(self, images: Sequence[str | Path | NDArray[np.uint8]]) -> list[Location]:
         """Locate several images, described together: faster where the provider is, such as a GPU.
 
@@ -323,6 +328,7 @@ class Localizer:
             covariance=((variance, 0.0), (0.0, variance)),
         )
 
+    @typed
     def describe(self, panoramas: NDArray[np.uint8]) -> Description:
         """Describe panoramas (B, 3, H, W), uint8, RGB, of the bundle's size, as the map's frames were described.
 

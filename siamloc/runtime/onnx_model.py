@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.files import atomic_path, file_hash, scratch_folder
 from siamloc.models.describing import evaluating, identity_of, network_of, orienting
@@ -23,6 +24,7 @@ ONE_FILE_BYTES = 2**31 - 2**24  # protobuf ends at 2 GiB; the graph next to the 
 _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 
 
+@typed
 def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int]) -> dict[str, Any]:
     """Write a network as an ONNX file.
 
@@ -83,6 +85,7 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
     }
 
 
+@typed
 def parity(
     network: nn.Module,
     path: str | Path,

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import atomic_path
 from siamloc.maps.packing import Precision
@@ -80,6 +81,7 @@ def smallest(rows: Sequence[Measured]) -> Measured:
     return min(good, key=lambda row: row.bytes)
 
 
+@typed
 def precision_table(bundle: Bundle) -> str:
     """Return what each precision costs and gives, as lines to read, the chosen one with a star.
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import typed
 from siamloc.data.frames import image_files
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError
@@ -80,6 +81,7 @@ class Located:
         return plain({"image": self.image, "fault": self.fault or None, **told, "pose": pose, "off_by": self.off_by})
 
 
+@typed
 def locate_all(
     localizer: Localizer,
     images: str | Path | Sequence[str | Path],
@@ -202,6 +204,7 @@ def _quiet() -> Iterator[None]:
         log.setLogLevel(level)
 
 
+@typed
 def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, None, None]:
     """Pass locations on, and write each into a file, which is there when the last has been passed on.
 

@@ -21,7 +21,7 @@ _LOCATION = must_be("the name of a file or folder", lambda value: isinstance(val
 _RULES: dict[str, Rule] = {
     "out": _LOCATION,
     "building": must_be("the name of a building or its file", lambda value: not TEXT(value) or isinstance(value, Path)),
-    "seed": whole(),
+    "seed": whole(0, 2**32 - 1),
     "path": must_be("the name of one of the building's paths, such as path2", lambda value: not TEXT(value)),
     "runs": must_be(
         "a list of runs, such as [cloudy1, night1]",
@@ -32,7 +32,7 @@ _RULES: dict[str, Rule] = {
     ),
     "camera": one_of(CAMERAS),
     "trajectory": optional(_LOCATION),
-    "frames": optional(whole(1)),
+    "frames": optional(whole(1, 10_000_000)),
     "workers": optional(whole(1, 1024)),
     "quality": whole(1, 100),
     "preview": FLAG,

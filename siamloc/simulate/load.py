@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from siamloc.calls import typed
 from siamloc.errors import DataError, hint
 from siamloc.simulate.draw import draw_building
 from siamloc.simulate.layout import Building
@@ -27,6 +28,7 @@ def building_names() -> list[str]:
     return [*sorted(path.stem for path in building_folder().glob("*.yaml") if path.stem != "random"), "random"]
 
 
+@typed
 def load_building(name_or_path: str | Path, seed: int = 0) -> Building:
     """Load and check a building.
 

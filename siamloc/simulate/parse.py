@@ -38,7 +38,7 @@ _ROOM = {
     "ceiling": _SURFACE,
     "paint": numbers(3, at_least=0),
     "wainscot": row(material=_SURFACE, height=number(at_least=0)),
-    "lamps": row(kind=one_of(("panel", "tube", "round")), count_along_x=whole(0), count_along_y=whole(0)),
+    "lamps": row(kind=one_of(("panel", "tube", "round")), count_along_x=whole(0, 100), count_along_y=whole(0, 100)),
     "windows": LIST,
     "items": LIST,
 }
@@ -71,10 +71,10 @@ _ITEM = {
 OPTIONS = {
     "colour": numbers(3, at_least=0),
     "content": one_of(("mixed", "books", "binders", "empty")),
-    "count": whole(1),
+    "count": whole(1, 100),
     "drawers": FLAG,
-    "picture": whole(),
-    "screens": whole(0),
+    "picture": whole(0, 2**32 - 1),
+    "screens": whole(0, 100),
     "wall_units": FLAG,
     "wood": one_of((*SURFACES, "plain", "plastic", "metal", "fabric", "cork")),
 }

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.calls import typed
 from siamloc.files import atomic_path
+from siamloc.settings import Thousand
 from siamloc.simulate.config import SimulateConfig
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building
@@ -52,7 +54,8 @@ def viewpoints(building: Building, track: Track) -> Array:
     return np.array(rows)
 
 
-def panoramas(count: int = 6, building: str = "freiburg_like") -> NDArray[np.uint8]:
+@typed
+def panoramas(count: Thousand = 6, building: str = "freiburg_like") -> NDArray[np.uint8]:
     """Render a few panoramas of a building's rooms, to show something on: (B, 3, 128, 512), uint8, RGB."""
     loaded, run = load_building(building, 0), Run()
     track = draw_run(loaded, run).track

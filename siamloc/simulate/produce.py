@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 
+from siamloc.calls import typed
 from siamloc.data.names import parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import (
@@ -78,6 +79,7 @@ class Summary:
         return "\n".join(lines)
 
 
+@typed
 def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summary:
     """Render a data set, or resume an interrupted one.
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import cv2
 import numpy as np
 
+from siamloc.calls import typed
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate.camera import HEIGHT, OFFSETS, Camera, Exposure, PanoramaCamera, develop, expose, make_camera
 from siamloc.simulate.layout import Array, seeded
@@ -20,6 +21,7 @@ _BLURRED = 0.35
 _COMPENSATION = {"cloudy": (0.0, 0.1), "night": (0.0, 0.15), "sunny": (0.4, 0.3)}
 
 
+@typed
 def render(scene: Scene, poses: Array | Track, camera: Camera | str = "panorama") -> Array:
     """Render pictures from poses.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from siamloc.calls import typed
 from siamloc.simulate.items import add_items
 from siamloc.simulate.layout import Array, Building, Item, seeded
 from siamloc.simulate.light import FULL, BakedLight, Detail, LightTransport
@@ -200,6 +201,7 @@ class Scene:
         return sample(self.light.light, *self.light.grid.position(quad, s, t))[0]
 
 
+@typed
 def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Light | None = None) -> Scene:
     """Put a building into the state of one run and bake its light, finely or roughly; another light if one is given.
 
@@ -227,6 +229,7 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
     return Scene(building, run, state, atlas, surfaces, caster, transport, tuple(lamps), baked, sky)
 
 
+@typed
 def relit(scene: Scene, light: Light) -> Scene:
     """Return a scene with everything in its place under another light; quick, since what sees what is known."""
     building = scene.building

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.simulate.camera import develop, metered
 from siamloc.simulate.layout import Array, Building, seeded
@@ -62,6 +63,7 @@ class Views:
         return f"Views({len(self)} pictures; rooms: {len(np.unique(self.room))}; lights: {lights})"
 
 
+@typed
 def draw_views(
     seed: int,
     image_size: Sequence[int] = (64, 256),

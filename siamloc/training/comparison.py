@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from siamloc.calls import typed
 from siamloc.comparison import Comparison, differing, flat
 from siamloc.errors import ConfigError, hint
 from siamloc.runs import Run, higher_is_better
@@ -17,6 +18,7 @@ _MEASURED = ("epoch", "finished", "run")
 _LEFT_OUT = ("frames", "data.cache", "data.name", "model.image_size")
 
 
+@typed
 def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None) -> Comparison:
     """Compare runs by their best epoch: those of a sweep, or any others.
 

@@ -17,6 +17,7 @@ from torch import nn
 
 import augment
 from augment.torchvision_compat import ensure_torchvision
+from siamloc.calls import takes
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
@@ -31,7 +32,7 @@ from siamloc.models.module import NetworkModule
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
-from siamloc.settings import checked, takes
+from siamloc.settings import checked
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 from siamloc.training.checks import (
     check_batches,

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from augment.torchvision_compat import ensure_torchvision
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import Pairs, PairSampler, PairSettings
@@ -136,6 +137,7 @@ class PairDataModule(EpochDataModule):
 
     library: PanoramaLibrary
 
+    @typed
     def __init__(
         self,
         library: PanoramaLibrary,

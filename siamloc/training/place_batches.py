@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings, places_of
@@ -130,6 +131,7 @@ class PlaceDataModule(EpochDataModule):
 
     library: PanoramaLibrary
 
+    @typed
     def __init__(
         self,
         library: PanoramaLibrary,

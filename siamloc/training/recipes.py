@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError, hint
@@ -167,6 +168,7 @@ target comes from the labels (`loss.room`), and the head ignores the direction i
 """
 
 
+@typed
 def recipe(name: str) -> Recipe:
     """Look up a recipe by its name.
 

@@ -9,7 +9,7 @@ from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.models.registry import Optimizer
-from siamloc.settings import Count, Many, Natural, Positive, Probability, Settings, Workers
+from siamloc.settings import Count, Positive, Probability, Seed, Settings, Workers
 
 Monitor = Literal["auto", "error", "recall", "room", "accuracy", "refined", "loss"]
 
@@ -54,8 +54,8 @@ class Training(Settings):
     """
 
     epochs: Count = 30
-    batch_size: Many = 16
-    seed: Natural = 0
+    batch_size: Count = 16
+    seed: Seed = 0
     workers: Workers = 0
     pairs: PairSettings | PlaceSettings = field(default_factory=PairSettings)
     optimizer: Optimizer = field(default_factory=Optimizer)

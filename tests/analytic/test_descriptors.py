@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from analytic import DESCRIPTORS, AnalyticError, Description, descriptor
+from analytic import DESCRIPTORS, AnalyticError, Description, descriptor, distance
+from analytic.descriptors.registry import parameters
 from analytic.disturb import noise, occlude
 
 PHOTOGRAPHS = Path(__file__).parents[2].parent / "shared/data/corridor/ref"
@@ -312,3 +313,25 @@ def test_a_graphics_card_gives_the_same_values(name):
 def test_unknown_names_are_one_sentence(call, says):
     with pytest.raises(AnalyticError, match=says):
         call()
+
+
+@pytest.mark.parametrize("name", DESCRIPTORS)
+def test_no_parameter_is_larger_than_an_image(name):
+    for key, default in parameters(name).items():
+        if type(default) is int:
+            with pytest.raises(AnalyticError, match=f"up to 16,384 for {key}"):
+                descriptor(name, **{key: 10**9})
+
+
+def test_a_description_that_no_memory_holds_is_refused():
+    huge = descriptor("hsv", hues=4096, saturations=4096, values=4096)
+    with pytest.raises(AnalyticError, match="numbers, more than 16,777,216: ask for fewer"):
+        huge.describe(np.zeros((3, 64, 256), np.uint8))
+
+
+@pytest.mark.parametrize("name", [["hog"], {"hog": 1}, None, 3])
+def test_a_name_is_a_text(name):
+    with pytest.raises(AnalyticError, match="unknown descriptor"):
+        descriptor(name)
+    with pytest.raises(AnalyticError, match="unknown distance"):
+        distance(name)

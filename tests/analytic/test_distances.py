@@ -72,3 +72,9 @@ def test_vectors_without_direction_are_at_one_from_everything():
 def test_mistakes_are_one_sentence(call, says):
     with pytest.raises(AnalyticError, match=says):
         call()
+
+
+@pytest.mark.parametrize("values", [[["a"]], [[1j]], [[None]], [[1], [1, 2]], "abc", {"a": 1}])
+def test_only_real_numbers_have_distances(values):
+    with pytest.raises(AnalyticError, match="must be an array of"):
+        distance("euclidean")(values, [[1.0]])

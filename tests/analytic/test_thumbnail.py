@@ -47,7 +47,7 @@ def test_identity_tells_what_may_be_compared():
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: Thumbnail(0, 8), "whole numbers from 1, got 0 x 8"),
+        (lambda: Thumbnail(0, 8), "whole numbers from 1 to 16,384, got 0 x 8"),
         (lambda: Thumbnail(32, 32).describe(BATCH), "16 x 64 pixels, fewer than the thumbnail's 32 x 32"),
         (lambda: as_grey(np.zeros((2, 5, 4, 4))), r"got \(2, 5, 4, 4\)"),
         (lambda: as_grey(np.zeros((4, 4), dtype=np.int64)), "got int64"),

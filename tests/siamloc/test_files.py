@@ -21,6 +21,7 @@ from siamloc.files import (
     file_hash,
     plain,
     read_json,
+    real_path,
     write_json,
     write_text,
 )
@@ -214,3 +215,14 @@ def test_one_process_at_a_time_works_in_a_folder(tmp_path):
     with pytest.raises(ZeroDivisionError), alone(tmp_path / "other"):
         raise ZeroDivisionError
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("name", ["", "."])
+def test_a_file_needs_a_name(name):
+    with pytest.raises(StorageError, match="names no file"):
+        write_json(name, {})
+
+
+def test_links_in_a_circle_are_followed_nowhere(tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    assert real_path(tmp_path / "loop") == tmp_path / "loop"

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from siamloc.calls import takes
 from siamloc.errors import ConfigError
 from siamloc.settings import (
     Count,
@@ -18,7 +19,6 @@ from siamloc.settings import (
     Share,
     Size,
     defaults_of,
-    takes,
 )
 
 
@@ -50,10 +50,13 @@ class Training(Settings):
 @pytest.mark.parametrize(
     ("values", "says"),
     [
-        ({"epochs": 0}, "train.epochs must be a whole number from 1, got 0"),
-        ({"epochs": 1.5}, "train.epochs must be a whole number from 1, got 1.5"),
-        ({"epochs": True}, "train.epochs must be a whole number from 1, got True"),
-        ({"seed": "abc"}, "train.seed must be a whole number from 0, got 'abc'"),
+        ({"epochs": 0}, "train.epochs must be a whole number from 1 to 10 million, got 0"),
+        ({"epochs": 1.5}, "train.epochs must be a whole number from 1 to 10 million, got 1.5"),
+        ({"epochs": True}, "train.epochs must be a whole number from 1 to 10 million, got True"),
+        ({"epochs": 10**12}, "train.epochs must be a whole number from 1 to 10 million, got 1000000000000"),
+        ({"decay": 1e30}, r"train.decay must be a number from 0, at most 10,000,000,000 in size, got 1e\+30"),
+        ({"radii": [1, -1e30]}, r"train.radii must be a list, each item a number above 0, got \[1, -1e\+30\]"),
+        ({"seed": "abc"}, "train.seed must be a whole number from 0 to 10 million, got 'abc'"),
         ({"decay": float("nan")}, "train.decay must be a number from 0, got nan"),
         ({"share": 3}, "train.share must be a number from 0 to 1, or null, got 3"),
         ({"chance": 1}, "train.chance must be a number between 0 and 1, got 1"),
@@ -87,7 +90,7 @@ def test_numbers_and_arrays_of_numpy_are_values_like_any_other():
     made = Training(epochs=np.int64(3), radii=np.array([0.5, 2]), decay=np.float32(0.5), flag=np.bool_(True))
     assert made == Training(epochs=3, radii=(0.5, 2.0), decay=0.5, flag=True)
     assert json.dumps(made.plain())
-    with pytest.raises(ConfigError, match=r"train\.epochs must be a whole number from 1, got array"):
+    with pytest.raises(ConfigError, match=r"train\.epochs must be a whole number from 1 to 10 million, got array"):
         Training(epochs=np.array([1, 2]))
 
 
@@ -157,7 +160,7 @@ def test_the_docstring_of_a_function_tells_of_its_fields_those_of_a_base_first()
     ("keywords", "says"),
     [
         ({"epoch": 3}, "fit has no setting 'epoch': did you mean 'epochs'"),
-        ({"epochs": 0}, "train.epochs must be a whole number from 1, got 0"),
+        ({"epochs": 0}, "train.epochs must be a whole number from 1 to 10 million, got 0"),
         ({"settings": Training(), "epochs": 3}, "fit takes settings=... or epochs, not both"),
         ({"rnu": "r"}, "fit has no setting 'rnu': did you mean 'run'"),
         ({"settings": 3}, "settings must be a group with the keys epochs, seed"),

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.files import real_path
 from siamloc.results import FURTHER, Columns, read_results, read_rows, rows_by_label
 from siamloc.runs import Run, run_with, runs_in
 
@@ -140,7 +141,7 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
         FormatError: files that are not whole.
     """
     named = [one for folder in folders for one in ([run.folder for run in runs_in(folder)] or [Path(folder)])]
-    chosen = list({folder.resolve(): folder for folder in named}.values())
+    chosen = list({real_path(folder): folder for folder in named}.values())
     if not chosen:
         raise ConfigError("a report needs at least one run: name it with run=FOLDER, or several with runs=[A,B]")
     return [_gather(folder, title) for folder, title in zip(chosen, _titles(chosen), strict=True)]
@@ -149,7 +150,7 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
 def _gather(folder: Path, title: str) -> RunFiles:
     if not folder.is_dir():
         raise ConfigError(f"there is no folder {folder}: name the folder of a run")
-    run = run_with(folder.resolve())
+    run = run_with(real_path(folder))
     inside = _EVALUATIONS if run is None else ("*/results.json", "*/*/results.json")
     single = (folder / "results.json").is_file()
     found = [folder] if single else [path.parent for pattern in inside for path in folder.glob(pattern)]
@@ -192,7 +193,7 @@ def _kind(folder: Path, results: dict[str, Any]) -> str:
 
 def _titles(folders: list[Path]) -> list[str]:
     """Return the shortest ends of the paths that differ from each other."""
-    parts = [folder.resolve().parts for folder in folders]
+    parts = [real_path(folder).parts for folder in folders]
     for depth in range(1, max(map(len, parts)) + 1):
         titles = ["/".join(part[-depth:]) for part in parts]
         if len(set(titles)) == len(titles):

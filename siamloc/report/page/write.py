@@ -8,6 +8,7 @@ from pathlib import Path
 from string import Template
 
 from siamloc import __version__
+from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.files import write_text
 from siamloc.report.page import rooms, sections
@@ -28,6 +29,7 @@ _LARGE_SHARE = 0.27
 _ASSETS = Path(__file__).parent / "assets"
 
 
+@typed
 def write_report(folders: str | Path | Sequence[str | Path], out: str | Path, max_bytes: int = MAX_BYTES) -> Path:
     """Write one HTML page about runs, which needs nothing but itself, and return its path.
 

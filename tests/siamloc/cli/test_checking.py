@@ -43,7 +43,7 @@ def test_damaged_files_are_told_in_a_sentence():
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["epochs=abc"], r"epochs must be a whole number from 1, got 'abc'"),
+        (["epochs=abc"], r"epochs must be a whole number from 1 to 10 million, got 'abc'"),
         (["+foo=1"], "unknown configuration key 'foo'"),
         (["+pairs.foo=1"], "unknown key pairs.foo"),
         (["pairs.scale=nan"], "pairs.scale must be"),
@@ -52,6 +52,13 @@ def test_damaged_files_are_told_in_a_sentence():
         (["augment.where=foo"], "augment.where must be auto or cpu or gpu, got 'foo'"),
         (["trainer.devices=0"], "trainer.devices must be"),
         (["+trainer.foo=1"], "unknown configuration key 'trainer.foo'"),
+        (["epochs=1000000000000"], r"epochs must be a whole number from 1 to 10 million, got 1000000000000"),
+        (["seed=4294967296"], "seed must be a whole number from 0 to 4,294,967,295, got 4294967296"),
+        (["loss.margin=1e30"], r"loss.margin must be a number above 0, at most 10,000,000,000 in size"),
+        (
+            ["model/head=flat", "model.head.outputs=1000000"],
+            "outputs must be a whole number from 1 to 65,536",
+        ),
         (["device=tpu"], "device must be auto, cpu or cuda, got 'tpu'"),
         (["data.image_size=[1000000,1000000]"], "data.image_size must be"),
         (["loader.workers=100000"], "loader.workers must be"),
@@ -63,3 +70,8 @@ def test_damaged_files_are_told_in_a_sentence():
 def test_what_the_sentence_is(words, says):
     with pytest.raises(ConfigError, match=says):
         composed("train", [*COLD, *words])
+
+
+def test_a_picture_that_cannot_be_one_is_refused_before_the_work():
+    with pytest.raises(ConfigError, match=r"out must be a picture's name, ending .jpg .jpeg .png .webp, got 'x.gif'"):
+        composed("augment preview", ["out=x.gif"])

@@ -342,10 +342,10 @@ def test_resuming_takes_the_settings_over_and_refuses_others(train_words, tmp_pa
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["epochs=abc"], "epochs must be a whole number from 1, got 'abc'"),
+        (["epochs=abc"], "epochs must be a whole number from 1 to 10 million, got 'abc'"),
         (["batch_size=1.5"], "batch_size must be a whole number"),
         (["optimizer.learning_rate=abc"], "optimizer.learning_rate must be a number above 0"),
-        (["seed=null"], "seed must be a whole number from 0, got None"),
+        (["seed=null"], "seed must be a whole number from 0 to 4,294,967,295, got None"),
         (["loader.workers=-1"], "loader.workers must be a whole number from 0"),
         (["model.branch=alexnet"], "model/branch=NAME, with a slash"),
         (["trainer.accelerator=quantum"], "the trainer cannot be set up"),

@@ -114,6 +114,12 @@ def test_each_fault_is_named(folder, text, message):
         read(folder, text)
 
 
+def test_a_table_of_very_many_columns_is_refused_at_once(folder):
+    header = ",".join(["image", *(f"c{number}" for number in range(100_000))])
+    with pytest.raises(DataError, match="has 100,001 columns, more than 1,000"):
+        read(folder, f"{header}\na.png\n")
+
+
 def test_an_image_may_stand_in_two_sequences(folder):
     table = read(folder, "image,sequence\na.jpg,one\na.jpg,two\n")
     assert table.sequence.tolist() == ["one", "two"]

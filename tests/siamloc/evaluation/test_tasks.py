@@ -324,7 +324,7 @@ def test_a_session_shows_itself_and_takes_each_thing_in_its_place(world):
     assert shown.startswith("Session(reads: 30 queries in VisualMap(40 frames")
     with pytest.raises(ConfigError, match="known must be a VisualMap, got PanoramaLibrary"):
         evaluation.localization(images, known, tuesday)
-    with pytest.raises(ConfigError, match="queries must be a FrameTable, got str"):
+    with pytest.raises(ConfigError, match="queries must be a FrameTable, got 'tuesday'"):
         evaluation.robustness(known, images, "tuesday")
 
 

@@ -166,7 +166,7 @@ def test_ways_that_cannot_be_taken():
         group(KNOWN, "spectra")
     with pytest.raises(ConfigError, match=r"unknown key build\.node: did you mean 'nodes'"):
         group(KNOWN, "sample", node=3)
-    with pytest.raises(ConfigError, match=r"build\.nodes must be a whole number from 1, got 0"):
+    with pytest.raises(ConfigError, match=r"build\.nodes must be a whole number from 1 to 10 million, got 0"):
         group(KNOWN, "spectral", nodes=0)
     aligned = analytic.descriptor("briefgist")
     known = VisualMap(DESCRIPTORS, KNOWN.frames, describes=aligned)

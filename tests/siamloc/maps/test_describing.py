@@ -117,7 +117,7 @@ def test_ranking_settings_that_make_no_sense(images):
     layer = CoarseLayer.of_labels(known, [0, 0, 0, 1, 1, 1])
     with pytest.raises(ConfigError, match="compared after turning, and their means stand for nothing"):
         HierarchicalSearch(known, layer)
-    with pytest.raises(ConfigError, match="by representatives, vote or classifier, got 'votes'"):
+    with pytest.raises(ConfigError, match="by must be representatives or vote or classifier, got 'votes'"):
         HierarchicalSearch(known, layer, by="votes")
     with pytest.raises(ConfigError, match="candidate nodes >= 1, got 0"):
         HierarchicalSearch(known, layer, by="vote", candidates=0)

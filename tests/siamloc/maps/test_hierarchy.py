@@ -211,7 +211,7 @@ def test_errors() -> None:
     one = NodeRanking(np.array([[0]]), np.array([2]))
     with pytest.raises(DataError, match="labels for 4 frames and the map has 3"):
         HierarchicalSearch(known.take([0, 1, 2]), layer)
-    with pytest.raises(ConfigError, match="k >= 1, got 0"):
+    with pytest.raises(ConfigError, match="must be a whole number from 1 to 10 million, got 0"):
         search.search(np.eye(4)[:1], one, 0)
     with pytest.raises(DataError, match="2 queries need as many rows in the ranking, got 1"):
         search.search(np.eye(4)[:2], one)

@@ -205,7 +205,7 @@ def test_errors() -> None:
     motion = MotionModel.learn(known)
     with pytest.raises(ConfigError, match="step of a motion model must be positive, got 0"):
         MotionModel.learn(known, step=0)
-    with pytest.raises(ConfigError, match="interval of a motion model must be positive"):
+    with pytest.raises(ConfigError, match="interval must be a number, or null, got nan"):
         MotionModel.learn(known, interval=math.nan)
     with pytest.raises(DataError, match="1 of 4 map frames have no position"):
         MotionModel.learn(known.with_columns(x=[0, 1, math.nan, 2]))

@@ -88,7 +88,7 @@ def test_gradients_reach_every_weight():
 def test_outputs_belong_to_heads_that_let_them_be_chosen():
     with pytest.raises(ConfigError, match="the head fc500_500_5 gives 5 numbers, as its name says"):
         build("simple1", "fc500_500_5", SIZE, outputs=7)
-    with pytest.raises(ConfigError, match="outputs must be a whole number from 1, got 0"):
+    with pytest.raises(ConfigError, match="outputs must be a whole number from 1 to 65,536, got 0"):
         build("simple1", "flat", SIZE, outputs=0)
 
 

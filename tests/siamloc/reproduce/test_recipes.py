@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 
 import cv2
 import pytest
@@ -113,25 +114,6 @@ def test_what_was_not_measured_may_be_left_out(root, tmp_path, capsys):
     assert "| table_4_2 | not measured: not all of it" in (page / "report.md").read_text()
 
 
-def test_a_folder_that_refuses_is_said_in_one_sentence(root, tmp_path):
-    (tmp_path / "measured").write_text("a file")
-    with pytest.raises(StorageError):
-        reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, progress=False)
-
-
-def test_what_is_kept_and_makes_no_sense_is_measured_again(root, tmp_path):
-    def measured():
-        return reproduce("figure_3_16", data="mini", root=root, scale="smoke", out=tmp_path, progress=False)
-
-    first = measured()
-    file = next((tmp_path / "measured" / "hits_radon_poc").iterdir())
-    for kept in ("[]", "null", "{}", '{"records": [], "seconds": 1}', '{"records": [{"measure": "a"}], "seconds": 1}'):
-        file.write_text(kept)
-        again = measured()
-        assert [one.measure for one in again.records] == [one.measure for one in first.records]
-        assert json.loads(file.read_text())["records"]
-
-
 def test_a_bound_has_no_difference_and_a_protocol_its_scale(root, out):
     found = reproduce("figure_3_17", data="mini", root=root, scale="smoke", out=out, progress=False)
     rows = {row.settings["descriptor"]: row for row in found.rows if row.settings["size"] == "largest"}
@@ -141,6 +123,47 @@ def test_a_bound_has_no_difference_and_a_protocol_its_scale(root, out):
     assert rows["hog"].difference < 0
     assert "frames 1.2 m apart" in found.table()
     assert "40 cm" in found.recipe.protocol()["map"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"records": []},
+        {"records": "abc"},
+        {"records": [{"measure": "hit_rate", "value": math.nan, "settings": {}}]},
+        {"records": [{"measure": "zzz", "value": 1.0, "settings": {}}]},
+        {"records": [{"measure": "hit_rate", "value": 1.0, "settings": {"k5": [1]}}]},
+        {"records": [{"measure": "hit_rate", "value": 1.0, "settings": {}}]},  # which is whole, but not what was kept
+        {"job": {"kind": "retrieval"}},
+        {"seconds": -1},
+    ],
+)
+def test_kept_numbers_that_were_altered_are_measured_again(root, out, monkeypatch, change):
+    measured = {"data": "mini", "root": root, "scale": "smoke", "out": out, "progress": False}
+    reproduce("figure_3_11", **measured)
+    file = next((out / "measured" / "hits_hog").iterdir())
+    held = file.read_text()
+    file.write_text(json.dumps({**json.loads(held), **change}))
+
+    def refuse(job, data):
+        raise AssertionError(f"{job.experiment} is measured again")
+
+    monkeypatch.setattr("siamloc.reproduce.experiments.measured", refuse)
+    with pytest.raises(AssertionError, match="hits_hog is measured again"):
+        reproduce("figure_3_11", **measured)
+    file.write_text(held)
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(root, tmp_path, monkeypatch):
+    (tmp_path / "taken").write_text("a file")
+    monkeypatch.setattr("siamloc.reproduce.experiments.measured", None)
+    with pytest.raises(StorageError, match="a file stands where a folder is needed"):
+        reproduce("figure_3_11", data="mini", root=root, scale="smoke", out=tmp_path / "taken", progress=False)
+
+
+def test_one_recipe_is_named(capsys):
+    assert main(["reproduce", "figure_3_11", "figure_3_12"]) == 2
+    assert "siamloc reproduce takes one id, got figure_3_11 figure_3_12" in capsys.readouterr().err
 
 
 def test_no_published_number_is_ever_ours(root, out, monkeypatch):

@@ -212,8 +212,8 @@ def test_other_settings_are_not_resumed(train, trained, other, key):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"loss": "contrastive"}, "a loss is a function or a module"),
-        ({"network": "alexnet"}, "a network is a torch module"),
+        ({"loss": "contrastive"}, "loss must be"),
+        ({"network": "alexnet"}, "network must be a Module"),
     ],
 )
 def test_what_cannot_be_trained_is_refused_before_the_folder_is_touched(train, tmp_path, given, says):
@@ -454,7 +454,7 @@ def test_augmentation_by_name_by_plain_values_and_by_hand_is_the_same(train):
     assert made.settings["augment"]["name"] == "thesis"
     assert curve(train("off", augmentation="none")) == plain
     assert curve(train("effect", augmentation=augment.effect("exposure"))) != plain
-    with pytest.raises(ConfigError, match="augmentation is an effect or a policy"):
+    with pytest.raises(ConfigError, match="augmentation must be an Effect"):
         train("wrong", augmentation=3)
 
 
@@ -493,9 +493,9 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
 @pytest.mark.parametrize(
     ("wrong", "error", "says"),
     [
-        ({"epochs": 0}, ConfigError, "epochs must be a whole number from 1, got 0"),
+        ({"epochs": 0}, ConfigError, "epochs must be a whole number from 1 to 10 million, got 0"),
         ({"batch_size": 1.5}, ConfigError, "batch_size must be a whole number from 1"),
-        ({"seed": None}, ConfigError, "seed must be a whole number from 0, got None"),
+        ({"seed": None}, ConfigError, "seed must be a whole number from 0 to 4,294,967,295, got None"),
         ({"margin": 0}, ConfigError, "margin must be a number above 0"),
         ({"augment_where": "tpu"}, ConfigError, "augment_where must be auto or cpu or gpu"),
         ({"epoch": 3}, ConfigError, r"fit has no setting 'epoch': did you mean 'epochs'\?"),
@@ -543,7 +543,7 @@ def test_further_arguments_reach_the_trainer(train):
 
 def test_a_training_that_diverges_is_one_sentence(train):
     with pytest.raises(ConfigError, match="the training diverged"):
-        train(optimizer={"learning_rate": 1e30}, epochs=3)
+        train(optimizer={"learning_rate": 1e9}, epochs=3)
 
 
 def test_runs_show_themselves(train, tmp_path):

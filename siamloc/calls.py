@@ -1,0 +1,169 @@
+"""`typed`: the arguments of a public call are checked against its annotations, as settings are.
+
+    >>> from siamloc.settings import Count
+    >>> @typed
+    ... def cut(frames: FrameTable, k: Count = 2, folder: str | Path | None = None) -> None: ...
+    >>> cut("abc")
+    Traceback (most recent call last):
+    siamloc.errors.ConfigError: frames must be a FrameTable, got 'abc'
+
+What an annotation names is looked up when the call is made. A class that is only imported for type checking is known by
+its name. Arguments with annotations that cannot be told from a value (arrays, callables, type variables) pass.
+"""
+
+from __future__ import annotations
+
+import builtins
+import dataclasses
+import inspect
+import re
+import types
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from textwrap import dedent, indent
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+
+import numpy as np
+
+from siamloc.errors import ConfigError, hint
+from siamloc.settings import Absent, Settings, checked, default_of
+
+_ATTRIBUTES = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", flags=re.MULTILINE)
+_SETTINGS = re.compile(r"^    settings: .*\n(?:        .*\n)*", flags=re.MULTILINE)
+
+Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
+
+
+def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Let a function be called with the fields of a settings class as keywords.
+
+    The function itself has one keyword, `settings`; a caller gives either that, made or as plain values, or the fields.
+    What it is called with is shown by `help` and by a notebook's completion, field by field; in the docstring the
+    fields take the place of the line about `settings`.
+    """
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        own = inspect.signature(function)
+        # Keywords that are fields become `settings`; the rest are the function's own.
+        parameters = [one for one in own.parameters.values() if one.name != "settings"]
+        fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+        kinds: list[dict[str, Any]] = []
+        named = [*(one.name for one in parameters if one.kind is one.KEYWORD_ONLY), *fields]
+
+        @wraps(function)
+        def call(*arguments: Any, settings: Settings | Mapping[str, Any] | None = None, **keywords: Any) -> Result:
+            given = {name: keywords.pop(name) for name in list(keywords) if name in fields}
+            for name in keywords:
+                if name not in own.parameters:
+                    raise ConfigError(f"{function.__name__} has no setting {name!r}: {hint(name, named)}")
+            if settings is not None and given:
+                raise ConfigError(f"{function.__name__} takes settings=... or {', '.join(given)}, not both")
+            if not kinds:
+                kinds.append(kinds_of(function))
+            check_arguments(own, kinds[0], arguments, keywords)
+            chosen = kind.of(given) if settings is None else checked(settings, kind, "settings")
+            return function(*arguments, settings=chosen, **keywords)
+
+        shown = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_shown(field), annotation=field.type)
+            for name, field in fields.items()
+        ]
+        call.__signature__ = own.replace(parameters=[*parameters, *shown])  # type: ignore[attr-defined]
+        if listed := _described(kind):
+            text = inspect.cleandoc(function.__doc__ or "")
+            call.__doc__ = _SETTINGS.sub(lambda _: f"{indent(listed, '    ')}\n", text, count=1)
+        return call
+
+    return decorate
+
+
+def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Let a function or a method refuse arguments that its annotations do not allow, before it does anything.
+
+    Arguments pass as they were given; nothing is converted.
+
+    Raises:
+        ConfigError: by the call, naming the argument, what it should be, and what it is.
+    """
+    signature = inspect.signature(function)
+    kinds: list[dict[str, Any]] = []
+
+    @wraps(function)
+    def call(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
+        if not kinds:
+            kinds.append(kinds_of(function))
+        check_arguments(signature, kinds[0], arguments, keywords)
+        return function(*arguments, **keywords)
+
+    return call
+
+
+def check_arguments(
+    signature: inspect.Signature, kinds: Mapping[str, Any], arguments: Sequence[Any], keywords: Mapping[str, Any]
+) -> None:
+    """Check the arguments of a call; one that is missing or unknown is Python's to refuse.
+
+    Raises:
+        ConfigError: an argument of another type or out of range.
+    """
+    try:
+        given = signature.bind_partial(*arguments, **keywords).arguments
+    except TypeError:
+        return
+    for name, value in given.items():
+        if name in kinds and value is not signature.parameters[name].default:
+            checked(value, kinds[name], name)
+
+
+def kinds_of(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return the annotations of a function's parameters that a value can be checked against, by name."""
+    space = _Space(inspect.unwrap(function).__globals__)
+    found: dict[str, Any] = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+            continue
+        annotation = parameter.annotation
+        try:
+            kind = eval(annotation, {}, space) if isinstance(annotation, str) else annotation
+        except TypeError:  # brackets behind something that is only there for type checking
+            continue
+        if kind is not inspect.Parameter.empty and _can_be_told(kind):
+            found[name] = kind
+    return found
+
+
+def _described(kind: type[Settings]) -> str:
+    """Return what the docstring of a settings class, and of those it builds on, says of the fields."""
+    texts = [
+        inspect.cleandoc(one.__doc__) for one in reversed(kind.__mro__) if issubclass(one, Settings) and one.__doc__
+    ]
+    found = [_ATTRIBUTES.search(text) for text in texts[1:]]
+    return "\n".join(dedent(one[1]).rstrip("\n") for one in found if one)
+
+
+def _shown(field: dataclasses.Field[Any]) -> Any:
+    default = default_of(field)
+    return inspect.Parameter.empty if default is dataclasses.MISSING else default
+
+
+class _Space(dict[str, Any]):
+    """The names of a module, and a stand-in for each that it only has for type checking."""
+
+    def __missing__(self, name: str) -> Any:
+        return getattr(builtins, name) if hasattr(builtins, name) else type(name, (Absent,), {})
+
+
+def _can_be_told(kind: Any) -> bool:
+    """Say whether it can be told from a value, whether it is of a kind."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _can_be_told(parts[0])
+    if origin in (Union, types.UnionType, tuple, list, Sequence):
+        return all(_can_be_told(part) for part in parts if part is not Ellipsis)
+    if origin in (dict, Mapping, Literal) or kind in (dict, Mapping, None, type(None)):
+        return True
+    if not isinstance(origin or kind, type):
+        return False
+    # Of numpy's own kinds only its arrays: what is like an array, or like a number, can be anything.
+    return kind is not Any and (origin is np.ndarray or not (origin or kind).__module__.startswith("numpy"))

@@ -1,0 +1,118 @@
+"""Arguments of public calls are checked against their annotations."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from benchmarks.torture import STRANGE, outcome_of
+from benchmarks.torture_calls import call_cases, public_calls
+from siamloc.calls import kinds_of, typed
+from siamloc.data import FrameTable
+from siamloc.errors import ConfigError
+from siamloc.settings import Count
+
+if TYPE_CHECKING:
+    from siamloc.nowhere import Elsewhere
+    from torch import nn
+
+
+class Draws(Protocol):
+    def draw(self) -> None: ...
+
+
+@typed
+def called(
+    frames: FrameTable | None = None,
+    k: Count = 1,
+    *,
+    folder: str | Path | PathLike[str] | None = None,
+    elsewhere: Elsewhere | nn.Module | None = None,
+    names: Sequence[str] = (),
+    way: Literal["a", "b"] = "a",
+    array: NDArray[np.float64] | None = None,
+    anything: ArrayLike = 0,
+    function: Callable[[int], int] | None = None,
+    draws: Draws | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> str:
+    return "called"
+
+
+class Elsewhere2:
+    pass
+
+
+Elsewhere2.__name__ = "Elsewhere"
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"frames": FrameTable(path=["a.png"])},
+        {"k": np.int64(3)},
+        {"folder": "a"},
+        {"folder": Path("a")},
+        {"elsewhere": Elsewhere2()},
+        {"names": ["a", "b"]},
+        {"names": np.array(["a"])},
+        {"array": np.zeros(3)},
+        {"anything": "whatever"},
+        {"function": abs},
+        {"draws": Elsewhere2()},
+        {"options": {"a": 1}},
+        {"options": None},
+    ],
+)
+def test_what_the_annotations_allow_passes(given):
+    assert called(**given) == "called"
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"frames": "abc"}, "frames must be a FrameTable, or null, got 'abc'"),
+        ({"k": 0}, "k must be a whole number from 1 to 10 million, got 0"),
+        ({"k": 10**12}, "k must be a whole number from 1 to 10 million, got 1000000000000"),
+        ({"folder": 3}, "folder must be a text, or a path, or a PathLike, or null, got 3"),
+        ({"elsewhere": 3}, "elsewhere must be an Elsewhere, or a Module, or null, got 3"),
+        ({"names": "abc"}, "names must be a list, each item a text, got 'abc'"),
+        ({"way": "c"}, "way must be a or b, got 'c'"),
+        ({"array": [1.0]}, r"array must be an array, or null, got \[1.0\]"),
+        ({"function": 3}, r"function must be a \w+, or null, got 3"),
+        ({"draws": "abc"}, "draws must be a Draws, or null, got 'abc'"),
+        ({"options": 3}, "options must be a mapping of keys to values, or null, got 3"),
+    ],
+)
+def test_what_they_do_not_allow_is_refused(given, says):
+    with pytest.raises(ConfigError, match=says):
+        called(**given)
+
+
+def test_the_number_of_arguments_is_pythons_to_check():
+    with pytest.raises(TypeError, match="unexpected keyword argument 'zzz'"):
+        called(zzz=1)
+
+
+def test_what_cannot_be_told_is_left_alone():
+    assert set(kinds_of(called)) == {
+        *("frames", "k", "folder", "elsewhere", "names", "way", "array", "function", "draws", "options")
+    }
+
+
+def test_public_calls_refuse_nonsense():
+    """Every 11th case: with twenty strange values and arguments of all kinds, each has its turn."""
+    wrong = [
+        f"{name}: {outcome}"
+        for name, case, nonsense in itertools.islice(call_cases(STRANGE), 0, None, 11)
+        if (outcome := outcome_of(case, nonsense, 60.0)).kind not in ("refused", "accepted")
+    ]
+    assert not wrong
+    assert len(list(public_calls())) > 80
