@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -50,12 +51,16 @@ class Describer:
         def session(name: str) -> Any:
             if name not in bundle.files:
                 return None
-            model = bundle.parts.content(name)
+
+            def made(model: str | bytes) -> Any:
+                return onnxruntime.InferenceSession(model, options, providers=list(providers))
+
             try:
-                return onnxruntime.InferenceSession(
-                    model if isinstance(model, bytes) else str(model), options, providers=list(providers)
-                )
+                with bundle.parts.streamed(name) as path:
+                    return made(str(path))
             except Exception as error:  # onnxruntime's exceptions have no common base
+                with suppress(Exception):  # where it cannot read a stream
+                    return made(bundle.parts.read(name))
                 raise FormatError(
                     f"onnxruntime cannot run {bundle.path}/{name} ({type(error).__name__}): export again"
                 ) from error
@@ -63,9 +68,10 @@ class Describer:
         self._size = bundle.image_size
         self._session, self._relative = session(MODEL), session(RELATIVE)
         if self._session is None:
-            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, known.orientation))
+            turned = known.orientation if known.heading is None else known.heading.values
+            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, turned))
         self.known, self._turning, part = known, None, known.heading
-        if part is not None and not part.own:
+        if part is not None and not known.turned_by_its_own:
             self._turning = analytic_descriptor(part.identity, bundle, orientation=part.values)
 
     @property
