@@ -45,6 +45,7 @@ class Describer:
                 raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
+        options.enable_mem_pattern = False  # one block for all steps of an image saves no time, and takes more memory
         if threads is not None:
             options.intra_op_num_threads = threads
 

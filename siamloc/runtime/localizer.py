@@ -250,7 +250,7 @@ class Localizer:
     def locate_batch(self, images: Sequence[str | Path | NDArray[np.uint8]]) -> list[Location]:
         """Locate several images, described together: faster where the provider is, such as a GPU.
 
-        Each answer is the one that `locate` gives, up to the rounding of the descriptor; its `ms` is the mean.
+        Each answer is the one that `locate` gives, on a CPU to the last digit; its `ms` is the mean.
 
         Args:
             images: as `locate` takes them, any number.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import stat
+import threading
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -60,6 +61,11 @@ def same(one, other):
     )
 
 
+def told(location):
+    """Return all that an answer says, to the last digit; NaN equals NaN."""
+    return repr(replace(location, ms=0.0))
+
+
 def zipped(path, files):
     with zipfile.ZipFile(path, "w") as made:
         for name, content in files:
@@ -89,14 +95,30 @@ def test_the_folder_put_into_an_archive_by_hand_is_one_too(folder, tmp_path):
     assert same(answers(made), answers(folder))
 
 
-def test_an_image_has_one_answer_alone_again_and_from_four_threads(folder):
-    images = list(drive(1)[0]) * 4
-    localizer = Localizer(folder)
-    expected = [replace(localizer.locate(image), ms=0.0) for image in images]
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_image_has_one_answer_alone_again_in_a_batch_and_from_four_threads(folder, threads):
+    images = list(drive(1)[0])
+    localizer = Localizer(folder, threads=threads)
+    alone = [told(localizer.locate(image)) for image in images]
+    assert [told(localizer.locate(image)) for image in images] == alone
+    for size in (2, 5, len(images)):
+        assert [told(location) for location in localizer.locate_batch(images[:size])] == alone[:size]
     with ThreadPoolExecutor(4) as pool:
-        found = [replace(location, ms=0.0) for location in pool.map(localizer.locate, images)]
-    assert same(found, expected)
-    assert same(expected[: len(images) // 4], expected[-len(images) // 4 :])
+        assert [told(location) for location in pool.map(localizer.locate, images * 4)] == alone * 4
+
+
+def test_the_files_of_an_archive_come_through_a_pipe(archive, monkeypatch):
+    parts = Bundle.open(archive).parts
+    with parts.streamed("model.onnx") as path:
+        assert path.read_bytes() == parts.read("model.onnx")
+    with parts.streamed("model.onnx"):  # a reader that never reads
+        pass
+    assert [thread.name for thread in threading.enumerate() if "model.onnx" in thread.name] == []
+    with parts.opened("map.npz") as file:
+        assert file.read() == parts.read("map.npz")
+    expected = answers(archive)
+    monkeypatch.setattr("siamloc.runtime.parts._PIPES", Path("/nowhere"))
+    assert same(answers(archive), expected)
 
 
 def test_an_archive_is_replaced_and_nothing_else(world, archive, tmp_path):
