@@ -95,6 +95,9 @@ class Describer:
         else:
             position, *parts = self._session.run(None, {"panorama": panoramas})
             orientation = parts[0] if parts else None
+            if orientation is not None and not np.isfinite(orientation).all():
+                # onnxruntime adds up in another way than torch and finds variances below 0 where there is no contrast.
+                orientation = np.nan_to_num(orientation, nan=0.0, posinf=0.0, neginf=0.0)
         if self._turning is not None:
             orientation = self._turning.describe(panoramas).orientation
         return Description(position, orientation)
