@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,9 @@ from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
 from siamloc.settings import Count, checked
+
+_LOCATION, _OVERLAP = b"location", 64
+_KEY = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)\Z")  # a text of eight letters under the first number follows
 
 
 class Describer:
@@ -52,6 +57,11 @@ class Describer:
         def session(name: str) -> Any:
             if name not in bundle.files:
                 return None
+
+            if weights_elsewhere(bundle.parts.blocks(name), f"{name}.data" if f"{name}.data" in bundle.files else ""):
+                raise FormatError(
+                    f"{bundle.path}/{name} has weights in files that are none of a bundle's: export again"
+                )
 
             def made(model: str | bytes) -> Any:
                 return onnxruntime.InferenceSession(model, options, providers=list(providers))
@@ -109,6 +119,30 @@ class Describer:
         assert self._relative is not None
         pose, information, match = self._relative.run(None, {"query": queries, "known": known})
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
+
+
+def weights_elsewhere(blocks: Iterable[bytes], allowed: str) -> bool:
+    """Find out whether an ONNX file has weights in another file than the allowed one.
+
+    ONNX names the file of a tensor under the key "location", next to the model or wherever the process is. Not all
+    versions of onnxruntime refuse what leads elsewhere.
+
+    Args:
+        blocks: of the ONNX file, in order.
+        allowed: name of the file that weights may be in; "" for none.
+    """
+    value = bytes([0x12, len(allowed)]) + allowed.encode()
+    seen = b""
+    for block in chain(blocks, [bytes(_OVERLAP)]):  # the last one ends what may be cut
+        seen = seen[-2 * _OVERLAP :] + block
+        at = seen.find(_LOCATION)
+        while 0 <= at < len(seen) - _OVERLAP:  # nearer to the end it is looked at with the next block
+            key = _KEY.search(seen[max(0, at - _OVERLAP) : at])
+            at += len(_LOCATION)
+            if key is not None and not (allowed and seen.startswith(value, at)):
+                return True
+            at = seen.find(_LOCATION, at)
+    return False
 
 
 def analytic_descriptor(

@@ -62,6 +62,14 @@ class Parts(ABC):
         """Return how many bytes a file has."""
 
     @abstractmethod
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield what a file holds, piece by piece.
+
+        Raises:
+            FormatError: it is not there, or damaged.
+        """
+
+    @abstractmethod
     def opened(self, name: str) -> AbstractContextManager[BinaryIO]:
         """Open a file for reading, with a beginning and an end.
 
@@ -110,6 +118,12 @@ class Folder(Parts):
     def size(self, name: str) -> int:
         """Return how many bytes a file has."""
         return (self.path / name).stat().st_size
+
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield what a file holds, piece by piece."""
+        with self.opened(name) as file:
+            while block := file.read(_AT_ONCE):
+                yield block
 
     @contextmanager
     def opened(self, name: str) -> Iterator[BinaryIO]:
@@ -165,12 +179,12 @@ class Archive(Parts):
 
     def read(self, name: str) -> bytes:
         """Return what a file holds; a wrong checksum of the archive is damage."""
-        return b"".join(self._blocks(name))
+        return b"".join(self.blocks(name))
 
     def digest(self, name: str) -> str:
         """Return the SHA-256 of a file in hexadecimal."""
         digest = hashlib.sha256()
-        for block in self._blocks(name):
+        for block in self.blocks(name):
             digest.update(block)
         return digest.hexdigest()
 
@@ -200,7 +214,7 @@ class Archive(Parts):
 
         def written() -> None:
             with suppress(OSError, FormatError), os.fdopen(writing, "wb") as pipe:  # the reader may go, and says why
-                for block in self._blocks(name):
+                for block in self.blocks(name):
                     pipe.write(block)
 
         writer = threading.Thread(target=written, name=f"{name} of {self.path.name}", daemon=True)
@@ -211,7 +225,8 @@ class Archive(Parts):
             os.close(reading)
             writer.join()
 
-    def _blocks(self, name: str) -> Iterator[bytes]:
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield what a file holds, piece by piece; a wrong checksum of the archive is damage."""
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as held:
                 left = self._members[name].file_size

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 import stat
 import threading
@@ -11,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
 from siamloc.data.frames import FrameTable
@@ -19,6 +22,7 @@ from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import VisualMap
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export
+from siamloc.runtime.describing import weights_elsewhere
 from tests.drawn import draw_panorama, draw_sequence
 
 SIZE = (32, 128)
@@ -193,6 +197,47 @@ def test_a_folder_with_links_or_with_names_that_lead_outside_is_refused(folder, 
     write_json(outside / "bundle.json", about)
     with pytest.raises(FormatError, match=r"lists '\.\./map\.npz', which no bundle has"):
         Bundle.open(outside)
+
+
+@pytest.mark.parametrize("where", ["secret.bin", "../secret.bin", "model.onnx.data", None])
+def test_weights_outside_of_the_bundle_are_not_read(archive, tmp_path, monkeypatch, where):
+    files = dict(files_of(archive))
+    model = onnx.load_from_string(files["model.onnx"])
+    tensor = max(model.graph.initializer, key=lambda one: len(one.raw_data))
+    for folder in (tmp_path, tmp_path / "bundle"):
+        folder.mkdir(exist_ok=True)
+        (folder / "secret.bin").write_bytes(tensor.raw_data)
+    where = str(tmp_path / "secret.bin") if where is None else where
+    entries = {"location": where, "offset": "0", "length": str(len(tensor.raw_data))}
+    tensor.ClearField("raw_data")
+    tensor.data_location = onnx.TensorProto.EXTERNAL
+    for key, value in entries.items():
+        tensor.external_data.add(key=key, value=value)
+    files["model.onnx"] = model.SerializeToString()
+    about = json.loads(files["bundle.json"])
+    about["sha256"]["model.onnx"] = hashlib.sha256(files["model.onnx"]).hexdigest()
+    files["bundle.json"] = json.dumps(about).encode()
+    for name, content in files.items():
+        (tmp_path / "bundle" / name).write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    for path in (tmp_path / "bundle", zipped(tmp_path / "a.zip", files.items())):
+        with pytest.raises(FormatError, match="weights in files that are none of a bundle's"):
+            Localizer(path)
+
+
+@pytest.mark.parametrize("step", [1, 7, 50, 10_000])
+def test_where_weights_are_is_found_wherever_the_file_is_cut(step):
+    def cut(content):
+        return [content[at : at + step] for at in range(0, len(content), step)]
+
+    noise = np.random.default_rng(0).integers(0, 256, 300, dtype=np.uint8).tobytes()
+    own = b"\x0a\x08location\x12\x0fmodel.onnx.data"
+    for before in (0, 3, 64, 300):
+        for key in (b"\x0a\x08location", b"\x0a\x88\x00location"):
+            assert weights_elsewhere(cut(noise[:before] + own + key + b"\x12\x01a"), "model.onnx.data")
+        assert not weights_elsewhere(cut(noise[:before] + own + noise), "model.onnx.data")
+        assert weights_elsewhere(cut(noise[:before] + own + noise), "")
+        assert not weights_elsewhere(cut(noise[:before] + b"location of the robot"), "")
 
 
 def test_a_bundle_that_disagrees_with_its_network_is_refused(world, tmp_path, monkeypatch):
