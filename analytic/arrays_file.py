@@ -5,10 +5,11 @@ from __future__ import annotations
 import tokenize
 import zipfile
 import zlib
+from contextlib import AbstractContextManager, nullcontext
 from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,8 @@ _AT_ONCE = 2**20  # bytes
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that arrays may have anyway, and for each byte of the file
 
 
-def read_arrays(path: str | Path | bytes) -> dict[str, NDArray[Any]]:
-    """Read all arrays of a file in the format of `numpy.savez`, or of what such a file holds.
+def read_arrays(path: str | Path | bytes | BinaryIO) -> dict[str, NDArray[Any]]:
+    """Read all arrays of a file in the format of `numpy.savez`, by name or opened, or of what such a file holds.
 
     Nothing in it is executed, each array must be as long as its description says, and all together may be a hundred
     times as long as the file and 64 MB more, but not longer, however well they were compressed.
@@ -43,7 +44,7 @@ def read_arrays(path: str | Path | bytes) -> dict[str, NDArray[Any]]:
         OSError, ValueError, ...: one of `DAMAGE`, with what is wrong.
     """
     found: dict[str, NDArray[Any]] = {}
-    with BytesIO(path) if isinstance(path, bytes) else Path(path).open("rb") as file, zipfile.ZipFile(file) as archive:
+    with _opened(path) as file, zipfile.ZipFile(file) as archive:
         left = _SPARE + _DENSEST * file.seek(0, 2)
         for member in archive.infolist():
             name = member.filename.removesuffix(".npy")
@@ -54,6 +55,12 @@ def read_arrays(path: str | Path | bytes) -> dict[str, NDArray[Any]]:
                 raise ValueError("its arrays are far too long for a file of its length")
             found[name] = _read(archive, member, name)
     return found
+
+
+def _opened(path: str | Path | bytes | BinaryIO) -> AbstractContextManager[BinaryIO]:
+    if isinstance(path, (str, Path)):
+        return Path(path).open("rb")
+    return nullcontext(BytesIO(path) if isinstance(path, bytes) else path)
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:

@@ -59,6 +59,14 @@ class Report:
         merged = {**old, **rows}
         return {name: merged[name] for name in order if name in merged}
 
+    def former(self, key: str) -> dict[str, Any]:
+        """Return a table of the file as it stands, which this run did not measure."""
+        former = read_json(self.path) if self.path.is_file() else {}
+        if former.get(key):
+            whence = {"date": former.get("date"), "cpu": former.get("hardware", {}).get("cpu")}
+            self._kept[key] = former.get("kept", {}).get(key, whence)
+        return dict(former.get(key, {}))
+
     def write(self, figures: Mapping[str, Any]) -> None:
         """Write the figures with all that they rest on."""
         about = {

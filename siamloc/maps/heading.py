@@ -15,7 +15,7 @@ from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.files import plain
-from siamloc.maps.packing import packed
+from siamloc.maps.packing import all_finite, packed
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +38,14 @@ class HeadingPart:
     values: NDArray[np.float16]
 
     def __post_init__(self) -> None:
-        values = np.array(self.values)
+        values = np.asarray(self.values)
+        values = values.copy() if values.flags.writeable else values
         if values.dtype != np.float16 or 0 in values.shape or not (values.ndim == 3 or values.shape[3:] == (2,)):
             raise DataError(
                 f"a map's heading part must be float16 of shape (n, K, F) or (n, K, F, 2), got {values.dtype} "
                 f"{values.shape}"
             )
-        if not np.isfinite(values).all():
+        if not all_finite(values):
             raise DataError("a map's heading part holds values that are not finite: look at the images")
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
@@ -57,7 +58,7 @@ class HeadingPart:
         Raises:
             DataError: values that are not finite.
         """
-        if not np.isfinite(orientation).all():
+        if not all_finite(orientation):
             raise DataError(f"the orientation parts of {descriptor.name} hold values that are not finite")
         return cls(descriptor.identity, packed("values", orientation, "float16")["values"])
 

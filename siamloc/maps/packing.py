@@ -13,6 +13,7 @@ PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
 _LEVELS = 127
 _EXPONENT = 14  # of a power of two below the largest float16
+_AT_ONCE = 1 << 20  # numbers
 
 
 def packed(name: str, values: NDArray, precision: Precision) -> dict[str, NDArray]:
@@ -41,6 +42,12 @@ def packed(name: str, values: NDArray, precision: Precision) -> dict[str, NDArra
     shares = values / scale.reshape(-1, *[1] * (values.ndim - 1))
     kept = np.rint(shares).astype(np.int8) if precision == "int8" else shares.astype(np.float16)
     return {name: kept, f"{name}_scale": scale.astype(np.float32)}
+
+
+def all_finite(values: NDArray) -> bool:
+    """Find out whether an array (n, ...) holds finite numbers alone, in blocks of rows: maps are large."""
+    rows = max(1, _AT_ONCE // max(1, values[:1].size))
+    return all(bool(np.isfinite(values[at : at + rows]).all()) for at in range(0, len(values), rows))
 
 
 def unpacked(values: NDArray, scale: NDArray) -> NDArray:

@@ -77,8 +77,8 @@ class PoseFilter:
     def step(self, pose: RefinedPoses) -> RefinedPoses:
         """Take in the pose of one query and return the filtered one.
 
-        A pose without information, see `RefinedPoses`, moves the robot on as it went. Heading and map frame are those
-        of the last pose that may be no stray one.
+        A pose without information, see `RefinedPoses`, or that is no number moves the robot on as it went. Heading and
+        map frame are those of the last pose that may be no stray one.
 
         Raises:
             DataError: not one pose.
@@ -87,7 +87,7 @@ class PoseFilter:
             raise DataError(f"a step takes the pose of one query, got {len(pose)}")
         about = pose.information[0]
         stories = [self._moved(story) for story in self._stories]
-        if about.any():
+        if about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all():
             spread = np.linalg.inv(about)
             best = max((story.evidence for story in stories), default=0.0)
             begun = np.block([[spread, np.zeros((2, 2))], [np.zeros((2, 2)), self.length**2 * np.eye(2)]])

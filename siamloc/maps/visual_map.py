@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import Description, Descriptor
+from analytic import AnalyticError, Description, Descriptor
 from analytic.arrays_file import DAMAGE, read_arrays
 from analytic.distances import DISTANCES
 from siamloc.calls import typed
@@ -22,7 +22,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import atomic_path, parsed_json, plain
 from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic
-from siamloc.maps.packing import Precision, packed, unpacked
+from siamloc.maps.packing import Precision, all_finite, packed, unpacked
 from siamloc.maps.search import Retrieval, VectorIndex
 
 _FORMAT = "siamloc-map"
@@ -77,7 +77,7 @@ class VisualMap:
             raise DataError(
                 f"a map needs one descriptor per frame, got {len(descriptors)} for {len(self.frames)} frames"
             )
-        if not np.isfinite(descriptors).all():
+        if not all_finite(descriptors):
             bad = np.flatnonzero(~np.isfinite(descriptors).all(axis=1))
             raise DataError(
                 f"{len(bad)} of {len(descriptors)} map descriptors hold values that are not finite, the first that of "
@@ -132,9 +132,16 @@ class VisualMap:
     @cached_property
     def describer(self) -> Descriptor:
         """What describes queries together with what their headings are found by."""
-        if self.heading is None or self.heading.own:
+        if self.heading is None or self.turned_by_its_own:
             return self.descriptor
         return WithHeading(self.descriptor, self.heading.descriptor)
+
+    @property
+    def turned_by_its_own(self) -> bool:
+        """Whether headings are found by a heading part that its own descriptor gives."""
+        if self.heading is None or self.heading.own:
+            return self.heading is not None
+        return self.heading.identity == _without_images(self.identity)
 
     @property
     def aligned(self) -> bool:
@@ -360,34 +367,45 @@ class VisualMap:
         path = Path(path)
         if not path.is_file():
             raise FormatError(f"{path} does not exist: build the map first")
-        return cls._read(path, path, descriptor)
+        loaded = cls._read(path, path)
+        return loaded if descriptor is None else loaded.with_descriptor(descriptor)
 
     @classmethod
-    def loads(cls, content: Path | bytes, source: str, descriptor: Descriptor | None = None) -> VisualMap:
-        """Read what a file by `save` holds.
+    def read(cls, file: BinaryIO, source: str) -> VisualMap:
+        """Read what `save` wrote for a robot, from an open file.
+
+        Orientation parts of fewer digits by which headings alone are found stay as short as they are, as `heading`.
 
         Args:
-            content: of the file, or where it lies.
+            file: opened for reading, with a beginning and an end.
             source: what to call it in error messages.
-            descriptor: as for `load`.
 
         Raises:
-            ConfigError, FormatError: as `load`.
+            FormatError: as `load`.
         """
-        return cls._read(content, source, descriptor)
+        return cls._read(file, source, short=True)
 
     @classmethod
-    def _read(cls, content: Path | bytes, path: str | Path, descriptor: Descriptor | None) -> VisualMap:
+    def _read(cls, content: Path | BinaryIO, path: str | Path, short: bool = False) -> VisualMap:
+        damaged = f"{path} is not a siamloc map, or not a whole one: build it again"
         try:
             arrays = read_arrays(content)
+        except DAMAGE as error:
+            raise FormatError(damaged) from error
+        header = _read_header(path, arrays)
+        try:
+            if short and "orientation_scale" in arrays and _turned_alone(header):
+                # A heading is the turn of the largest correlation, which no scale changes.
+                header["heading"] = _without_images(header["identity"])
+                arrays["heading"] = arrays.pop("orientation")
+                del header["orientation"], arrays["orientation_scale"]
             for name in ("descriptors", "orientation"):
                 if f"{name}_scale" in arrays:
                     arrays[name] = unpacked(arrays[name], arrays.pop(f"{name}_scale"))
-                if name in arrays:
-                    arrays[name].flags.writeable = False  # nobody else has them
+            for name in {"descriptors", "orientation", "heading"} & set(arrays):
+                arrays[name].flags.writeable = False  # nobody else has them
         except DAMAGE as error:
-            raise FormatError(f"{path} is not a siamloc map, or not a whole one: build it again") from error
-        header = _read_header(path, arrays)
+            raise FormatError(damaged) from error
         columns: dict[str, Any] = {
             name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")
         }
@@ -410,7 +428,7 @@ class VisualMap:
                 f"{path} announces {header.get('frames')} descriptors of {header.get('width')} values and holds "
                 f"{len(loaded)} of {loaded.width}: build it again"
             )
-        return loaded if descriptor is None else loaded.with_descriptor(descriptor)
+        return loaded
 
 
 _ABSENT = object()
@@ -428,6 +446,22 @@ def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:
     return same and np.array_equal(orientation.reshape(descriptors.shape), descriptors)
 
 
+def _without_images(identity: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in identity.items() if key != "images"}
+
+
+def _turned_alone(header: Mapping[str, Any]) -> bool:
+    """Find out whether orientation parts give headings and nothing else: then no descriptor is turned to compare it."""
+    identity = header.get("identity")
+    if "heading" in header or not isinstance(identity, dict) or not is_analytic(identity):
+        return False
+    try:
+        made = descriptor_of(identity)
+    except (AnalyticError, TypeError):
+        return False  # and who describes images says so
+    return made.tells_heading and not made.aligned
+
+
 def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> NDArray | None:
     if "orientation" in arrays or header.get("orientation") is None:
         return arrays.get("orientation")
@@ -440,7 +474,7 @@ def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
         raise DataError(
             f"a map's orientation parts must be numbers of shape ({frames}, K, F), got {array.dtype} {array.shape}"
         )
-    if not np.isfinite(array).all():
+    if not all_finite(array):
         raise DataError("a map's orientation parts hold values that are not finite: look at the images")
     array.flags.writeable = False
     return array

@@ -101,9 +101,7 @@ class Bundle:
         Raises:
             FormatError: it is damaged.
         """
-        from siamloc.maps import VisualMap
-
-        return VisualMap.loads(self.parts.content(MAP), f"{self.path}/{MAP}") if MAP in self.files else None
+        return self._map(MAP)
 
     def load_errors(self) -> ErrorModel | None:
         """Read the model of the expected error; None if there is none.
@@ -131,12 +129,11 @@ class Bundle:
         Raises:
             FormatError: one of them is damaged.
         """
-        from siamloc.maps import CoarseLayer, VisualMap
+        from siamloc.maps import CoarseLayer
 
         if LAYER not in self.files:
             return None
-        coarse = VisualMap.loads(self.parts.content(COARSE), f"{self.path}/{COARSE}") if COARSE in self.files else None
-        return CoarseLayer.loads(self.parts.read(LAYER), f"{self.path}/{LAYER}"), coarse
+        return CoarseLayer.loads(self.parts.read(LAYER), f"{self.path}/{LAYER}"), self._map(COARSE)
 
     def thumbnail(self, row: int) -> bytes | None:
         """Return a small picture of a map frame as JPEG; None where the bundle has none.
@@ -238,6 +235,14 @@ class Bundle:
     @property
     def _unit(self) -> str:
         return str(self.about.get("unit", "m"))
+
+    def _map(self, name: str) -> VisualMap | None:
+        from siamloc.maps import VisualMap
+
+        if name not in self.files:
+            return None
+        with self.parts.opened(name) as file:
+            return VisualMap.read(file, f"{self.path}/{name}")
 
     def _learned(self, kind: type[_Kind], name: str) -> _Kind | None:
         if name not in self.files:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,9 @@ from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
 from siamloc.settings import Count, checked
+
+_LOCATION, _OVERLAP = b"location", 64
+_KEY = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)\Z")  # a text of eight letters under the first number follows
 
 
 class Describer:
@@ -44,18 +50,28 @@ class Describer:
                 raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
+        options.enable_mem_pattern = False  # one block for all steps of an image saves no time, and takes more memory
         if threads is not None:
             options.intra_op_num_threads = threads
 
         def session(name: str) -> Any:
             if name not in bundle.files:
                 return None
-            model = bundle.parts.content(name)
-            try:
-                return onnxruntime.InferenceSession(
-                    model if isinstance(model, bytes) else str(model), options, providers=list(providers)
+
+            if weights_elsewhere(bundle.parts.blocks(name), f"{name}.data" if f"{name}.data" in bundle.files else ""):
+                raise FormatError(
+                    f"{bundle.path}/{name} has weights in files that are none of a bundle's: export again"
                 )
+
+            def made(model: str | bytes) -> Any:
+                return onnxruntime.InferenceSession(model, options, providers=list(providers))
+
+            try:
+                with bundle.parts.streamed(name) as path:
+                    return made(str(path))
             except Exception as error:  # onnxruntime's exceptions have no common base
+                with suppress(Exception):  # where it cannot read a stream
+                    return made(bundle.parts.read(name))
                 raise FormatError(
                     f"onnxruntime cannot run {bundle.path}/{name} ({type(error).__name__}): export again"
                 ) from error
@@ -63,9 +79,10 @@ class Describer:
         self._size = bundle.image_size
         self._session, self._relative = session(MODEL), session(RELATIVE)
         if self._session is None:
-            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, known.orientation))
+            turned = known.orientation if known.heading is None else known.heading.values
+            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, turned))
         self.known, self._turning, part = known, None, known.heading
-        if part is not None and not part.own:
+        if part is not None and not known.turned_by_its_own:
             self._turning = analytic_descriptor(part.identity, bundle, orientation=part.values)
 
     @property
@@ -88,6 +105,9 @@ class Describer:
         else:
             position, *parts = self._session.run(None, {"panorama": panoramas})
             orientation = parts[0] if parts else None
+            if orientation is not None and not np.isfinite(orientation).all():
+                # onnxruntime adds up in another way than torch and finds variances below 0 where there is no contrast.
+                orientation = np.nan_to_num(orientation, nan=0.0, posinf=0.0, neginf=0.0)
         if self._turning is not None:
             orientation = self._turning.describe(panoramas).orientation
         return Description(position, orientation)
@@ -99,6 +119,30 @@ class Describer:
         assert self._relative is not None
         pose, information, match = self._relative.run(None, {"query": queries, "known": known})
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
+
+
+def weights_elsewhere(blocks: Iterable[bytes], allowed: str) -> bool:
+    """Find out whether an ONNX file has weights in another file than the allowed one.
+
+    ONNX names the file of a tensor under the key "location", next to the model or wherever the process is. Not all
+    versions of onnxruntime refuse what leads elsewhere.
+
+    Args:
+        blocks: of the ONNX file, in order.
+        allowed: name of the file that weights may be in; "" for none.
+    """
+    value = bytes([0x12, len(allowed)]) + allowed.encode()
+    seen = b""
+    for block in chain(blocks, [bytes(_OVERLAP)]):  # the last one ends what may be cut
+        seen = seen[-2 * _OVERLAP :] + block
+        at = seen.find(_LOCATION)
+        while 0 <= at < len(seen) - _OVERLAP:  # nearer to the end it is looked at with the next block
+            key = _KEY.search(seen[max(0, at - _OVERLAP) : at])
+            at += len(_LOCATION)
+            if key is not None and not (allowed and seen.startswith(value, at)):
+                return True
+            at = seen.find(_LOCATION, at)
+    return False
 
 
 def analytic_descriptor(

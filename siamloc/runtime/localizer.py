@@ -32,6 +32,7 @@ from siamloc.maps import (
 )
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.describing import Describer, analytic_descriptor
+from siamloc.runtime.memory import given_back
 from siamloc.settings import Count, checked
 
 _STANDING = 0.01  # step in a map whose frames are all in one place
@@ -162,12 +163,19 @@ class Localizer:
         hierarchical: bool | None = None,
     ) -> None:
         checked(top, Count, "top")
+        self._top = top
+        with given_back():
+            self._start(bundle_path, threads, providers, hierarchical)
+
+    def _start(
+        self, bundle_path: str | Path, threads: int | None, providers: Sequence[str], hierarchical: bool | None
+    ) -> None:
+        """Read the bundle, and make all ready for the first image."""
         self.bundle = Bundle.open(bundle_path)
         known = self.bundle.load_map()
         if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
         known.check_describer(self.bundle.identity)
-        self._top = top
         self._describer = Describer(self.bundle, known, threads, providers)
         self.map = self._describer.known
         self._search = self._layered(hierarchical)
@@ -185,7 +193,7 @@ class Localizer:
                 f"refine={method}: export again"
             )
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
-        self._wanted = max(top, *looked_at, 1)
+        self._wanted = max(self._top, *looked_at, 1)
         for one in {id(one): one for one in (self.map, self._placed) if one is not None}.values():
             match(one, one.description.take(slice(0, 1)))  # made ready here, and not with the first image
 
@@ -247,7 +255,7 @@ class Localizer:
     def locate_batch(self, images: Sequence[str | Path | NDArray[np.uint8]]) -> list[Location]:
         """Locate several images, described together: faster where the provider is, such as a GPU.
 
-        Each answer is the one that `locate` gives, up to the rounding of the descriptor; its `ms` is the mean.
+        Each answer is the one that `locate` gives, on a CPU to the last digit; its `ms` is the mean.
 
         Args:
             images: as `locate` takes them, any number.

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import stat
+import threading
 import zipfile
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO, cast
 
 from siamloc.errors import FormatError
 from siamloc.files import file_hash
@@ -18,6 +23,7 @@ _SPARE, _DENSEST = 64_000_000, 100  # bytes that a part may have anyway, and for
 _DAMAGE = (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 _AT_ONCE = 1 << 20
 _IN_MEMORY = 1_000_000_000  # bytes of a part that is read as a whole
+_PIPES = Path("/proc/self/fd")  # where what is open has a path
 _FOLDER = re.compile(r"(?!\.{1,2}/)[^/\\:]+/|")  # the top of an archive, or one folder by a plain name
 
 
@@ -55,13 +61,30 @@ class Parts(ABC):
     def size(self, name: str) -> int:
         """Return how many bytes a file has."""
 
-    def content(self, name: str) -> Path | bytes:
-        """Return what a file holds, or its path, so that it need not be in memory twice.
+    @abstractmethod
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield what a file holds, piece by piece.
 
         Raises:
             FormatError: it is not there, or damaged.
         """
-        return self.read(name)
+
+    @abstractmethod
+    def opened(self, name: str) -> AbstractContextManager[BinaryIO]:
+        """Open a file for reading, with a beginning and an end.
+
+        Raises:
+            FormatError: it is not there, or damaged.
+        """
+
+    @abstractmethod
+    def streamed(self, name: str) -> AbstractContextManager[Path]:
+        """Yield a path from which a file can be read once, so that it is in memory nowhere else.
+
+        Raises:
+            FormatError: it is not there, or damaged.
+            OSError: this system has no such paths.
+        """
 
 
 class Folder(Parts):
@@ -96,9 +119,26 @@ class Folder(Parts):
         """Return how many bytes a file has."""
         return (self.path / name).stat().st_size
 
-    def content(self, name: str) -> Path | bytes:
-        """Return the path; weights of more than 2 GB lie in a file beside that of the model."""
-        return self.path / name
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield what a file holds, piece by piece."""
+        with self.opened(name) as file:
+            while block := file.read(_AT_ONCE):
+                yield block
+
+    @contextmanager
+    def opened(self, name: str) -> Iterator[BinaryIO]:
+        """Open a file."""
+        try:
+            file = (self.path / name).open("rb")
+        except OSError as error:
+            raise FormatError(f"{self.path / name} cannot be read ({error.strerror}): export again") from error
+        with file:
+            yield file
+
+    @contextmanager
+    def streamed(self, name: str) -> Iterator[Path]:
+        """Yield its own path; weights of more than 2 GB lie in a file beside that of the model."""
+        yield self.path / name
 
 
 class Archive(Parts):
@@ -139,12 +179,12 @@ class Archive(Parts):
 
     def read(self, name: str) -> bytes:
         """Return what a file holds; a wrong checksum of the archive is damage."""
-        return b"".join(self._blocks(name))
+        return b"".join(self.blocks(name))
 
     def digest(self, name: str) -> str:
         """Return the SHA-256 of a file in hexadecimal."""
         digest = hashlib.sha256()
-        for block in self._blocks(name):
+        for block in self.blocks(name):
             digest.update(block)
         return digest.hexdigest()
 
@@ -152,7 +192,41 @@ class Archive(Parts):
         """Return how many bytes a file has, in the archive."""
         return self._members[name].compress_size
 
-    def _blocks(self, name: str) -> Iterator[bytes]:
+    @contextmanager
+    def opened(self, name: str) -> Iterator[BinaryIO]:
+        """Open a file where it lies; one that was made shorter is read first."""
+        if self._members[name].compress_type != zipfile.ZIP_STORED:
+            yield BytesIO(self.read(name))
+            return
+        try:
+            archive = zipfile.ZipFile(self.path)
+        except _DAMAGE as error:
+            raise FormatError(f"{self.path} is damaged or cut short ({error}): export again") from error
+        with archive, archive.open(self._members[name]) as held:
+            yield cast(BinaryIO, held)
+
+    @contextmanager
+    def streamed(self, name: str) -> Iterator[Path]:
+        """Yield the path of a pipe, through which a file comes block by block."""
+        if not _PIPES.is_dir():
+            raise OSError(f"there is no {_PIPES}")
+        reading, writing = os.pipe()
+
+        def written() -> None:
+            with suppress(OSError, FormatError), os.fdopen(writing, "wb") as pipe:  # the reader may go, and says why
+                for block in self.blocks(name):
+                    pipe.write(block)
+
+        writer = threading.Thread(target=written, name=f"{name} of {self.path.name}", daemon=True)
+        writer.start()
+        try:
+            yield _PIPES / str(reading)
+        finally:
+            os.close(reading)
+            writer.join()
+
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield what a file holds, piece by piece; a wrong checksum of the archive is damage."""
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as held:
                 left = self._members[name].file_size

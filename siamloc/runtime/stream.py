@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import os
 import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,6 +26,7 @@ from siamloc.runtime.localizer import Localizer, Location
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg"}
 CAMERA = "camera:"
+_FFMPEG_LEVEL, _FFMPEG_SILENT = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 COLUMNS = (
     *("image", "x", "y", "theta", "room", "error_m", "lost", "covariance_xx", "covariance_xy", "covariance_yy"),
     *("agreement", "match", "distance", "ms", "off_by"),
@@ -192,16 +194,19 @@ def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8], None]]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence OpenCV's own lines about a camera or a video that is not there: the sentence here says it."""
+    """Silence OpenCV's and FFmpeg's lines about a camera or a video that is not there: the sentence here says it."""
     import cv2
 
     log = cv2.utils.logging
     level = log.getLogLevel()
     log.setLogLevel(log.LOG_LEVEL_SILENT)
+    chosen = os.environ.setdefault(_FFMPEG_LEVEL, _FFMPEG_SILENT)  # read when the first video is opened
     try:
         yield
     finally:
         log.setLogLevel(level)
+        if chosen is _FFMPEG_SILENT:
+            os.environ.pop(_FFMPEG_LEVEL, None)
 
 
 @typed

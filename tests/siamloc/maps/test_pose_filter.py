@@ -52,6 +52,15 @@ def test_a_single_wrong_pose_is_passed_over(agreement):
     assert np.linalg.det(found.information[30]) < np.linalg.det(found.information[29]), "it is less sure there"
 
 
+@pytest.mark.parametrize("strange", ["xy", "information"])
+def test_a_pose_that_is_no_number_moves_the_robot_on(strange):
+    xy = drive()
+    poses = told(xy)
+    getattr(poses, strange)[30] = np.nan
+    found = PoseFilter(STEP).run(poses, ["a"] * len(xy))
+    assert errors(found, xy).max() < 0.25
+
+
 def test_a_robot_that_was_carried_away_is_found_again():
     xy = drive()
     xy[30:] += [50.0, 7.0]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 import stat
+import threading
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
 from siamloc.data.frames import FrameTable
@@ -18,6 +22,7 @@ from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import VisualMap
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export
+from siamloc.runtime.describing import weights_elsewhere
 from tests.drawn import draw_panorama, draw_sequence
 
 SIZE = (32, 128)
@@ -60,6 +65,11 @@ def same(one, other):
     )
 
 
+def told(location):
+    """Return all that an answer says, to the last digit; NaN equals NaN."""
+    return repr(replace(location, ms=0.0))
+
+
 def zipped(path, files):
     with zipfile.ZipFile(path, "w") as made:
         for name, content in files:
@@ -89,14 +99,30 @@ def test_the_folder_put_into_an_archive_by_hand_is_one_too(folder, tmp_path):
     assert same(answers(made), answers(folder))
 
 
-def test_an_image_has_one_answer_alone_again_and_from_four_threads(folder):
-    images = list(drive(1)[0]) * 4
-    localizer = Localizer(folder)
-    expected = [replace(localizer.locate(image), ms=0.0) for image in images]
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_image_has_one_answer_alone_again_in_a_batch_and_from_four_threads(folder, threads):
+    images = list(drive(1)[0])
+    localizer = Localizer(folder, threads=threads)
+    alone = [told(localizer.locate(image)) for image in images]
+    assert [told(localizer.locate(image)) for image in images] == alone
+    for size in (2, 5, len(images)):
+        assert [told(location) for location in localizer.locate_batch(images[:size])] == alone[:size]
     with ThreadPoolExecutor(4) as pool:
-        found = [replace(location, ms=0.0) for location in pool.map(localizer.locate, images)]
-    assert same(found, expected)
-    assert same(expected[: len(images) // 4], expected[-len(images) // 4 :])
+        assert [told(location) for location in pool.map(localizer.locate, images * 4)] == alone * 4
+
+
+def test_the_files_of_an_archive_come_through_a_pipe(archive, monkeypatch):
+    parts = Bundle.open(archive).parts
+    with parts.streamed("model.onnx") as path:
+        assert path.read_bytes() == parts.read("model.onnx")
+    with parts.streamed("model.onnx"):  # a reader that never reads
+        pass
+    assert [thread.name for thread in threading.enumerate() if "model.onnx" in thread.name] == []
+    with parts.opened("map.npz") as file:
+        assert file.read() == parts.read("map.npz")
+    expected = answers(archive)
+    monkeypatch.setattr("siamloc.runtime.parts._PIPES", Path("/nowhere"))
+    assert same(answers(archive), expected)
 
 
 def test_an_archive_is_replaced_and_nothing_else(world, archive, tmp_path):
@@ -171,6 +197,47 @@ def test_a_folder_with_links_or_with_names_that_lead_outside_is_refused(folder, 
     write_json(outside / "bundle.json", about)
     with pytest.raises(FormatError, match=r"lists '\.\./map\.npz', which no bundle has"):
         Bundle.open(outside)
+
+
+@pytest.mark.parametrize("where", ["secret.bin", "../secret.bin", "model.onnx.data", None])
+def test_weights_outside_of_the_bundle_are_not_read(archive, tmp_path, monkeypatch, where):
+    files = dict(files_of(archive))
+    model = onnx.load_from_string(files["model.onnx"])
+    tensor = max(model.graph.initializer, key=lambda one: len(one.raw_data))
+    for folder in (tmp_path, tmp_path / "bundle"):
+        folder.mkdir(exist_ok=True)
+        (folder / "secret.bin").write_bytes(tensor.raw_data)
+    where = str(tmp_path / "secret.bin") if where is None else where
+    entries = {"location": where, "offset": "0", "length": str(len(tensor.raw_data))}
+    tensor.ClearField("raw_data")
+    tensor.data_location = onnx.TensorProto.EXTERNAL
+    for key, value in entries.items():
+        tensor.external_data.add(key=key, value=value)
+    files["model.onnx"] = model.SerializeToString()
+    about = json.loads(files["bundle.json"])
+    about["sha256"]["model.onnx"] = hashlib.sha256(files["model.onnx"]).hexdigest()
+    files["bundle.json"] = json.dumps(about).encode()
+    for name, content in files.items():
+        (tmp_path / "bundle" / name).write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    for path in (tmp_path / "bundle", zipped(tmp_path / "a.zip", files.items())):
+        with pytest.raises(FormatError, match="weights in files that are none of a bundle's"):
+            Localizer(path)
+
+
+@pytest.mark.parametrize("step", [1, 7, 50, 10_000])
+def test_where_weights_are_is_found_wherever_the_file_is_cut(step):
+    def cut(content):
+        return [content[at : at + step] for at in range(0, len(content), step)]
+
+    noise = np.random.default_rng(0).integers(0, 256, 300, dtype=np.uint8).tobytes()
+    own = b"\x0a\x08location\x12\x0fmodel.onnx.data"
+    for before in (0, 3, 64, 300):
+        for key in (b"\x0a\x08location", b"\x0a\x88\x00location"):
+            assert weights_elsewhere(cut(noise[:before] + own + key + b"\x12\x01a"), "model.onnx.data")
+        assert not weights_elsewhere(cut(noise[:before] + own + noise), "model.onnx.data")
+        assert weights_elsewhere(cut(noise[:before] + own + noise), "")
+        assert not weights_elsewhere(cut(noise[:before] + b"location of the robot"), "")
 
 
 def test_a_bundle_that_disagrees_with_its_network_is_refused(world, tmp_path, monkeypatch):

@@ -327,6 +327,27 @@ def test_a_shortened_map_is_read_back(world, tmp_path):
             assert read.description.orientation.shape == known.orientation.shape
 
 
+@pytest.mark.parametrize("name", ["hog", "fs"])
+@pytest.mark.parametrize("precision", ["float16", "int8"])
+def test_what_gives_headings_stays_short_on_the_robot(world, tmp_path, name, precision):
+    images, monday, tuesday = world
+    bundle = runtime.export(
+        described(name),
+        maps.build(described(name), images, monday, progress=False),
+        tmp_path / "b",
+        precision=precision,
+    )
+    whole, localizer = VisualMap.load(tmp_path / "b" / "map.npz"), runtime.Localizer(bundle.path)
+    assert localizer.map.orientation is None
+    assert localizer.map.heading.values.dtype == np.float16
+    assert localizer.map.turned_by_its_own
+    panoramas = np.concatenate(list(images.batches(tuesday)))
+    queries = localizer.describe(panoramas)
+    theta = maps.headings(whole, queries, maps.match(whole, queries))[:, 0]
+    assert [localizer.locate_panorama(one).theta for one in panoramas] == theta.tolist()
+    assert localizer.map.describer is localizer.map.descriptor
+
+
 def test_several_images_at_once_give_the_same_answers(world, network, tmp_path):
     images, monday, tuesday = world
     known = maps.build(network, images, monday, progress=False)

@@ -291,6 +291,17 @@ def test_files_folders_and_videos_are_located_in_order(bundle, tmp_path):
         list(locate_all(localizer, photos, on_error="raise"))
 
 
+@pytest.mark.parametrize("content", [b"", b"no film"])
+def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path, content):
+    (tmp_path / "film.mp4").write_bytes(content)
+    code = "import sys; from siamloc.runtime.stream import pictures; list(pictures(sys.argv[1]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "film.mp4"], capture_output=True, text=True, check=False
+    )
+    assert "it is no video, or empty" in done.stderr.splitlines()[-1]
+    assert done.stderr.startswith("Traceback")
+
+
 @pytest.mark.parametrize(
     ("name", "says"),
     [

@@ -108,6 +108,23 @@ def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(network, kno
     assert localizer.tracker().length == pytest.approx(_spacing(known))
 
 
+def test_a_picture_without_contrast_ends_no_drive(bundle):
+    pictures, localizer = drive(2)[0], Localizer(bundle)
+    session, black = localizer._describer._session, np.zeros_like(pictures[0])
+
+    class OnThisMachine:  # whether it happens depends on how onnxruntime adds up
+        def run(self, names, given):
+            position, parts = session.run(names, given)
+            return position, np.full_like(parts, np.nan) if not given["panorama"].any() else parts
+
+    localizer._describer._session = OnThisMachine()
+    tracker = localizer.tracker(step=0.3)
+    found = [localizer.locate(one, tracker) for one in (*pictures[:3], black, *pictures[3:])]
+    assert np.isfinite([[one.x, one.y, one.theta] for one in found]).all()
+    seen = [localizer.locate(one, tracker) for tracker in [localizer.tracker(step=0.3)] for one in pictures]
+    np.testing.assert_allclose([one.x for one in found[4:]], [one.x for one in seen[3:]], atol=0.5)
+
+
 def test_each_folder_is_a_drive(network, known, tmp_path):
     folder = bundled(tmp_path / "bundle", network, known, method="relative")
     pictures, localizer = drive(2)[0], Localizer(folder)
