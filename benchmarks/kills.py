@@ -111,6 +111,7 @@ WORKS: dict[str, Work] = {
         ("evaluate", "run={out}/run", "task.baselines=[thumbnail]", "task.error_model=true"), needs="mapped"
     ),
     "export": Work(("export", "run={out}/run"), needs="mapped"),
+    "reproduce": Work(("reproduce", "table_5_15", "data=mini", "root={data}/mini", "scale=smoke", "out={out}")),
 }
 
 
@@ -261,7 +262,7 @@ def stages(folder: Path) -> Iterator[Path]:
     """Make the building, a trained run, and the run with its map."""
     data, out = folder / "data", folder / "whole"
     simulated = [word.format(out=data) for word in WORKS["simulate"].words if not word.startswith(("runs", "frames"))]
-    _done([*simulated, "runs=[cloudy1,cloudy2,night1]", "frames=60"])
+    _done([*simulated, "runs=[cloudy1,cloudy2,cloudy3,night1,night2,sunny1,sunny2]", "frames=60"])
     train = [word.format(out=out, data=data) for word in WORKS["train"].words]
     _done([*train, "pairs.epoch_pairs=200"])
     (out / "run").rename(folder / "trained")

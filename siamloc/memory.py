@@ -1,27 +1,32 @@
-"""Memory that the process keeps between the steps of a training, instead of asking the system for it again."""
+"""What the C library does with memory that the process frees: keep it, or give it back to the system.
+
+Where the C library is not glibc, nothing changes.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
 # Names and numbers of malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_MMAP_MAX = -1, -3, -4
+_KEEP = {_M_MMAP_MAX: 0, _M_TRIM_THRESHOLD: 2**31 - 1}  # no block is mapped on its own, and the heap does not shrink
+_GIVE_BACK = {_M_MMAP_THRESHOLD: 2**17, _M_TRIM_THRESHOLD: 2**17}  # bytes, with which glibc begins
 _USUAL = {_M_MMAP_MAX: 65_536, _M_MMAP_THRESHOLD: 2**25, _M_TRIM_THRESHOLD: 2**26}
 """What glibc begins with; the two thresholds are those that it reaches by itself as large blocks come and go."""
 
 
 @contextmanager
 def kept_memory() -> Iterator[None]:
-    """Keep freed memory in the process until the block ends.
+    """Keep freed memory in the process until the block ends: for the steps of a training.
 
     glibc gives each block above 32 MB back to the system as soon as it is freed. A network on a CPU asks for the same
     large blocks at every step, and the system clears them page by page each time, which can take as long as the
-    arithmetic. Values do not change. Where the C library is another one, nothing happens.
+    arithmetic. Values do not change.
 
     Example:
         >>> with kept_memory():
@@ -29,18 +34,43 @@ def kept_memory() -> Iterator[None]:
         >>> total
         6
     """
+    with _adjusted(_KEEP):
+        yield
+    if (library := _glibc()) is not None:
+        library.malloc_trim(0)
+
+
+@contextmanager
+def returned_memory() -> Iterator[None]:
+    """Give large blocks back to the system as soon as they are freed, until the block ends: for a robot's start.
+
+    glibc keeps freed blocks as large as the largest one that was freed before, up to 32 MB, since such a size often
+    comes again. The weights of a network are read, put in another order and freed once, and never again: what is kept
+    of them is half of what a robot would hold. Afterwards images find their memory where the last one left it.
+
+    Example:
+        >>> with returned_memory():
+        ...     total = sum(range(4))
+        >>> total
+        6
+    """
+    with _adjusted(_GIVE_BACK):
+        yield
+
+
+@contextmanager
+def _adjusted(options: Mapping[int, int]) -> Iterator[None]:
     library = _glibc()
     if library is None:
         yield
         return
-    library.mallopt(_M_MMAP_MAX, 0)  # no block is mapped on its own,
-    library.mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)  # and the heap does not shrink
+    for option, value in options.items():
+        library.mallopt(option, value)
     try:
         yield
     finally:
         for option, value in _USUAL.items():
             library.mallopt(option, value)
-        library.malloc_trim(0)
 
 
 @cache

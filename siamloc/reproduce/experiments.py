@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import prod
 from pathlib import Path
@@ -384,7 +384,7 @@ def measured(job: Job, data: Data) -> Sequence[Record]:
     Raises:
         SiamlocError: data that lack what the job needs.
     """
-    return [one for one in KINDS[job.kind](job, data) if np.isfinite(one.value)]
+    return [replace(one, value=float(one.value)) for one in KINDS[job.kind](job, data) if np.isfinite(one.value)]
 
 
 def _compared(own: VisualMap, options: Mapping[str, Any]) -> Iterator[VisualMap]:

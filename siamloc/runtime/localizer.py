@@ -30,9 +30,9 @@ from siamloc.maps import (
     match,
     temperature_of_map,
 )
+from siamloc.memory import returned_memory
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.describing import Describer, analytic_descriptor
-from siamloc.runtime.memory import given_back
 from siamloc.settings import Count, checked
 
 _STANDING = 0.01  # step in a map whose frames are all in one place
@@ -164,7 +164,7 @@ class Localizer:
     ) -> None:
         checked(top, Count, "top")
         self._top = top
-        with given_back():
+        with returned_memory():
             self._start(bundle_path, threads, providers, hierarchical)
 
     def _start(
