@@ -50,7 +50,10 @@ VERDICTS = MappingProxyType({True: "holds", False: "does not hold", None: "not d
 
 _WITH = ("published with", "ours with")
 _FEW = 8
-_HIDDEN = {"data", "size", "lighting", "method", "version", "information"}
+_HIDDEN = {
+    *("data", "size", "lighting", "method", "version", "information"),
+    *("different_share", "same_pairs", "different_pairs"),
+}
 """Settings that follow from others or stand elsewhere."""
 
 
@@ -149,18 +152,22 @@ class Reproduction:
 
     def table(self) -> str:
         """Return published and measured numbers as a Markdown table; our own alone where nothing was printed."""
-        lines = [f"### {self.recipe.title}", "", f"{self._where()}", ""]
+        lines = [f"### {self.recipe.title}", "", f"{self._where()}"]
         rows = self.rows
         if rows:
             measured = {row.measure for row in rows}
             rows += [Row(None, one) for one in _best(self.beside, self.recipe) if one.measure in measured]
             apart = _told_apart(rows)
             heads = [name for name in apart if self.recipe.join is None or name in self.recipe.join]
-            other = [name for name in apart if name not in heads]
+            other = [name for name in dict.fromkeys([*apart, *_unlike(rows)]) if name not in heads]
             cells = [[*_row(row, heads), *(_with(one, other) for one in (row.published, row.ours))] for row in rows]
             names = [*heads, "measure", "published", "ours", "difference", *_WITH]
-            kept = [at for at, name in enumerate(names) if name not in _WITH or any(row[at] for row in cells)]
-            lines += _markdown([names[at] for at in kept], [[row[at] for at in kept] for row in cells])
+            # What is the same in all rows is said once, above them.
+            values = {at: {row[at] for row in cells} - {""} for at, name in enumerate(names) if name in _WITH}
+            same = "; ".join(f"{names[at]} {min(values[at])}" for at in values if len(values[at]) == 1)
+            lines += [f"{same[0].upper()}{same[1:]}."] if same else []
+            kept = [at for at in range(len(names)) if at not in values or len(values[at]) > 1]
+            lines += ["", *_markdown([names[at] for at in kept], [[row[at] for at in kept] for row in cells])]
         if self.recipe.figure:
             lines += ["", *self._best_table()]
         if self.recipe.claims:
@@ -554,6 +561,18 @@ def _measure(name: str) -> str:
 def _settings(one: Record | None, *but: str) -> str:
     """Return what a number was measured with, but for some settings."""
     return "" if one is None else _with(one, [name for name in one.settings if name not in but])
+
+
+def _unlike(rows: Sequence[Row]) -> list[str]:
+    """Return the settings in which a published number and ours beside it differ."""
+    pairs = [(row.published.settings, row.ours.settings) for row in rows if row.published and row.ours]
+    return [
+        name
+        for name in dict.fromkeys(name for settings, _ in pairs for name in settings)
+        if any(
+            name in ours and _shown(ours[name]) != _shown(settings.get(name, ours[name])) for settings, ours in pairs
+        )
+    ]
 
 
 def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
