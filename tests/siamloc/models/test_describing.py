@@ -106,7 +106,7 @@ def test_images_that_cannot_be_described_are_refused(images, message):
 def test_descriptors_stay_as_they_are_and_other_things_are_refused():
     hog = descriptor("hog")
     assert as_descriptor(hog) is hog
-    with pytest.raises(ConfigError, match="a torch module or a descriptor"):
+    with pytest.raises(ConfigError, match="network must be a Module, or a Descriptor, got 'hog'"):
         as_descriptor("hog")
 
 

@@ -124,7 +124,7 @@ def test_a_file_that_is_not_as_it_was_written_is_refused_in_one_sentence(saved: 
 def test_what_cannot_be_saved_is_refused(tmp_path: Path):
     with pytest.raises(ConfigError, match=r"end in \.safetensors"):
         save_weights(network(), tmp_path / "weights.pt")
-    with pytest.raises(ConfigError, match="not a Linear"):
+    with pytest.raises(ConfigError, match="network must be a Network, got Linear"):
         save_weights(torch.nn.Linear(2, 2), tmp_path / "weights.safetensors")
 
 

@@ -212,7 +212,7 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
         ({"workers": 0}, "workers must be a whole number between 1 and 1024, got 0"),
         ({"workers": 1.5}, "workers must be a whole number"),
         ({"frames": True}, "frames must be a whole number"),
-        ({"seed": "x"}, "seed must be a whole number, got 'x'"),
+        ({"seed": "x"}, "seed must be a whole number between 0 and 4294967295, got 'x'"),
         ({"spacing": 0}, "spacing must be a number of metres from 0.005, got 0"),
         ({"spacing": "abc"}, "spacing must be a number of metres from 0.005, got 'abc'"),
         ({"spacing": float("nan")}, "spacing must be a number of metres from 0.005, got nan"),

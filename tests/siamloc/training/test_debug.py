@@ -64,8 +64,8 @@ def test_what_does_not_learn_is_said(look):
     said = look("overfit", **{**PAIRS, "optimizer": {"learning_rate": 1e-12}})
     assert "it does not learn: the loss went from" in said
     assert "try another optimizer.learning_rate than 1e-12" in said
-    said = look("overfit", **{**PAIRS, "optimizer": {"learning_rate": 1e30}})
-    assert re.search(r"the loss is not finite at step \d+: try a smaller optimizer.learning_rate than 1e\+30", said)
+    said = look("overfit", **{**PAIRS, "optimizer": {"learning_rate": 1e9}})
+    assert re.search(r"the loss is not finite at step \d+: try a smaller optimizer.learning_rate than (1e\+09|1000000000)", said)
 
 
 @pytest.mark.parametrize(
