@@ -345,8 +345,8 @@ def interrupted(case: Case, times: int, draw: random.Random) -> dict[str, Any]:
             said = process.communicate()[1]
         longest = max(longest, time.monotonic() - pressed)
         if "Traceback" in said or "Exception ignored" in said or process.returncode not in (0, 130, -signal.SIGINT):
+            print(f"status {process.returncode}: {said.strip()}", flush=True)
             wrong.append(f"status {process.returncode}: {said.strip()[-300:]}")
-            print(wrong[-1], flush=True)
         subprocess.run([*command, *case.words()], capture_output=True, check=True)
         files = case.contents()
         if differing := sorted(key for key in wanted.keys() ^ files.keys()):

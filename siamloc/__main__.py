@@ -4,13 +4,14 @@ import signal
 import sys
 from typing import NoReturn
 
-from siamloc.interrupts import stop_once
+from siamloc.interrupts import hear_again, stop_once
 
 
 def entry() -> NoReturn:
     """Run the command of this process's arguments, and leave."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, stop_once)
+        hear_again()
     try:
         from siamloc.cli import main
 

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import signal
+import sys
+import threading
 from types import FrameType
+from typing import Any
+
+_SOON = 0.02
+"""Seconds until an interrupt that Python ignored is raised again, outside of what could not be interrupted."""
 
 
 def stop_once(number: int, frame: FrameType | None) -> None:
@@ -13,6 +19,26 @@ def stop_once(number: int, frame: FrameType | None) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     raise KeyboardInterrupt
+
+
+def hear_again() -> None:
+    """Have an interrupt raised again that came where Python ignores it and goes on, as in a destructor."""
+    usual, main = sys.unraisablehook, threading.main_thread().ident
+
+    def press() -> None:
+        if main is not None and signal.getsignal(signal.SIGINT) is stop_once:
+            signal.pthread_kill(main, signal.SIGINT)
+
+    def hook(ignored: Any) -> None:
+        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+            usual(ignored)
+            return
+        signal.signal(signal.SIGINT, stop_once)
+        again = threading.Timer(_SOON, press)
+        again.daemon = True
+        again.start()
+
+    sys.unraisablehook = hook
 
 
 def follows_from(error: BaseException | None) -> bool:

@@ -51,6 +51,39 @@ def test_twice_ends_at_once_and_says_nothing():
     assert time.monotonic() - begin < 40
 
 
+IGNORES = """
+import os, signal, time
+import siamloc.cli
+from siamloc.__main__ import entry
+
+class Destroyed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60)
+
+class Fails:
+    def __del__(self):
+        raise ValueError("of another kind")
+
+def work(words):
+    Fails()
+    Destroyed()
+    time.sleep(60)
+    print("went on")
+
+siamloc.cli._dispatch = work
+entry()
+"""
+
+
+def test_an_interrupt_that_a_destructor_swallows_is_raised_again():
+    ended = subprocess.run([sys.executable, "-c", IGNORES], capture_output=True, text=True, timeout=40, check=False)
+    assert (ended.returncode, ended.stdout) == (130, "")
+    assert "of another kind" in ended.stderr
+    assert "KeyboardInterrupt" not in ended.stderr
+    assert ended.stderr.endswith("siamloc: interrupted\n")
+
+
 def test_an_interrupt_that_another_error_hides_is_one_still(monkeypatch, capsys):
     def hides(words):
         try:
