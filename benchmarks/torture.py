@@ -88,6 +88,7 @@ STRANGE: dict[str, Any] = {
     "not a number": float("nan"),
     "infinity": float("inf"),
     "minus infinity": float("-inf"),
+    "tiny": 1e-300,
     "huge": 1e30,
     "a huge whole number": 10**12,
     "nothing": NOTHING,

@@ -48,12 +48,14 @@ class Rule:
 
 LARGEST = 10**10
 """No number of a setting is larger than this, in either direction, whatever it is of; whole numbers have rules."""
+SMALLEST = 1e-12
+"""No number above 0 is smaller: what is divided by it, or taken to its power, would be none."""
 
 Natural = Annotated[int, Rule("a whole number from 0 to 10 million", lambda value: 0 <= value <= 10_000_000)]
 Count = Annotated[int, Rule("a whole number from 1 to 10 million", lambda value: 1 <= value <= 10_000_000)]
 Thousand = Annotated[int, Rule("a whole number from 1 to 1,000", lambda value: 1 <= value <= 1000)]
 Seed = Annotated[int, Rule("a whole number from 0 to 4,294,967,295", lambda value: 0 <= value < 2**32)]
-Positive = Annotated[float, Rule("a number above 0", lambda value: value > 0)]
+Positive = Annotated[float, Rule("a number above 0", lambda value: value >= SMALLEST)]
 NotNegative = Annotated[float, Rule("a number from 0", lambda value: value >= 0)]
 Share = Annotated[float, Rule("a number from 0 to 1", lambda value: 0 <= value <= 1)]
 Probability = Annotated[float, Rule("a number between 0 and 1", lambda value: 0 < value < 1)]
@@ -140,7 +142,9 @@ def checked(value: Any, kind: Any, key: str) -> Any:
     if not fits:
         only_too_large = _beyond(value) and _fit(_within(value), kind, key)[0]
         most = f", at most {LARGEST:,} in size" if only_too_large else ""
-        raise ConfigError(f"{key} must be {words_for(kind)}{most}, got {shortened(repr(value))}")
+        only_too_small = isinstance(value, float) and 0 < value < SMALLEST and _fit(SMALLEST, kind, key)[0]
+        least = f", at least {SMALLEST:g}" if only_too_small else ""
+        raise ConfigError(f"{key} must be {words_for(kind)}{most or least}, got {shortened(repr(value))}")
     return found
 
 

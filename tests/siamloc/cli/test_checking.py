@@ -54,6 +54,7 @@ def test_damaged_files_are_told_in_a_sentence():
         (["+trainer.foo=1"], "unknown configuration key 'trainer.foo'"),
         (["epochs=1000000000000"], r"epochs must be a whole number from 1 to 10 million, got 1000000000000"),
         (["seed=4294967296"], "seed must be a whole number from 0 to 4,294,967,295, got 4294967296"),
+        (["loss.margin=1e-300"], r"loss.margin must be a number above 0, at least 1e-12, got 1e-300"),
         (["loss.margin=1e30"], r"loss.margin must be a number above 0, at most 10,000,000,000 in size"),
         (
             ["model/head=flat", "model.head.outputs=1000000"],
