@@ -22,7 +22,6 @@ _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 _POSE = "pose"
 _REFUSED, _KEPT = 0.95, 0.99  # shares: of pictures of elsewhere that are to be refused, of right ones that never are
-_DISTANCE_BESIDE_POSES, _DISTANCE_BESIDE_MATCHES = 5.0, 1.0  # weights in the strangeness (benchmarks/foreign.py)
 _REFINED = ("none", "interpolate", "relative")
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the deviation of a pose that nothing is known of
 
@@ -87,14 +86,14 @@ class ErrorModel(Learned):
         lost_above: the expected error above which the robot counts as lost; None if none was chosen.
         foreign_above: the strangeness above which a query shows nothing of what the map shows, so that the robot is
             lost whatever error is expected, see `with_foreign`; None if it was not learned.
-        foreign_weight: of the descriptor distance of the best match in the strangeness.
+        foreign_weight: of the descriptor distance of the best match in the strangeness; 0 with refined poses.
         map_digest: of the map it was learned on; "" if unknown.
         refine: of which poses the errors are: "none" for those of the nearest map frames, or a method of
             `siamloc.maps.Refinement`.
     """
 
     FORMAT = "siamloc-error-model"
-    VERSION = 4
+    VERSION = 5
     NOUN = "error model"
 
     score: str
@@ -212,8 +211,15 @@ class ErrorModel(Learned):
 
     @classmethod
     def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
-        """Add of which poses the errors of a model before version 3 are: it did not know those between frames."""
-        return {"refine": "relative" if held.get("score") == _POSE else "none", **held} if version < 3 else held
+        """Add what older models do not say, and leave out what they say otherwise.
+
+        Before version 3, a model did not know poses between frames. Before version 5, what refined poses have of
+        strangeness was another number than their match, so that its threshold is none of this one.
+        """
+        of_poses = held.get("score") == _POSE
+        if version < 3:
+            held = {"refine": "relative" if of_poses else "none", **held}
+        return {**held, "foreign_above": None, "foreign_weight": 0.0} if version < 5 and of_poses else held
 
     @property
     def of_poses(self) -> bool:
@@ -261,14 +267,14 @@ class ErrorModel(Learned):
             ConfigError: a model of refined poses without these.
             DataError: as `predict`.
         """
-        scores, distances = self._looked_at(found, map_xy, poses)
+        scores = pose_score(self._told(poses)) if self.of_poses else self.scores(found, map_xy)
         expected = np.interp(scores, self.knots, self.errors)
         if self.lost_above is None:
             return expected, None
         lost = self.lost(expected)
-        return expected, lost if self.foreign_above is None else lost | (
-            scores + self.foreign_weight * distances > self.foreign_above
-        )
+        if self.foreign_above is not None:
+            lost |= self._strangeness(found, map_xy, poses) > self.foreign_above
+        return expected, lost
 
     def with_foreign(
         self,
@@ -279,9 +285,10 @@ class ErrorModel(Learned):
         """Return the model that knows a picture of another building, or by another camera, from one of the map's.
 
         No such picture is needed: what the map does not show looks like its own places when they are taken out of it.
-        How strange a query is, is the model's score plus a multiple of the descriptor distance of the best match, in
-        units of what it usually is elsewhere. 95 % of what is elsewhere pass the threshold; where both overlap too far
-        for that, it lies above 99 % of the right answers.
+        A query whose pose is refined is the stranger, the less likely it is that any of the map frames compared with it
+        was taken near it (`RefinedPoses.match`). For others, strangeness is the model's score plus the descriptor
+        distance of the best match, in units of what it usually is elsewhere. 95 % of what is elsewhere pass the
+        threshold; where both overlap too far for that, it lies above 99 % of the right answers.
 
         Args:
             right: what was found of validation queries that were located well, in the whole map, and their poses.
@@ -292,28 +299,28 @@ class ErrorModel(Learned):
             ConfigError: as `judged`.
             DataError: fewer than 10 of either.
         """
-        known, unknown = (
-            np.stack(self._looked_at(found, map_xy, poses), axis=1) for found, poses in (right, elsewhere)
-        )
-        if min(len(known), len(unknown)) < _FEWEST:
+        counts = [len(found) for found, _ in (right, elsewhere)]
+        if min(counts) < _FEWEST:
             raise DataError(
                 f"what is foreign is learned from at least {_FEWEST} validation queries that are located well, and as "
-                f"many with map frames far from them, got {len(known)} and {len(unknown)}"
+                f"many with map frames far from them, got {counts[0]} and {counts[1]}"
             )
-        typical = float(np.median(unknown[:, 1]))
-        weight = (_DISTANCE_BESIDE_POSES if self.of_poses else _DISTANCE_BESIDE_MATCHES) / (typical or 1.0)
-        known, unknown = (part @ [1.0, weight] for part in (known, unknown))
-        above = float(max(np.quantile(unknown, 1 - _REFUSED), np.quantile(known, _KEPT)))
-        return replace(self, foreign_above=above, foreign_weight=weight)
+        typical = 0.0 if self.of_poses else float(np.median(elsewhere[0].distances[:, 0]))
+        model = replace(self, foreign_weight=1 / typical if typical else 0.0)
+        known, unknown = (model._strangeness(found, map_xy, poses) for found, poses in (right, elsewhere))
+        return replace(model, foreign_above=float(max(np.quantile(unknown, 1 - _REFUSED), np.quantile(known, _KEPT))))
 
-    def _looked_at(
-        self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the model's score of each query, and the descriptor distance of its best match."""
-        if self.of_poses and poses is None:
+    def _strangeness(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> NDArray[np.float64]:
+        """Return how little each query shows of what the map shows (n,)."""
+        if not self.of_poses:
+            return self.scores(found, map_xy) + self.foreign_weight * found.distances[:, 0]
+        return -np.clip(self._told(poses).match, -_UNTOLD, _UNTOLD)
+
+    @staticmethod
+    def _told(poses: RefinedPoses | None) -> RefinedPoses:
+        if poses is None:
             raise ConfigError("the error model was learned from refined poses: give it those")
-        scores = pose_score(poses) if self.of_poses and poses is not None else self.scores(found, map_xy)
-        return scores, found.distances[:, 0].astype(np.float64)
+        return poses
 
     def lost(self, expected: ArrayLike) -> NDArray[np.bool_]:
         """Return for which expected errors (n,) the robot counts as lost; `judged` knows foreign queries besides.

@@ -29,7 +29,7 @@ _ROUNDS = 6
 _STILL = 1e-4  # units: a search that moves by less has arrived
 _NOTHING = 1e-12  # determinants of information: smaller ones say nothing
 _AT_ONCE = 256  # queries
-_NAMES = ("xy", "theta", "information", "agreement", "frame")
+_NAMES = ("xy", "theta", "information", "agreement", "frame", "match")
 
 
 Compares = Callable[
@@ -52,8 +52,11 @@ class RefinedPoses:
             zeros where nothing could be compared. Answers about one query err alike: see `widening`.
         agreement: (n,) share of the answers that agree on the pose, from 0 to 1.
         frame: (n,) the map frame whose answer counts most.
+        match: (n,) the largest of the odds, as logarithms, that a map frame which was compared was taken near the
+            query; minus infinity where nothing could be compared.
 
-    Poses by `interpolate_poses` have no information, and their agreement is the share of the map frames they rest on.
+    Poses by `interpolate_poses` have no information, their agreement is the share of the map frames they rest on, and
+    their match is NaN.
     """
 
     xy: NDArray[np.float64]
@@ -61,6 +64,7 @@ class RefinedPoses:
     information: NDArray[np.float64]
     agreement: NDArray[np.float64]
     frame: NDArray[np.int64]
+    match: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.xy)
@@ -165,7 +169,9 @@ class Refinement(Learned):
         poses = interpolate_poses(found, known.frames, self.neighbours, self.radius, turned)
         assert poses.theta is not None
         nothing = np.zeros((len(poses), 2, 2))
-        return RefinedPoses(poses.xy, poses.theta, nothing, poses.used / count, found.indices[:, 0])
+        return RefinedPoses(
+            poses.xy, poses.theta, nothing, poses.used / count, found.indices[:, 0], np.full(len(poses), np.nan)
+        )
 
 
 @typed
@@ -235,6 +241,7 @@ def _refined(known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int6
         (weight[..., None, None] * about).sum(axis=1),
         share.mean(axis=1),
         rows[np.arange(n), share.argmax(axis=1)],
+        odds.max(axis=1),
     )
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import Retrieval
+from siamloc.maps import RefinedPoses, Retrieval
 from siamloc.maps.error_model import SCORES, ErrorModel, ratio_score
 from tests.oracles import calibration as oracle
 
@@ -150,6 +150,37 @@ def test_what_lies_elsewhere_is_foreign_and_right_answers_are_not() -> None:
     assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
 
 
+def matched(odds: np.ndarray) -> RefinedPoses:
+    n = len(odds)
+    return RefinedPoses(
+        np.zeros((n, 2)), np.zeros(n), np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.arange(n), odds.astype(float)
+    )
+
+
+def test_with_refined_poses_the_odds_of_a_match_tell_what_is_foreign() -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, 30, (30, 2))
+    # By distance, what is elsewhere looks nearer: it must not count.
+    near, far = (looked_for(rng, 0.9), matched(rng.normal(6, 1, 200))), (looked_for(rng, 0.4), matched(-np.arange(200)))
+    model = replace(MODEL, score="pose", refine="relative", lost_above=5.0).with_foreign(near, far, xy)
+    assert model.foreign_weight == 0
+    # The threshold is the 5 % quantile of 0 to 199.
+    assert model.foreign_above == pytest.approx(0.05 * 199)
+    odds = np.array([9.0, -9.0, -10.0, -np.inf])
+    assert model.judged(looked_for(rng, 0.4, 4), xy, matched(odds))[1].tolist() == [False, False, True, True]
+    alike = model.with_foreign((near[0], matched(-np.arange(200))), far, xy)
+    assert alike.foreign_above == pytest.approx(0.99 * 199)
+    assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
+
+
+def test_an_older_threshold_of_refined_poses_was_of_another_number() -> None:
+    held = {**MODEL.as_dict(), "score": "pose", "refine": "relative", "foreign_above": 3.0, "foreign_weight": 0.5}
+    for version, kept in ((3, None), (4, None), (5, 3.0)):
+        assert ErrorModel.from_dict({**held, "version": version}).foreign_above == kept
+    held = {**MODEL.as_dict(), "foreign_above": 3.0, "foreign_weight": 0.5, "version": 4}
+    assert ErrorModel.from_dict(held).foreign_above == 3.0
+
+
 def test_where_both_look_alike_right_answers_count_more() -> None:
     rng = np.random.default_rng(1)
     xy = rng.uniform(0, 30, (30, 2))
@@ -189,7 +220,7 @@ def test_the_prediction_needs_numpy_only() -> None:
     [
         ({"format": "other"}, "this is not a siamloc error model"),
         ([], "this is not a siamloc error model"),
-        ({**MODEL.as_dict(), "version": 5}, "format version 5, this siamloc reads up to 4"),
+        ({**MODEL.as_dict(), "version": 6}, "format version 6, this siamloc reads up to 5"),
         ({**MODEL.as_dict(), "foreign_weight": -1}, "not a whole error model"),
         ({**MODEL.as_dict(), "version": "1"}, "format version 1"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),

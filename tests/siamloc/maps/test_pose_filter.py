@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,7 +23,8 @@ def told(xy: np.ndarray, seed: int = 0, agreement: float = 0.95) -> RefinedPoses
     rng = np.random.default_rng(seed)
     n = len(xy)
     about = np.tile(np.eye(2) / SD**2, (n, 1, 1))
-    return RefinedPoses(xy + SD * rng.standard_normal((n, 2)), np.zeros(n), about, np.full(n, agreement), np.arange(n))
+    agreements, match = np.full(n, agreement), np.full(n, 9.0)
+    return RefinedPoses(xy + SD * rng.standard_normal((n, 2)), np.zeros(n), about, agreements, np.arange(n), match)
 
 
 def errors(found: RefinedPoses, xy: np.ndarray) -> np.ndarray:
@@ -98,9 +101,7 @@ def test_the_axes_do_not_matter():
     poses = told(xy)
     poses.information[:] = np.diag([400.0, 100.0])
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])
-    turned = RefinedPoses(
-        poses.xy @ turn.T + 5, poses.theta, turn @ poses.information @ turn.T, poses.agreement, poses.frame
-    )
+    turned = replace(poses, xy=poses.xy @ turn.T + 5, information=turn @ poses.information @ turn.T)
     found = PoseFilter(STEP).run(poses, ["a"] * 60)
     np.testing.assert_allclose(PoseFilter(STEP).run(turned, ["a"] * 60).xy, found.xy @ turn.T + 5, atol=1e-8)
 

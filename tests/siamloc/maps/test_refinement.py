@@ -101,6 +101,8 @@ def test_an_answer_that_is_no_match_does_not_count():
     poses = refine(map_of(), asked(), found(1, 0), no_match, k=2)
     np.testing.assert_allclose(poses.xy[0], TRUE, atol=0.01)
     assert poses.frame.tolist() == [0]
+    assert poses.match.tolist() == [3.0]
+    assert refine(map_of(), asked(), found(1, 0), no_match, k=1).match.tolist() == [-12.0]
 
 
 def test_frames_without_a_heading_say_nothing():
@@ -116,6 +118,7 @@ def test_frames_without_a_heading_say_nothing():
     alone = refine(map_of(theta), asked(), found(0), exact, k=1)
     np.testing.assert_array_equal(alone.xy[0], XY[0])
     assert np.isnan(alone.theta).all()
+    assert alone.match.tolist() == [-np.inf]
     assert not alone.information.any()
     assert np.isnan(alone.inside(TRUE[None])).all()
 
@@ -126,7 +129,7 @@ def test_ellipses_hold_the_share_that_they_should():
     errors = rng.multivariate_normal(np.zeros(2), scale, count) / np.sqrt(rng.chisquare(4, count) / 4)[:, None]
     information = np.tile(np.linalg.inv(scale), (count, 1, 1))
     zeros = np.zeros(count)
-    poses = RefinedPoses(np.zeros((count, 2)), zeros, information, zeros, zeros.astype(np.int64))
+    poses = RefinedPoses(np.zeros((count, 2)), zeros, information, zeros, zeros.astype(np.int64), zeros)
     for share in (0.5, 0.9, 0.99):
         assert poses.inside(errors, share).mean() == pytest.approx(share, abs=0.01)
     assert poses.widening(errors) == pytest.approx(1, abs=0.05)
