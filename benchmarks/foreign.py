@@ -6,8 +6,7 @@ photographs by a fisheye camera are located. Nothing of those is used before.
 
     siamloc simulate building=freiburg_like camera=panorama runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 out=data
     siamloc simulate building=annex camera=panorama runs=[cloudy1,night1] spacing=0.3 out=data
-    siamloc simulate building=random seed=101 camera=panorama runs=[cloudy1,night1] spacing=0.3 out=data
-    for seed in 102 103; do siamloc simulate building=random seed=$seed camera=panorama \
+    for seed in 101 102 103 104 105 106 107; do siamloc simulate building=random seed=$seed camera=panorama \
         runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 out=data; done
     python -m benchmarks.foreign --data data
 """
@@ -22,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import siamloc
+from analytic import Description
 from benchmarks.report import Report, parser
-from siamloc.data import FrameTable, PanoramaLibrary
+from siamloc.data import PanoramaLibrary
 from siamloc.models.registry import PRETRAINED_SIZE
 
 WAYS: dict[str, dict[str, Any]] = {
@@ -35,12 +35,12 @@ EVERY = (1, 5)
 
 
 def lost_of(
-    images: PanoramaLibrary, frames: FrameTable, known: siamloc.maps.VisualMap, model: siamloc.maps.ErrorModel
+    queries: list[Description], known: siamloc.maps.VisualMap, model: siamloc.maps.ErrorModel
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Return which frames are lost, and where they are said to be."""
+    """Return which queries are lost, and where they are said to be."""
     finer = siamloc.maps.Refinement("relative")
     lost, xy = list[Any](), list[Any]()
-    for query in siamloc.maps.describing.describe(known.describer, images, frames):
+    for query in queries:
         found = known.search(query.position, 20)
         poses = finer.poses(known, query, found) if model.of_poses else None
         lost.append(model.judged(found, known.frames.xy, poses)[1])
@@ -55,7 +55,7 @@ def main() -> None:
     arguments.add_argument(
         "--homes",
         nargs="+",
-        default=["freiburg_like", "annex", "random_102", "random_103"],
+        default=["freiburg_like", "annex", *(f"random_{seed}" for seed in range(101, 108))],
         help="buildings that are mapped",
     )
     options = arguments.parse_args()
@@ -66,6 +66,7 @@ def main() -> None:
             sources["corridor"] = {"kind": "manifest", "manifest": str(CORRIDOR)}
         frames = {name: siamloc.data.read(**source) for name, source in sources.items()}
         images = {name: PanoramaLibrary(table, cache, image_size=PRETRAINED_SIZE) for name, table in frames.items()}
+        described: dict[tuple[str, str], list[Description]] = {}
         for home in options.homes:
             drives = list(frames[home].rows_by("sequence"))
             mapped = frames[home].select(sequence=drives[0])
@@ -76,25 +77,32 @@ def main() -> None:
                 for name, way in WAYS.items():
                     model = siamloc.evaluation.error_model(known, images[home], validation, **way)
                     row: dict[str, Any] = {"way": name, "map": home, "every": every, "lost": {}, "refused": {}}
+                    foreign = list[NDArray[np.bool_]]()
                     for place, table in frames.items():
                         for drive in table.rows_by("sequence"):
                             if place == home and drive in drives[:2]:
                                 continue
                             queries = table.select(sequence=drive)
-                            lost, xy = lost_of(images[place], queries, known, model)
+                            if (place, drive) not in described:
+                                found = siamloc.maps.describing.describe(known.describer, images[place], queries)
+                                described[place, drive] = list(found)
+                            lost, xy = lost_of(described[place, drive], known, model)
                             if place == home:
                                 right = np.hypot(*(xy - queries.xy).T) <= 1.0
                                 row["lost"][drive] = float(lost[right].mean())
                             else:
                                 row["refused"][f"{place} {drive}"] = float(lost.mean())
+                                foreign.append(lost)
+                    row["refused_of_all"] = float(np.concatenate(foreign).mean())
                     rows.append(row)
                     print(f"{name}, {home}, every {every}: lost {row['lost']}, refused {row['refused']}", flush=True)
     for row in rows:
         title = f"{row['way']}, {row['map']}, every {row['every']}"
         worst = max(row["lost"].values(), default=0.0)
         report.target(f"{title}: at most 2 % of right answers lost ({worst:.1%})", worst <= 0.02)
-        least = min(row["refused"].values())
-        report.target(f"{title}: 95 % of foreign pictures refused ({least:.1%})", least >= 0.95)
+        share, least = row["refused_of_all"], min(row["refused"].values())
+        said = f"({share:.1%}, and {least:.1%} of the drive with the fewest)"
+        report.target(f"{title}: 95 % of foreign pictures refused {said}", share >= 0.95)
     report.write({"rows": rows})
 
 

@@ -334,15 +334,14 @@ def learned_errors(settings: Estimates, known: VisualMap, validation: Validation
         "queries": len(validation.frames),
     }
     model = replace(model, refine=settings.refine, lost_above=settings.lost_above, map_digest=known.digest)
-    if validation.elsewhere is not None:
-        right = np.flatnonzero(errors <= settings.lost_above)
-        with suppress(DataError):  # too few of either: then nothing is foreign
-            known_poses, other_poses = (_poses(model, one) for one in (validation.search, validation.elsewhere))
-            model = model.with_foreign(
-                (found.take(right), None if known_poses is None else known_poses.take(right)),
-                (validation.elsewhere.retrieval, other_poses),
-                xy,
-            )
+    right, poses = np.flatnonzero(errors <= settings.lost_above), _poses(model, validation.search)
+    other = validation.elsewhere
+    with suppress(DataError):  # too few: then nothing is foreign
+        model = model.with_foreign(
+            (found.take(right), None if poses is None else poses.take(right)),
+            None if other is None else (other.retrieval, _poses(model, other)),
+            xy,
+        )
     return model, {**about, "foreign_above": model.foreign_above}
 
 

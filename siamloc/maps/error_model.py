@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 _POSE = "pose"
-_REFUSED, _KEPT = 0.95, 0.99  # shares: of pictures of elsewhere that are to be refused, of right ones that never are
+_KEPT = 0.99  # share of the right answers that are never foreign
+_REFUSED_BY_MATCH, _REFUSED_BY_DISTANCE = 0.95, 0.85  # shares of what is elsewhere that are foreign
+_MATCHES = math.log(0.95 / 0.05)  # odds of a match, as a logarithm, below which it may be none
 _REFINED = ("none", "interpolate", "relative")
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the deviation of a pose that nothing is known of
 
@@ -279,36 +281,44 @@ class ErrorModel(Learned):
     def with_foreign(
         self,
         right: tuple[Retrieval, RefinedPoses | None],
-        elsewhere: tuple[Retrieval, RefinedPoses | None],
+        elsewhere: tuple[Retrieval, RefinedPoses | None] | None,
         map_xy: ArrayLike,
     ) -> ErrorModel:
         """Return the model that knows a picture of another building, or by another camera, from one of the map's.
 
         No such picture is needed: what the map does not show looks like its own places when they are taken out of it.
         A query whose pose is refined is the stranger, the less likely it is that any of the map frames compared with it
-        was taken near it (`RefinedPoses.match`). For others, strangeness is the model's score plus the descriptor
-        distance of the best match, in units of what it usually is elsewhere. 95 % of what is elsewhere pass the
-        threshold; where both overlap too far for that, it lies above 99 % of the right answers.
+        was taken near it (`RefinedPoses.match`). It is foreign below a probability of 95 %, or below that of 95 % of
+        what is elsewhere. For others, strangeness is the model's score plus the descriptor distance of the best match,
+        in units of what it usually is elsewhere, and 85 % of that are foreign; of other buildings more are, since they
+        look less alike. Where right answers are as strange, the threshold lies above 99 % of them.
 
         Args:
             right: what was found of validation queries that were located well, in the whole map, and their poses.
-            elsewhere: what was found of validation queries among the map frames far from where they were taken.
+            elsewhere: what was found of validation queries among the map frames far from where they were taken; None if
+                the map has none. Refined poses do without them.
             map_xy: (m, 2) positions of the map's frames.
 
         Raises:
             ConfigError: as `judged`.
-            DataError: fewer than 10 of either.
+            DataError: fewer than 10 located well, or without refined poses fewer than 10 elsewhere.
         """
-        counts = [len(found) for found, _ in (right, elsewhere)]
-        if min(counts) < _FEWEST:
+        others = 0 if elsewhere is None else len(elsewhere[0])
+        if len(right[0]) < _FEWEST or not (self.of_poses or others >= _FEWEST):
             raise DataError(
                 f"what is foreign is learned from at least {_FEWEST} validation queries that are located well, and as "
-                f"many with map frames far from them, got {counts[0]} and {counts[1]}"
+                f"many with map frames far from them, got {len(right[0])} and {others}"
             )
-        typical = 0.0 if self.of_poses else float(np.median(elsewhere[0].distances[:, 0]))
-        model = replace(self, foreign_weight=1 / typical if typical else 0.0)
-        known, unknown = (model._strangeness(found, map_xy, poses) for found, poses in (right, elsewhere))
-        return replace(model, foreign_above=float(max(np.quantile(unknown, 1 - _REFUSED), np.quantile(known, _KEPT))))
+        model, above = self, -_MATCHES
+        if elsewhere is not None and others >= _FEWEST:
+            refused = _REFUSED_BY_MATCH
+            if not self.of_poses:
+                typical, refused = float(np.median(elsewhere[0].distances[:, 0])), _REFUSED_BY_DISTANCE
+                model, above = replace(self, foreign_weight=1 / (typical or 1.0)), math.inf
+            unknown = model._strangeness(elsewhere[0], map_xy, elsewhere[1])
+            above = min(above, float(np.quantile(unknown, 1 - refused)))
+        known = model._strangeness(right[0], map_xy, right[1])
+        return replace(model, foreign_above=max(above, float(np.quantile(known, _KEPT))))
 
     def _strangeness(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> NDArray[np.float64]:
         """Return how little each query shows of what the map shows (n,)."""
