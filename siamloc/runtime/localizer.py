@@ -70,7 +70,8 @@ class Location:
         theta: heading in rad in (-pi, pi], counter-clockwise; NaN where the bundle gives no headings, or that of the
             nearest map frame is unknown.
         room: room of the nearest map frame, or "".
-        error_m: expected error of x and y in their unit, metres by default; NaN where the bundle holds no error model.
+        error_m: expected error of x and y in their unit, metres by default; NaN where the bundle holds no error model,
+            and where the image shows nothing of what the map shows.
         lost: whether the expected error is above the threshold that the error model was learned with, or the image
             shows nothing of what the map shows, as one of another building or camera; None where there is no threshold.
         candidates: the map frames that resemble the image most, the nearest first.
@@ -390,6 +391,8 @@ class Localizer:
         if self._errors is not None:
             errors, verdict = self._errors.judged(found, self._placed.frames.xy, pose)
             expected, lost = float(errors[0]), None if verdict is None else bool(verdict[0])
+            if lost and not self._errors.lost([expected])[0]:
+                expected = math.nan  # what is expected of pictures of the map, and this is none
         if self._refinement is not None and pose is not None:
             pose = pose.widened(self._refinement.widening)
         return pose, expected, lost
