@@ -23,20 +23,23 @@ def stop_once(number: int, frame: FrameType | None) -> None:
 
 def hear_again() -> None:
     """Have an interrupt raised again that came where Python ignores it and goes on, as in a destructor."""
-    usual, main = sys.unraisablehook, threading.main_thread().ident
+    usual = sys.unraisablehook
 
     def press() -> None:
+        main = threading.main_thread().ident
         if main is not None and signal.getsignal(signal.SIGINT) is stop_once:
             signal.pthread_kill(main, signal.SIGINT)
 
     def hook(ignored: Any) -> None:
-        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+        pressed = issubclass(ignored.exc_type, KeyboardInterrupt)
+        if not pressed or threading.current_thread() is not threading.main_thread():
             usual(ignored)
             return
-        signal.signal(signal.SIGINT, stop_once)
-        again = threading.Timer(_SOON, press)
-        again.daemon = True
-        again.start()
+        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # as `stop_once` left it
+            signal.signal(signal.SIGINT, stop_once)
+            again = threading.Timer(_SOON, press)
+            again.daemon = True
+            again.start()
 
     sys.unraisablehook = hook
 

@@ -49,7 +49,7 @@ class Rule:
 LARGEST = 10**10
 """No number of a setting is larger than this, in either direction, whatever it is of; whole numbers have rules."""
 SMALLEST = 1e-12
-"""No number above 0 is smaller: what is divided by it, or taken to its power, would be none."""
+"""No `Positive` is smaller, since what is divided by it would be too large to calculate with."""
 
 Natural = Annotated[int, Rule("a whole number from 0 to 10 million", lambda value: 0 <= value <= 10_000_000)]
 Count = Annotated[int, Rule("a whole number from 1 to 10 million", lambda value: 1 <= value <= 10_000_000)]

@@ -171,7 +171,7 @@ COMMANDS = {
         task.refine=relative              one by comparing with each of them, for a network with model.relative=true
                                           (descriptor=pretrained is one); with task.filter=true followed as well
         task.error_model=true             the expected error of each query, learned from protocol.validation, and
-                                          whether it is lost, above task.lost_above=1.0
+                                          whether it is lost: above task.lost_above=1.0, or of another building
         heading=hog|fs|gist|radon_fourier
                                           what gives headings for a network; the map's own if not given
         task=hierarchical build=incremental|spectral|som|sample|rooms

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -125,11 +124,11 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
     tuned = settings.filter and settings.filter_tune
     search = Search(known, np.flatnonzero(has), k, refinement=refinement(settings, known), with_distances=tuned)
     searches, elsewhere = {"validation": search}, None
-    if settings.error_model:
+    if settings.error_model and settings.refine != "relative":
         offsets = (known.frames.xy - xy for xy in frames.xy[search.rows])
         near = np.stack([np.hypot(*offset.T) <= _ELSEWHERE * settings.place_radius for offset in offsets])
         enough = (~near).sum(axis=1) >= k
-        elsewhere = Search(known, search.rows[enough], k, search.refinement, excluded=near[enough])
+        elsewhere = Search(known, search.rows[enough], k, excluded=near[enough])
         searches["elsewhere"] = elsewhere
     session.run(known, frames, searches, "the validation frames")
     return Validation(frames.take(has), search, elsewhere if elsewhere is not None and len(elsewhere.rows) else None)
@@ -194,8 +193,8 @@ def with_estimates(
             columns, about = tracked(step, settings.filter_settings.kidnapping, queries, poses)
             result = _with_columns(result, "tracked", columns, {"tracking": about})
     if settings.error_model and validation is not None:
-        model, about = learned_errors(settings, known, validation)
-        expected, lost = model.judged(search.retrieval, known.frames.xy, _poses(model, search))
+        model, about = learned_errors(settings, known, validation, session.skipped)
+        expected, lost = model.judged(search.retrieval, known.frames.xy, search.refined if model.of_poses else None)
         assert lost is not None
         columns = {**result.tables["queries"], "error_m": expected, "lost": lost}
         judged = {
@@ -312,8 +311,12 @@ def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedP
     return columns, {"step": step, "kidnapping": kidnapping}
 
 
-def learned_errors(settings: Estimates, known: VisualMap, validation: Validation) -> tuple[ErrorModel, dict[str, Any]]:
+def learned_errors(
+    settings: Estimates, known: VisualMap, validation: Validation, skipped: dict[str, str]
+) -> tuple[ErrorModel, dict[str, Any]]:
     """Return the error model of a map, learned on the validation frames, and what it was learned from.
+
+    Where there are too few to learn what is foreign, that is noted.
 
     Raises:
         DataError: too few validation frames.
@@ -334,20 +337,15 @@ def learned_errors(settings: Estimates, known: VisualMap, validation: Validation
         "queries": len(validation.frames),
     }
     model = replace(model, refine=settings.refine, lost_above=settings.lost_above, map_digest=known.digest)
-    right, poses = np.flatnonzero(errors <= settings.lost_above), _poses(model, validation.search)
-    other = validation.elsewhere
-    with suppress(DataError):  # too few: then nothing is foreign
-        model = model.with_foreign(
-            (found.take(right), None if poses is None else poses.take(right)),
-            None if other is None else (other.retrieval, _poses(model, other)),
-            xy,
-        )
+    right, poses = np.flatnonzero(errors <= settings.lost_above), None
+    if model.of_poses:
+        poses = validation.search.refined.take(right)
+    other = None if validation.elsewhere is None else validation.elsewhere.retrieval
+    try:
+        model = model.with_foreign(found.take(right), xy, poses, other)
+    except DataError as error:
+        skipped["foreign"] = str(error)
     return model, {**about, "foreign_above": model.foreign_above}
-
-
-def _poses(model: ErrorModel, search: Search) -> RefinedPoses | None:
-    """Return the refined poses of what was looked for, where an error model looks at them."""
-    return search.refined if model.of_poses else None
 
 
 def _interval(frames: FrameTable) -> float | None:

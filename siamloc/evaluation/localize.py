@@ -202,7 +202,8 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
     """
     settings, placed = Localization.of({**options, "error_model": True}), known.placed()
     session = Session(known, images, validation)
-    return learned_errors(settings, placed, search_validation(session, session.queries, settings, placed))[0]
+    searched = search_validation(session, session.queries, settings, placed)
+    return learned_errors(settings, placed, searched, session.skipped)[0]
 
 
 def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:
@@ -285,7 +286,7 @@ def _located(result: Result, session: Session, settings: Localization, search: S
             about[FURTHER[ESTIMATES[finer.method]]] = learned
             result = replace(result, refinement=finer)
         if settings.error_model and validation is not None:
-            model, about["error_model"] = learned_errors(settings, search.known, validation)
+            model, about["error_model"] = learned_errors(settings, search.known, validation, session.skipped)
             result = replace(result, error_model=model)
         if about:
             result = replace(result, about={**result.about, "estimates": about})

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 _POSE = "pose"
-_KEPT = 0.99  # share of the right answers that are never foreign
-_REFUSED_BY_MATCH, _REFUSED_BY_DISTANCE = 0.95, 0.85  # shares of what is elsewhere that are foreign
-_MATCHES = math.log(0.95 / 0.05)  # odds of a match, as a logarithm, below which it may be none
+# Chosen on drives through two buildings; benchmarks/foreign.py measures them on others.
+_REFUSED, _KEPT = 0.85, 0.99  # shares: of pictures of elsewhere that are foreign, of right ones that never are
+_MATCH = math.log(0.95 / 0.05)  # odds, as a logarithm, from which a match counts
 _REFINED = ("none", "interpolate", "relative")
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the deviation of a pose that nothing is known of
 
@@ -273,58 +273,65 @@ class ErrorModel(Learned):
         expected = np.interp(scores, self.knots, self.errors)
         if self.lost_above is None:
             return expected, None
-        lost = self.lost(expected)
-        if self.foreign_above is not None:
-            lost |= self._strangeness(found, map_xy, poses) > self.foreign_above
-        return expected, lost
+        return expected, self.lost(expected) | self.foreign(found, map_xy, poses)
+
+    def foreign(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.bool_]:
+        """Return which queries (n,) show nothing of what the map shows; none where that was not learned.
+
+        Arguments and errors as `judged`.
+        """
+        if self.foreign_above is None:
+            return np.zeros(len(found), dtype=bool)
+        return np.logical_not(self._strangeness(found, map_xy, poses) <= self.foreign_above)  # NaN is foreign, too
 
     def with_foreign(
         self,
-        right: tuple[Retrieval, RefinedPoses | None],
-        elsewhere: tuple[Retrieval, RefinedPoses | None] | None,
+        right: Retrieval,
         map_xy: ArrayLike,
+        poses: RefinedPoses | None = None,
+        elsewhere: Retrieval | None = None,
     ) -> ErrorModel:
         """Return the model that knows a picture of another building, or by another camera, from one of the map's.
 
-        No such picture is needed: what the map does not show looks like its own places when they are taken out of it.
-        A query whose pose is refined is the stranger, the less likely it is that any of the map frames compared with it
-        was taken near it (`RefinedPoses.match`). It is foreign below a probability of 95 %, or below that of 95 % of
-        what is elsewhere. For others, strangeness is the model's score plus the descriptor distance of the best match,
-        in units of what it usually is elsewhere, and 85 % of that are foreign; of other buildings more are, since they
-        look less alike. Where right answers are as strange, the threshold lies above 99 % of them.
+        No such picture is needed. A query whose pose is refined is foreign where it is not likely by 95 % that any of
+        the map frames compared with it was taken near it (`RefinedPoses.match`). For others, what the map does not show
+        looks like its own places when they are taken out of it: strangeness is the model's score plus the descriptor
+        distance of the best match, in units of what it usually is elsewhere, and 85 % of that are foreign; of other
+        buildings more are, since they look less alike. Where right answers are as strange, the threshold lies at the
+        strangest but 1 % of them.
 
         Args:
-            right: what was found of validation queries that were located well, in the whole map, and their poses.
-            elsewhere: what was found of validation queries among the map frames far from where they were taken; None if
-                the map has none. Refined poses do without them.
+            right: what was found of validation queries that were located well.
             map_xy: (m, 2) positions of the map's frames.
+            poses: their refined poses, for a model that was learned from such.
+            elsewhere: what was found of validation queries among the map frames far from where they were taken; refined
+                poses do without.
 
         Raises:
             ConfigError: as `judged`.
             DataError: fewer than 10 located well, or without refined poses fewer than 10 elsewhere.
         """
-        others = 0 if elsewhere is None else len(elsewhere[0])
-        if len(right[0]) < _FEWEST or not (self.of_poses or others >= _FEWEST):
+        if poses is not None:  # those that nothing could be compared with say nothing
+            told = np.flatnonzero(np.isfinite(poses.match))
+            right, poses = right.take(told), poses.take(told)
+        others = 0 if elsewhere is None else len(elsewhere)
+        if len(right) < _FEWEST or not (self.of_poses or others >= _FEWEST):
             raise DataError(
-                f"what is foreign is learned from at least {_FEWEST} validation queries that are located well, and as "
-                f"many with map frames far from them, got {len(right[0])} and {others}"
+                f"what is foreign is learned from at least {_FEWEST} validation queries that are located well, and "
+                f"without refined poses from as many with map frames far from them, got {len(right)} and {others}"
             )
-        model, above = self, -_MATCHES
-        if elsewhere is not None and others >= _FEWEST:
-            refused = _REFUSED_BY_MATCH
-            if not self.of_poses:
-                typical, refused = float(np.median(elsewhere[0].distances[:, 0])), _REFUSED_BY_DISTANCE
-                model, above = replace(self, foreign_weight=1 / (typical or 1.0)), math.inf
-            unknown = model._strangeness(elsewhere[0], map_xy, elsewhere[1])
-            above = min(above, float(np.quantile(unknown, 1 - refused)))
-        known = model._strangeness(right[0], map_xy, right[1])
-        return replace(model, foreign_above=max(above, float(np.quantile(known, _KEPT))))
+        model, above = self, -_MATCH
+        if not self.of_poses and elsewhere is not None:
+            model = replace(self, foreign_weight=1 / (float(np.median(elsewhere.distances[:, 0])) or 1.0))
+            above = float(np.quantile(model._strangeness(elsewhere, map_xy, None), 1 - _REFUSED))
+        known = model._strangeness(right, map_xy, poses)
+        return replace(model, foreign_above=max(above, float(np.quantile(known, _KEPT, method="lower"))))
 
     def _strangeness(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> NDArray[np.float64]:
         """Return how little each query shows of what the map shows (n,)."""
         if not self.of_poses:
             return self.scores(found, map_xy) + self.foreign_weight * found.distances[:, 0]
-        return -np.clip(self._told(poses).match, -_UNTOLD, _UNTOLD)
+        return -self._told(poses).match
 
     @staticmethod
     def _told(poses: RefinedPoses | None) -> RefinedPoses:

@@ -76,7 +76,8 @@ class Location:
             shows nothing of what the map shows, as one of another building or camera; None where there is no threshold.
         candidates: the map frames that resemble the image most, the nearest first.
         ms: time that preparing, describing, searching and all estimates took, in milliseconds.
-        covariance: of x and y, in their squared unit, as ((xx, xy), (xy, yy)); None where nothing tells it.
+        covariance: of x and y, in their squared unit, as ((xx, xy), (xy, yy)); None where nothing tells it. Where
+            `lost` is true it says nothing: it is that of a pose in the map.
         agreement: share of the map frames looked at that agree on a refined pose, from 0 to 1; NaN for one that is not.
     """
 
@@ -391,7 +392,7 @@ class Localizer:
         if self._errors is not None:
             errors, verdict = self._errors.judged(found, self._placed.frames.xy, pose)
             expected, lost = float(errors[0]), None if verdict is None else bool(verdict[0])
-            if lost and not self._errors.lost([expected])[0]:
+            if self._errors.foreign(found, self._placed.frames.xy, pose)[0]:
                 expected = math.nan  # what is expected of pictures of the map, and this is none
         if self._refinement is not None and pose is not None:
             pose = pose.widened(self._refinement.widening)

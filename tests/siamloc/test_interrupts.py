@@ -52,23 +52,29 @@ def test_twice_ends_at_once_and_says_nothing():
 
 
 IGNORES = """
-import os, signal, time
+import os, signal, sys, threading, time
 import siamloc.cli
 from siamloc.__main__ import entry
 
 class Destroyed:
     def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
+        print("ready", flush=True)
         time.sleep(60)
 
 class Fails:
     def __del__(self):
-        raise ValueError("of another kind")
+        raise KeyboardInterrupt("of another thread") if sys.argv[1] == "thread" else ValueError("of another kind")
 
 def work(words):
-    Fails()
+    other = threading.Thread(target=Fails)
+    other.start()
+    other.join()
     Destroyed()
-    time.sleep(60)
+    try:
+        time.sleep(60)
+    finally:
+        print("cleaning", flush=True)
+        time.sleep(float(sys.argv[2]))
     print("went on")
 
 siamloc.cli._dispatch = work
@@ -76,12 +82,36 @@ entry()
 """
 
 
-def test_an_interrupt_that_a_destructor_swallows_is_raised_again():
-    ended = subprocess.run([sys.executable, "-c", IGNORES], capture_output=True, text=True, timeout=40, check=False)
-    assert (ended.returncode, ended.stdout) == (130, "")
-    assert "of another kind" in ended.stderr
-    assert "KeyboardInterrupt" not in ended.stderr
-    assert ended.stderr.endswith("siamloc: interrupted\n")
+def swallowed(fails: str = "other", cleaning: int = 0):
+    process = subprocess.Popen(
+        [sys.executable, "-c", IGNORES, fails, str(cleaning)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(signal.SIGINT)
+    assert process.stdout.readline() == "cleaning\n"
+    return process
+
+
+@pytest.mark.parametrize(("fails", "said"), [("other", "of another kind"), ("thread", "of another thread")])
+def test_an_interrupt_that_a_destructor_swallows_is_raised_again(fails, said):
+    process = swallowed(fails)
+    out, err = process.communicate(timeout=40)
+    assert (process.returncode, out) == (130, "")
+    assert said in err, "what else is ignored is told as ever"
+    assert "hear_again" not in err
+    assert err.endswith("siamloc: interrupted\n")
+
+
+def test_after_a_swallowed_one_the_next_ends_the_process_at_once():
+    begin, process = time.monotonic(), swallowed(cleaning=50)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=40)
+    assert process.returncode == -signal.SIGINT
+    assert time.monotonic() - begin < 40
 
 
 def test_an_interrupt_that_another_error_hides_is_one_still(monkeypatch, capsys):

@@ -15,7 +15,7 @@ SECONDS = 60.0  # for a case: other tests run beside this one
 
 
 def test_every_key_refuses_nonsense():
-    """Every 23rd case: with the seven kinds of defaults and twenty strange values, each of both has its turn."""
+    """Every 23rd case: with the seven kinds of defaults and 21 strange values, each of both has its turn."""
     wrong = []
     for name, case, nonsense in itertools.islice(setting_cases(), 0, None, 23):
         outcome = outcome_of(case, nonsense, SECONDS)

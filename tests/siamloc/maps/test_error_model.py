@@ -133,7 +133,7 @@ def test_what_lies_elsewhere_is_foreign_and_right_answers_are_not() -> None:
     near, far = looked_for(rng, 0.4), looked_for(rng, 0.9)
     model = replace(MODEL, lost_above=5.0)
     assert not model.judged(far, xy)[1].any(), "no error above 5 is expected of anything"
-    model = model.with_foreign((near, None), (far, None), xy)
+    model = model.with_foreign(near, xy, elsewhere=far)
     expected, lost = model.judged(near, xy)
     np.testing.assert_array_equal(expected, model.predict(near, xy))
     assert not lost.any()
@@ -142,7 +142,7 @@ def test_what_lies_elsewhere_is_foreign_and_right_answers_are_not() -> None:
     assert model.judged(looked_for(rng, 0.9), xy)[1].mean() == pytest.approx(0.85, abs=0.1)  # four deviations of 200
     scaled = Retrieval(far.indices, 7 * far.distances)
     assert (
-        model.with_foreign((Retrieval(near.indices, 7 * near.distances), None), (scaled, None), xy)
+        model.with_foreign(Retrieval(near.indices, 7 * near.distances), xy, elsewhere=scaled)
         .judged(scaled, xy)[1]
         .tolist()
         == model.judged(far, xy)[1].tolist()
@@ -160,20 +160,23 @@ def matched(odds: np.ndarray) -> RefinedPoses:
 def test_with_refined_poses_the_odds_of_a_match_tell_what_is_foreign() -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 30, (30, 2))
-    # By distance, what is elsewhere looks nearer: it must not count.
-    sure, none = matched(rng.normal(9, 0.1, 200)), matched(np.linspace(3, 7, 201))
-    near, far = (looked_for(rng, 0.9), sure), (looked_for(rng, 0.4, 201), none)
-    model = replace(MODEL, score="pose", refine="relative", lost_above=5.0).with_foreign(near, far, xy)
+    near = looked_for(rng, 0.4)
+    model = replace(MODEL, score="pose", refine="relative", lost_above=5.0)
+    model = model.with_foreign(near, xy, matched(rng.normal(9, 0.1, 200)))
     assert model.foreign_weight == 0
-    # Of what is elsewhere, 95 % have odds below this.
-    assert model.foreign_above == pytest.approx(-6.8)
-    odds = np.array([6.9, 6.7, -9.0, -np.inf])
-    assert model.judged(looked_for(rng, 0.4, 4), xy, matched(odds))[1].tolist() == [False, True, True, True]
-    unlike = model.with_foreign(near, (far[0], matched(np.full(201, -1.0))), xy)
-    assert unlike.foreign_above == pytest.approx(np.log(0.05 / 0.95)), "a match must be likely in any case"
-    assert model.with_foreign(near, None, xy).foreign_above == unlike.foreign_above, "without any that is elsewhere"
-    alike = model.with_foreign((far[0], none), far, xy)
-    assert alike.foreign_above == pytest.approx(-3.04), "99 % of the right answers are none"
+    assert model.foreign_above == pytest.approx(np.log(0.05 / 0.95)), "a match is likely by 95 %"
+    odds = np.array([9.0, 3.0, 2.9, -9.0, -np.inf, np.nan])
+    called = [False, False, True, True, True, True]
+    assert model.judged(looked_for(rng, 0.4, 6), xy, matched(odds))[1].tolist() == called
+    assert model.foreign(looked_for(rng, 0.4, 6), xy, matched(odds)).tolist() == called
+    # Where right answers are no likely matches, 99 % of them are none the less not foreign.
+    assert model.with_foreign(near, xy, matched(np.arange(200) - 100)).foreign_above == 98
+    strays = np.where(np.arange(200) < 190, -np.inf, 9.0)
+    assert model.with_foreign(near, xy, matched(strays)).foreign_above == model.foreign_above, "-inf was not compared"
+    with pytest.raises(DataError, match=r"at least 10 validation queries .* got 9 and 0"):
+        model.with_foreign(looked_for(rng, 0.4, 9), xy, matched(np.full(9, 9.0)))
+    with pytest.raises(ConfigError, match="learned from refined poses: give it those"):
+        model.with_foreign(near, xy)
     assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
 
 
@@ -189,7 +192,7 @@ def test_where_both_look_alike_right_answers_count_more() -> None:
     rng = np.random.default_rng(1)
     xy = rng.uniform(0, 30, (30, 2))
     near, far = looked_for(rng, 0.8), looked_for(rng, 0.82)
-    model = replace(MODEL, lost_above=5.0).with_foreign((near, None), (far, None), xy)
+    model = replace(MODEL, lost_above=5.0).with_foreign(near, xy, elsewhere=far)
     assert model.judged(near, xy)[1].mean() == pytest.approx(0.01, abs=0.005)
     assert model.judged(far, xy)[1].mean() < 0.5
 
@@ -198,9 +201,9 @@ def test_what_is_foreign_is_not_learned_from_a_few() -> None:
     rng = np.random.default_rng(2)
     xy = rng.uniform(0, 30, (30, 2))
     with pytest.raises(DataError, match=r"at least 10 validation queries .* got 9 and 20"):
-        MODEL.with_foreign((looked_for(rng, 0.4, 9), None), (looked_for(rng, 0.9, 20), None), xy)
+        MODEL.with_foreign(looked_for(rng, 0.4, 9), xy, elsewhere=looked_for(rng, 0.9, 20))
     with pytest.raises(DataError, match=r"at least 10 validation queries .* got 20 and 0"):
-        MODEL.with_foreign((looked_for(rng, 0.4, 20), None), None, xy)
+        MODEL.with_foreign(looked_for(rng, 0.4, 20), xy)
     assert MODEL.judged(looked_for(rng, 0.4, 3), xy)[1] is None
     with pytest.raises(ConfigError, match="learned from refined poses"):
         replace(MODEL, score="pose", refine="relative").judged(looked_for(rng, 0.4, 3), xy)
