@@ -22,7 +22,8 @@ _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 _POSE = "pose"
 # Chosen on drives through two buildings; benchmarks/foreign.py measures them on others.
-_REFUSED, _KEPT = 0.85, 0.99  # shares: of pictures of elsewhere that are foreign, of right ones that never are
+_KEPT = 0.99  # share of the right answers that are not foreign
+_BETWEEN = 0.55  # where the threshold lies between the strangest of these, 0, and the median of elsewhere, 1
 _MATCH = math.log(0.95 / 0.05)  # odds, as a logarithm, from which a match counts
 _REFINED = ("none", "interpolate", "relative")
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the deviation of a pose that nothing is known of
@@ -296,9 +297,8 @@ class ErrorModel(Learned):
         No such picture is needed. A query whose pose is refined is foreign where it is not likely by 95 % that any of
         the map frames compared with it was taken near it (`RefinedPoses.match`). For others, what the map does not show
         looks like its own places when they are taken out of it: strangeness is the model's score plus the descriptor
-        distance of the best match, in units of what it usually is elsewhere, and 85 % of that are foreign; of other
-        buildings more are, since they look less alike. Where right answers are as strange, the threshold lies at the
-        strangest but 1 % of them.
+        distance of the best match, in units of what it usually is elsewhere, and the threshold lies about halfway
+        between right answers and that. Either threshold lies above all right answers but the strangest 1 %.
 
         Args:
             right: what was found of validation queries that were located well.
@@ -320,12 +320,16 @@ class ErrorModel(Learned):
                 f"what is foreign is learned from at least {_FEWEST} validation queries that are located well, and "
                 f"without refined poses from as many with map frames far from them, got {len(right)} and {others}"
             )
-        model, above = self, -_MATCH
-        if not self.of_poses and elsewhere is not None:
-            model = replace(self, foreign_weight=1 / (float(np.median(elsewhere.distances[:, 0])) or 1.0))
-            above = float(np.quantile(model._strangeness(elsewhere, map_xy, None), 1 - _REFUSED))
-        known = model._strangeness(right, map_xy, poses)
-        return replace(model, foreign_above=max(above, float(np.quantile(known, _KEPT, method="lower"))))
+        if self.of_poses or elsewhere is None:
+            return replace(self, foreign_above=max(-_MATCH, self._strangest(right, map_xy, poses)))
+        model = replace(self, foreign_weight=1 / (float(np.median(elsewhere.distances[:, 0])) or 1.0))
+        strangest = model._strangest(right, map_xy, None)
+        usual = float(np.median(model._strangeness(elsewhere, map_xy, None)))
+        return replace(model, foreign_above=strangest + _BETWEEN * max(0.0, usual - strangest))
+
+    def _strangest(self, right: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> float:
+        """Return the strangeness of right answers that only the strangest of them pass."""
+        return float(np.quantile(self._strangeness(right, map_xy, poses), _KEPT, method="lower"))
 
     def _strangeness(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> NDArray[np.float64]:
         """Return how little each query shows of what the map shows (n,)."""
