@@ -192,7 +192,9 @@ def test_estimates_beside_the_single_frame_one(manifest, tmp_path, capsys):
     moved = np.hypot(columns["interpolated_est_x"] - columns["x"], columns["interpolated_est_y"] - columns["y"])
     np.testing.assert_allclose(columns["interpolated_error"], moved)
     assert (columns["interpolated_used"] > 1).any()
-    np.testing.assert_array_equal(columns["lost"], columns["error_m"] > 0.5)
+    above = columns["error_m"] > 0.5
+    assert columns["lost"][above].all()
+    assert columns["lost"][~above].mean() < 0.1, "few queries of the map's own building are foreign"
     model = ErrorModel.load(folder / results["estimates"]["error_model"]["file"])
     assert model.queries == results["estimates"]["error_model"]["queries"] == 36
     assert results["estimates"]["error_model"]["sequences"] == ["third"]
