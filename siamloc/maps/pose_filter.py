@@ -49,8 +49,8 @@ class PoseFilter:
         ConfigError: a step or a probability out of range.
 
     Example:
-        >>> about, one = 100 * np.eye(2)[None], np.ones(1)
-        >>> one = RefinedPoses(np.zeros((1, 2)), np.zeros(1), about, one, np.zeros(1, int), 9 * one)
+        >>> information, sure = 100 * np.eye(2)[None], np.ones(1)
+        >>> one = RefinedPoses(np.zeros((1, 2)), np.zeros(1), information, sure, np.zeros(1, int), 9 * sure)
         >>> robot = PoseFilter(step=0.2)
         >>> for x in (0.0, 0.2, 0.4, 9.0, 0.8):
         ...     found = robot.step(replace(one, xy=np.array([[x, 0.0]])))
