@@ -3,9 +3,11 @@
 The first table: a map of 2,778 frames, panoramas of 128 x 512 pixels, networks with random weights, which cost what
 trained ones do. An image of 640 x 480 pixels is unwrapped, described and looked for; reading it from a file is not
 counted. "beside" is all of that but onnxruntime's own run. A start is a fresh process, from its begin to the first
-answer, with the files in the system's cache; its memory is the most that it held, and what it holds after some images,
-less what Python holds with the same packages and no bundle. Times are of one thread. "smallest" is a network of 60 kB
-with two map frames: what that takes, any bundle takes.
+answer, with the files in the system's cache. Its memory is the most that it held, and what it holds after some images,
+less what Python holds with the same packages and no bundle. A part of it is pages of the packages' own files, mostly
+onnxruntime's code, which are read when they are first needed: the system has them once for all processes, and drops
+them when memory is short. The rest is the bundle's own, and counts against its length. Times are of one thread.
+"smallest" is a network of 60 kB with two map frames: what that takes, any bundle takes.
 
 The second table, with --data: bundles of a drive under clouds, of networks that work, in each precision, located with a
 drive at night and one in the sun. `pretrained` comes with siamloc; `alexnet` and `vgg16`, with the head `gem`, are
@@ -19,6 +21,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import statistics
 import subprocess
@@ -59,14 +62,15 @@ from siamloc.runtime import Localizer
 from siamloc.runtime.stream import locate_all
 def held(what):
     return 1024 * int(re.search(what + r":\s+(\d+)", Path("/proc/self/status").read_text())[1])
-image, most, now = np.load(sys.argv[2]), held("VmHWM"), held("VmRSS")
+image, most, now, own = np.load(sys.argv[2]), held("VmHWM"), held("VmRSS"), held("RssAnon")
 localizer = Localizer(sys.argv[1], threads=1)
 localizer.locate(image)
 seconds = time.time() - float(sys.argv[3])
 for _ in range(4):
     localizer.locate(image)
-print(seconds, held("VmHWM") - most, held("VmRSS") - now)
+print(seconds, held("VmHWM") - most, held("VmRSS") - now, own)
 """
+_OWN = re.compile(r"RssAnon:\s+(\d+)")
 
 
 def drive(folder: Path) -> PanoramaLibrary:
@@ -87,19 +91,37 @@ def drive(folder: Path) -> PanoramaLibrary:
     return PanoramaLibrary(frames, folder / "cache", image_size=SIZE, unwrap={"kind": "polar", "inner": 50})
 
 
+def fresh_start(bundle: Bundle, image: Path) -> tuple[float, float, float, float]:
+    """Return the seconds to the first answer, the most memory, what is held later, and the most of the bundle's own.
+
+    The last is watched from here, about a thousand times a second.
+    """
+    command = [sys.executable, "-c", _START, str(bundle.path), str(image), str(time.time())]
+    most = 0
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        status = Path(f"/proc/{process.pid}/status")
+        while process.poll() is None:
+            found = _OWN.search(status.read_text())
+            most = max(most, 1024 * int(found[1]) if found else 0)
+            time.sleep(0.001)
+        assert process.stdout is not None
+        said = process.stdout.read()
+    if process.returncode:
+        raise RuntimeError(f"a start of {bundle.path} failed")
+    seconds, memory, held, before = map(float, said.split())
+    return seconds, memory, held, most - before
+
+
 def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | None) -> dict[str, Any]:
     """Measure a bundle with an image, its memory alone if there are former figures of its times."""
-    starts = []
-    for _ in range(max(3, repeats // 20)):
-        command = [sys.executable, "-c", _START, str(bundle.path), str(image), str(time.time())]
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        starts.append([float(number) for number in said.split()])
-    start, memory, held = (statistics.median(values) for values in zip(*starts, strict=True))
+    starts = [fresh_start(bundle, image) for _ in range(max(3, repeats // 20))]
+    start, memory, held, own = (statistics.median(values) for values in zip(*starts, strict=True))
     needs = {
         "bundle_mb": bundle.bytes / 1e6,
         "memory_mb": memory / 1e6,
         "held_mb": held / 1e6,
-        "memory_over_bundle": memory / bundle.bytes,
+        "own_mb": own / 1e6,
+        "own_over_bundle": own / bundle.bytes,
     }
     if former is not None:
         return {**former, **needs}
@@ -202,7 +224,10 @@ def second_table(data: Path) -> dict[str, Any]:
                     errors=learned.error_model,
                     refinement=learned.refinement,
                 )
-                row = {"bundle_mb": bundle.bytes / 1e6, **errors(bundle, images, drives)}
+                np.save(folder / "image.npy", next(iter(images.batches(drives["cloudy2"])))[0].transpose(1, 2, 0))
+                own = statistics.median(fresh_start(bundle, folder / "image.npy")[3] for _ in range(3))
+                needs = {"bundle_mb": bundle.bytes / 1e6, "own_mb": own / 1e6, "own_over_bundle": own / bundle.bytes}
+                row = {**needs, **errors(bundle, images, drives)}
                 rows[f"{name}, {precision}"] = row
                 print(name, precision, json.dumps({key: round(value, 3) for key, value in row.items()}), flush=True)
             shutil.rmtree(folder / "bundle")
@@ -235,14 +260,16 @@ def main() -> None:
             beside = row["beside_ms"]
             report.target(f"{name}: at most 3 ms beside onnxruntime's run ({beside:.2f})", beside <= 3)
         if name != SMALLEST:
-            held, own = row["memory_over_bundle"], row["memory_mb"] - rows[SMALLEST]["memory_mb"]
-            said = f"({held:.2f}; {own / row['bundle_mb']:.2f} beyond the smallest bundle's)"
-            report.target(f"{name}: memory under 3 bundles {said}", held < 3)
+            share, whole = row["own_over_bundle"], row["memory_mb"] / row["bundle_mb"]
+            said = f"({share:.2f}; {whole:.2f} with pages of the packages' files)"
+            report.target(f"{name}: own memory under 3 bundles {said}", share < 3)
     start = rows["alexnet, float32"]["start_seconds"]
     report.target(f"alexnet: first answer in less than 1 s ({start:.2f})", start < 1)
     faster = rows["vgg16, float32"]["run_ms"] / rows["vgg16, int8"]["run_ms"]
     report.target(f"vgg16: int8 at least 1.5 times as fast as float32 ({faster:.2f})", faster >= 1.5)
     errors_of = second_table(options.data) if options.data else report.former("errors")
+    for name, row in errors_of.items():
+        report.target(f"{name}, own memory under 3 bundles ({row['own_over_bundle']:.2f})", row["own_over_bundle"] < 3)
     report.write({"frames": FRAMES, "rows": rows, "errors": errors_of})
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic.distances import DISTANCES
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.maps.packing import Packed
 from siamloc.settings import Count, checked
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and its answer
@@ -68,7 +70,7 @@ class VectorIndex:
     vectors: 1 - cos = |u - v|^2 / 2. Manhattan distances have no such product and are computed for every pair.
 
     Args:
-        references: (m, D), m and D at least 1; kept, not copied.
+        references: (m, D), m and D at least 1; kept, not copied, and as short as they are.
         distance: a name in `analytic.DISTANCES`; "minkowski" is that of order 2.
 
     Raises:
@@ -87,7 +89,7 @@ class VectorIndex:
             raise ConfigError(f"unknown distance {distance!r}: {hint(distance, DISTANCES)}")
         self.distance = distance
         self._references = _checked(references, "map")
-        if not self._references.size:
+        if 0 in self._references.shape:
             raise DataError("the map holds no descriptors: there is nothing to search in")
         if distance != "manhattan":
             self._prepare()
@@ -177,7 +179,7 @@ class VectorIndex:
     def _prepare(self) -> None:
         """Centre and scale the references, and add the column of the constant term of the score."""
         m, angular = len(self), self.distance in ("cosine", "correlation")
-        largest = 1.0 if angular else max(float(self._references.max()), -float(self._references.min()))
+        largest = 1.0 if angular else _largest(self._references)
         # A power of two, so that scaling rounds nothing.
         self._scale = float(np.exp2(-np.ceil(np.log2(largest)))) if largest > 1e-290 else 1.0
         # Any centre gives the right answer, so a sample of a large map will do.
@@ -223,7 +225,7 @@ class VectorIndex:
                 f"queries have {q.shape[1]} values each, the map's descriptors {width}: describe both with one model"
             )
         plain = self.distance in ("euclidean", "minkowski")
-        if plain and q.size and max(float(q.max()), -float(q.min())) * self._scale > _LARGEST:
+        if plain and _largest(q) * self._scale > _LARGEST:
             raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
         return q
 
@@ -295,16 +297,26 @@ def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArr
     return mask
 
 
+def _largest(values: NDArray) -> float:
+    """Return the largest absolute value of an array (n, D), in blocks of rows; NaN where there is one."""
+    largest = 0.0
+    for part in _slices(len(values), _VALUES_PER_BLOCK // max(1, values.shape[1])):
+        block = values[part]
+        if block.size:
+            largest = float(np.maximum(np.maximum(largest, block.max()), -block.min()))  # these carry a NaN on
+    return largest
+
+
 def _checked(array: ArrayLike, what: str) -> NDArray:
-    values = np.asarray(array)
+    values = cast("NDArray", array) if isinstance(array, Packed) else np.asarray(array)
     if values.dtype.kind not in "biuf":
         raise DataError(f"a search needs {what} descriptors of real numbers, got {values.dtype}")
-    values = values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
+    if not isinstance(values, Packed) and values.dtype not in (np.float32, np.float64):
+        values = values.astype(np.float64)
     if values.ndim != 2:
         raise DataError(f"a search needs {what} descriptors of shape (n, D), got shape {values.shape}")
-    # The two extremes show NaN and infinity without a temporary array of the input's size.
-    if values.size and not (np.isfinite(values.min()) and np.isfinite(values.max())):
-        bad = int((~np.isfinite(values)).any(axis=1).sum())
+    if not np.isfinite(_largest(values)):
+        bad = int((~np.isfinite(np.asarray(values))).any(axis=1).sum())
         raise DataError(
             f"{bad} of {len(values)} {what} descriptors hold values that are not finite: "
             "look at the model and at these images"

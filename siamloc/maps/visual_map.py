@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +22,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import atomic_path, parsed_json, plain
 from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic
-from siamloc.maps.packing import Precision, all_finite, packed, unpacked
+from siamloc.maps.packing import Packed, Precision, all_finite, packed, unpacked
 from siamloc.maps.search import Retrieval, VectorIndex
 
 _FORMAT = "siamloc-map"
@@ -34,7 +34,7 @@ class VisualMap:
     """Descriptors (n, D) with the frames they describe; immutable. `siamloc.maps.build` makes one.
 
     Attributes:
-        descriptors: (n, D) float32, read-only.
+        descriptors: (n, D) float32, read-only; of a robot's map in fewer digits, a `Packed` array that gives its rows.
         frames: n frames; poses and rooms may be missing, and then the tasks that need them say so.
         identity: what made the descriptors (name, parameters, hash of the weights) and under "images" how images
             became panoramas, as plain values.
@@ -70,7 +70,10 @@ class VisualMap:
     describes: Descriptor | None = None
 
     def __post_init__(self) -> None:
-        descriptors = _own(np.asarray(self.descriptors, dtype=np.float32), self.descriptors)
+        descriptors = self.descriptors
+        if not isinstance(descriptors, Packed):
+            descriptors = _own(np.asarray(descriptors, dtype=np.float32), descriptors)
+            descriptors.flags.writeable = False
         if descriptors.ndim != 2 or 0 in descriptors.shape:
             raise DataError(f"a map needs descriptors of shape (n, D), n and D at least 1, got {descriptors.shape}")
         if len(descriptors) != len(self.frames):
@@ -84,7 +87,6 @@ class VisualMap:
                 f"{self.frames.path[bad[0]]}: look at the model and at this image"
             )
         _check_distance(self.distance, descriptors.shape[1])
-        descriptors.flags.writeable = False
         object.__setattr__(self, "descriptors", descriptors)
         if self.unit is None:
             object.__setattr__(self, "unit", self.frames.unit)
@@ -163,7 +165,7 @@ class VisualMap:
         """What changes with the map's descriptors, how they are compared, frames or descriptor; not with headings."""
         digest = hashlib.sha256(json.dumps([self.identity, self.distance], sort_keys=True).encode())
         digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
-        for array in (self.descriptors, self.frames.xy):
+        for array in (np.asarray(self.descriptors), self.frames.xy):
             digest.update(array.tobytes())
         return digest.hexdigest()
 
@@ -399,11 +401,15 @@ class VisualMap:
                 header["heading"] = _without_images(header["identity"])
                 arrays["heading"] = arrays.pop("orientation")
                 del header["orientation"], arrays["orientation_scale"]
-            for name in ("descriptors", "orientation"):
-                if f"{name}_scale" in arrays:
-                    arrays[name] = unpacked(arrays[name], arrays.pop(f"{name}_scale"))
+            if "orientation_scale" in arrays:
+                arrays["orientation"] = unpacked(arrays["orientation"], arrays.pop("orientation_scale"))
+            short = short and header.get("orientation") is None  # else all are turned to compare them with a query
+            if "descriptors_scale" in arrays:
+                held = Packed(arrays["descriptors"], arrays.pop("descriptors_scale"))
+                arrays["descriptors"] = cast("NDArray[np.float32]", held) if short else held[:]
             for name in {"descriptors", "orientation", "heading"} & set(arrays):
-                arrays[name].flags.writeable = False  # nobody else has them
+                if not isinstance(arrays[name], Packed):
+                    arrays[name].flags.writeable = False  # nobody else has them
         except DAMAGE as error:
             raise FormatError(damaged) from error
         columns: dict[str, Any] = {

@@ -78,6 +78,9 @@ class Describer:
 
         self._size = bundle.image_size
         self._session, self._relative = session(MODEL), session(RELATIVE)
+        # Weights made float32 for every image are not put in the order in which one image and several add up alike.
+        halved = self._session is not None and self._session.get_overridable_initializers()
+        self._one_by_one = bool(halved) and self._session.get_providers()[0] == "CPUExecutionProvider"
         if self._session is None:
             turned = known.orientation if known.heading is None else known.heading.values
             known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, turned))
@@ -103,7 +106,7 @@ class Describer:
             found = self.known.descriptor.describe(panoramas)
             position, orientation = found.position, found.orientation
         else:
-            position, *parts = self._session.run(None, {"panorama": panoramas})
+            position, *parts = self._run(panoramas)
             orientation = parts[0] if parts else None
             if orientation is not None and not np.isfinite(orientation).all():
                 # onnxruntime adds up in another way than torch and finds variances below 0 where there is no contrast.
@@ -111,6 +114,13 @@ class Describer:
         if self._turning is not None:
             orientation = self._turning.describe(panoramas).orientation
         return Description(position, orientation)
+
+    def _run(self, panoramas: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
+        """Return what the network gives."""
+        if not self._one_by_one or len(panoramas) < 2:
+            return list(self._session.run(None, {"panorama": panoramas}))
+        each = [self._session.run(None, {"panorama": panorama[None]}) for panorama in panoramas]
+        return [np.concatenate(parts) for parts in zip(*each, strict=True)]
 
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32]

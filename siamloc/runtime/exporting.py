@@ -37,7 +37,8 @@ from siamloc.runtime.bundle import (
 )
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.parts import Archive
-from siamloc.runtime.precision import CALIBRATION, Measured, halve, measured, quantize, smallest, spread
+from siamloc.runtime.precision import CALIBRATION, Measured, measured, smallest, spread
+from siamloc.runtime.shortening import halve, quantize
 from siamloc.runtime.thumbnails import save_thumbnails
 from siamloc.settings import checked
 
@@ -92,7 +93,7 @@ def export(
         preprocessing: how images become panoramas (`images.preprocessing`); the map's if None.
         images: panoramas of the map's frames, and of those of `validation`.
         thumbnails: whether small pictures of the map frames come along, of `images`.
-        precision: how the numbers of network and map are kept. "float16" halves both and computes as float32; "int8"
+        precision: how the numbers of network and map are kept. "float16" halves both, and computes as float32; "int8"
             computes with whole numbers, whose ranges are taken from `images` of the map; "auto" takes the smallest that
             loses at most 2 % of the localization error of `validation`, see `siamloc.runtime.precision`.
         validation: frames with positions, for "auto".

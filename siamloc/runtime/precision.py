@@ -1,17 +1,16 @@
-"""Fewer digits: networks in half precision and in whole numbers, and what each costs.
+"""What a bundle costs and gives in each precision.
 
-"float16" keeps weights in half precision and computes as before: the file has half the length, the descriptor changes
-by about a thousandth, and the time stays. "int8" computes convolutions and fully connected layers with whole numbers of
-8 bits (static, per channel, ranges from panoramas of the map): a quarter of the length, and faster where the processor
-multiplies such numbers. Weights keep to 7 bits, so that no processor's sums overflow and all give the same answers.
+"float16" keeps weights in half precision and computes as before: file and memory have half the length, the descriptor
+changes by about a thousandth, and an image takes somewhat longer. "int8" computes convolutions and fully connected
+layers with whole numbers of 8 bits (static, per channel, ranges from panoramas of the map): a quarter of the length,
+and faster where the processor multiplies such numbers. Weights keep to 7 bits, so that no processor's sums overflow and
+all give the same answers.
 """
 
 from __future__ import annotations
 
-import logging
 import statistics
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 from analytic import Descriptor
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import atomic_path
 from siamloc.maps.packing import Precision
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.localizer import Localizer
@@ -36,8 +34,6 @@ CALIBRATION = 32
 LOSS = 0.02
 """What share of the localization error precision="auto" may lose."""
 
-_LAYERS = ["Conv", "Gemm"]
-_WORTH = 4096  # numbers in an array that is worth shortening
 _ASKED = 200  # images that a bundle is measured with
 _COLUMNS = ("precision", "MB", "ms", "change of descriptor", "error")
 
@@ -153,90 +149,3 @@ def spread(images: PanoramaLibrary, frames: FrameTable, count: int = _ASKED) -> 
         raise DataError(f"none of the images of {len(frames)} frames could be read")
     chosen = readable.take(np.unique(np.linspace(0, len(readable) - 1, min(count, len(readable))).round().astype(int)))
     return np.concatenate(list(images.batches(chosen))), chosen
-
-
-def halve(path: Path) -> None:
-    """Keep the weights of an ONNX file in half precision, in place; it computes in float32 as before.
-
-    Raises:
-        ConfigError: a file of 2 GB and more, whose weights lie beside it.
-    """
-    import onnx
-    from onnx import TensorProto, helper, numpy_helper
-
-    _check_one_file(path)
-    model = onnx.load(path)
-    held, casts = [], []
-    for tensor in model.graph.initializer:
-        values = numpy_helper.to_array(tensor)
-        if values.dtype == np.float32 and values.size >= _WORTH and np.abs(values).max() < np.finfo(np.float16).max:
-            held.append(numpy_helper.from_array(values.astype(np.float16), f"{tensor.name}_half"))
-            casts.append(helper.make_node("Cast", [f"{tensor.name}_half"], [tensor.name], to=TensorProto.FLOAT))
-        else:
-            held.append(tensor)
-    nodes = list(model.graph.node)
-    del model.graph.initializer[:], model.graph.node[:]
-    model.graph.initializer.extend(held)
-    model.graph.node.extend([*casts, *nodes])
-    with atomic_path(path) as temporary:
-        onnx.save(model, temporary)
-
-
-def quantize(path: Path, panoramas: NDArray[np.uint8]) -> None:
-    """Make an ONNX file compute with whole numbers of 8 bits, in place; other large weights become half precision.
-
-    Args:
-        path: of the file.
-        panoramas: (n, 3, H, W) from which the ranges of the numbers are taken.
-
-    Raises:
-        ConfigError: a file of 2 GB and more, whose weights lie beside it.
-    """
-    from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
-
-    _check_one_file(path)
-    with atomic_path(path) as temporary, _quiet():
-        quantize_static(
-            str(path),
-            str(temporary),
-            _Panoramas(panoramas),
-            quant_format=QuantFormat.QDQ,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
-            op_types_to_quantize=_LAYERS,
-            per_channel=True,
-            reduce_range=True,
-        )
-    halve(path)
-
-
-class _Panoramas:
-    """Gives a quantizer one panorama after the other."""
-
-    def __init__(self, panoramas: NDArray[np.uint8]) -> None:
-        self._left = iter(panoramas)
-
-    def __iter__(self) -> _Panoramas:
-        return self
-
-    def __next__(self) -> dict[str, NDArray[np.uint8]]:
-        return {"panorama": next(self._left)[None]}
-
-    def get_next(self) -> dict[str, NDArray[np.uint8]] | None:
-        return next(self, None)
-
-
-def _check_one_file(path: Path) -> None:
-    if path.with_name(f"{path.name}.data").exists():
-        raise ConfigError("a network of 2 GB and more cannot be shortened: export it with precision=float32")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence the quantizer's advice, which it gives to the root logger."""
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        yield
-    finally:
-        logging.disable(before)

@@ -100,9 +100,10 @@ def test_the_folder_put_into_an_archive_by_hand_is_one_too(folder, tmp_path):
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_an_image_has_one_answer_alone_again_in_a_batch_and_from_four_threads(folder, threads):
+@pytest.mark.parametrize("precision", ["float32", "float16"])
+def test_an_image_has_one_answer_alone_again_in_a_batch_and_from_four_threads(world, tmp_path, precision, threads):
     images = list(drive(1)[0])
-    localizer = Localizer(folder, threads=threads)
+    localizer = Localizer(export(*world, tmp_path / "bundle", precision=precision).path, threads=threads)
     alone = [told(localizer.locate(image)) for image in images]
     assert [told(localizer.locate(image)) for image in images] == alone
     for size in (2, 5, len(images)):

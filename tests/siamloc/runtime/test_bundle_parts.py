@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import onnx
 import pytest
 
 import analytic
@@ -15,8 +16,10 @@ from siamloc import evaluation, maps, runtime
 from siamloc.errors import ConfigError, FormatError
 from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import LayerSearch, VisualMap
-from siamloc.maps.packing import packed, unpacked
+from siamloc.maps.packing import Packed, packed, unpacked
 from siamloc.models import as_descriptor, build
+from siamloc.runtime import shortening
+from siamloc.runtime.onnx_file import session_of
 from siamloc.runtime.precision import LOSS, Measured, smallest
 
 PARTS = {
@@ -194,9 +197,64 @@ def test_fewer_digits_are_shorter_and_locate_alike(world, tmp_path, precision, s
     assert short.about["precision"] == precision
     assert short.bytes < size * whole.bytes
     panoramas = next(images.batches(tuesday))
-    expected, found = (runtime.Localizer(bundle.path).describe(panoramas).position for bundle in (whole, short))
+    localizer = runtime.Localizer(short.path)
+    expected, found = (one.describe(panoramas).position for one in (runtime.Localizer(whole.path), localizer))
     apart = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
     assert 0 < apart.max() < change
+    loaded = VisualMap.load(tmp_path / "short" / "map.npz")
+    for panorama in panoramas[:5]:
+        nearest = maps.match(loaded, localizer.describe(panorama[None]), 3)
+        candidates = localizer.locate_panorama(panorama).candidates
+        assert [one.row for one in candidates] == nearest.indices[0].tolist()
+        assert [one.distance for one in candidates] == nearest.distances[0].tolist()
+
+
+@pytest.mark.parametrize("precision", ["float16", "int8"])
+def test_a_robot_keeps_the_rows_of_a_short_map_short(world, network, tmp_path, precision):
+    images, monday, tuesday = world
+    known = maps.build(network, images, monday, progress=False)
+    bundle = runtime.export(network, known, tmp_path / "b", precision=precision, images=images)
+    localizer, whole = runtime.Localizer(bundle.path), VisualMap.load(tmp_path / "b" / "map.npz")
+    short = localizer.map
+    assert isinstance(short.descriptors, Packed)
+    assert short.descriptors.values.dtype == precision
+    np.testing.assert_array_equal(np.asarray(short.descriptors), whole.descriptors)
+    assert short.digest == whole.digest
+    assert short.placed() is short
+    queries = localizer.describe(next(images.batches(tuesday)))
+    for one in (short, short.take([0, 3, 5])):
+        same = whole.take([0, 3, 5]) if one is not short else whole
+        np.testing.assert_array_equal(maps.frame_distances(one, queries), maps.frame_distances(same, queries))
+        np.testing.assert_array_equal(maps.match(one, queries, 2).indices, maps.match(same, queries, 2).indices)
+
+
+@pytest.mark.parametrize("piece", [1 << 19, 5000])
+def test_weights_in_half_precision_become_float32_one_layer_after_the_other(tmp_path, monkeypatch, piece):
+    monkeypatch.setattr(shortening, "_PIECE", piece)
+    network = build("simple1", "fc500_500_5", (64, 128))
+    path = tmp_path / "network.onnx"
+    runtime.export_onnx(network, path, (64, 128))
+    panoramas = np.random.default_rng(0).integers(0, 256, (3, 3, 64, 128), dtype=np.uint8)
+    before = session_of(path).run(None, {"panorama": panoramas})[0]
+    shortening.halve(path)
+    session, graph = session_of(path), onnx.load(path).graph
+    np.testing.assert_allclose(
+        session.run(None, {"panorama": panoramas})[0], before, rtol=0, atol=2e-3 * np.abs(before).max()
+    )
+    kept = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer}
+    halved = [name for name, values in kept.items() if values.dtype == np.float16]
+    assert sorted(halved) == sorted(one.name for one in session.get_overridable_initializers())
+    assert all(values.size < 4096 for values in kept.values() if values.dtype == np.float32)
+    sizes = [kept[name].size for name in halved if kept[name].ndim == 2]
+    assert (max(sizes) <= max(piece, 16 * 4096)) or piece == 1 << 19
+    assert sum(sizes) == sum(layer.weight.numel() for layer in network.head.layers[1:5:2])
+    used = [name for node in graph.node for name in node.input]
+    for name in halved:  # made float32 right before the node that needs it
+        at = next(at for at, node in enumerate(graph.node) if name in node.input)
+        assert graph.node[at].op_type == "Cast"
+        assert used.count(graph.node[at].output[0]) == 1
+        following = next(node.op_type for node in graph.node[at:] if node.op_type != "Cast")
+        assert following in ("Conv", "Gemm")
 
 
 def test_int8_gives_the_same_file_again(world, network, tmp_path):
