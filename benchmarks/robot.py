@@ -252,9 +252,11 @@ def main() -> None:
     arguments.add_argument("--repeats", type=int, default=60)
     arguments.add_argument("--data", type=Path, help="folder of a rendered building")
     arguments.add_argument("--memory", action="store_true", help="measure memory alone, and keep the file's times")
+    arguments.add_argument("--errors", action="store_true", help="make the second table alone, and keep the first")
     options = arguments.parse_args()
     report = Report("robot", options.out, ["onnxruntime"])
-    rows = first_table(options.repeats, report.former("rows") if options.memory else None)
+    former = report.former("rows") if options.memory or options.errors else None
+    rows = former if former is not None and options.errors else first_table(options.repeats, former)
     for name, row in rows.items():
         if row.get("run_ms"):
             beside = row["beside_ms"]

@@ -183,9 +183,10 @@ class VectorIndex:
         # A power of two, so that scaling rounds nothing.
         self._scale = float(np.exp2(-np.ceil(np.log2(largest)))) if largest > 1e-290 else 1.0
         # Any centre gives the right answer, so a sample of a large map will do.
-        sample, rows = self._references[:: -(-m // _SAMPLE)], max(1, _VALUES_PER_BLOCK // self._references.shape[1])
-        sums = [self._embed(sample[part], is_query=False).sum(axis=0) for part in _slices(len(sample), rows)]
-        self._centre = np.sum(sums, axis=0) / len(sample)
+        step, rows = -(-m // _SAMPLE), max(1, _VALUES_PER_BLOCK // self._references.shape[1])
+        sample = (self._references[part.start : part.stop : step] for part in _slices(m, step * rows))
+        sums = [self._embed(vectors, is_query=False).sum(axis=0) for vectors in sample]
+        self._centre = np.sum(sums, axis=0) / -(-m // step)
         self._product = np.empty((m, len(self._centre) + 1), dtype=np.float32)
         squares = np.empty(m)
         for part in _slices(m, rows):
