@@ -208,8 +208,9 @@ COMMANDS = {
         bundle=FOLDER           where to; the run's own folder if not given; robot.zip makes one file
         descriptor=hog          another map of the run: of an analytic descriptor, or of the network that comes with
                                 siamloc, descriptor=pretrained
-        precision=int8          numbers of 8 bits, or float16: shorter and faster bundles; auto takes the smallest that
-                                loses at most 2 % of the error on protocol.validation, and shows what each loses
+        precision=int8          numbers of 8 bits, a faster bundle, or float16: both are shorter and take less memory;
+                                auto takes the smallest that loses at most 2 % of the error on protocol.validation,
+                                and shows what each loses
         build=spectral          the coarse layer that `siamloc map build=spectral` made, for the robot to search first;
                                 task=hierarchical task.candidates=1 says how
         thumbnails=true         small pictures of the map frames, which `siamloc live` shows
