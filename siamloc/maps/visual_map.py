@@ -331,10 +331,11 @@ class VisualMap:
             "unit": self.unit,
             "made": plain(self.made),
         }
-        arrays: dict[str, NDArray] = {"descriptors": self.descriptors}
+        descriptors = np.asarray(self.descriptors)
+        arrays: dict[str, NDArray] = {"descriptors": descriptors}
         if self.orientation is not None:
             header["orientation"] = list(self.orientation.shape)
-            if not np.shares_memory(self.orientation, self.descriptors):
+            if not np.shares_memory(self.orientation, descriptors):
                 arrays["orientation"] = self.orientation
         if self.heading is not None:
             header["heading"] = self.heading.identity
@@ -342,7 +343,7 @@ class VisualMap:
         arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
         arrays.update({f"frame_{name}": column for name, column in self.frames.columns().items()})
         if precision != "float32":
-            arrays = {**arrays, **packed("descriptors", self.descriptors, precision)}
+            arrays = {**arrays, **packed("descriptors", descriptors, precision)}
             if "orientation" in arrays:
                 arrays.update(packed("orientation", arrays["orientation"], "float16"))
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:

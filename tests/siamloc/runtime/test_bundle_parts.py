@@ -221,6 +221,8 @@ def test_a_robot_keeps_the_rows_of_a_short_map_short(world, network, tmp_path, p
     assert short.descriptors.values.dtype == precision
     np.testing.assert_array_equal(np.asarray(short.descriptors), whole.descriptors)
     assert short.digest == whole.digest
+    short.save(tmp_path / "again.npz")
+    np.testing.assert_array_equal(VisualMap.load(tmp_path / "again.npz").descriptors, whole.descriptors)
     assert short.placed() is short
     queries = localizer.describe(next(images.batches(tuesday)))
     for one in (short, short.take([0, 3, 5])):
