@@ -94,7 +94,8 @@ def drive(folder: Path) -> PanoramaLibrary:
 def fresh_start(bundle: Bundle, image: Path) -> tuple[float, float, float, float]:
     """Return the seconds to the first answer, the most memory, what is held later, and the most of the bundle's own.
 
-    The last is watched from here, about a thousand times a second.
+    The last is watched from here, about a thousand times a second: a peak of less than a millisecond may be missed, and
+    one while packages are loaded counts too.
     """
     command = [sys.executable, "-c", _START, str(bundle.path), str(image), str(time.time())]
     most = 0
@@ -254,6 +255,8 @@ def main() -> None:
     arguments.add_argument("--memory", action="store_true", help="measure memory alone, and keep the file's times")
     arguments.add_argument("--errors", action="store_true", help="make the second table alone, and keep the first")
     options = arguments.parse_args()
+    if options.errors and not options.data:
+        arguments.error("the second table is made from a rendered building: give --data")
     report = Report("robot", options.out, ["onnxruntime"])
     former = report.former("rows") if options.memory or options.errors else None
     rows = former if former is not None and options.errors else first_table(options.repeats, former)
@@ -270,6 +273,10 @@ def main() -> None:
     faster = rows["vgg16, float32"]["run_ms"] / rows["vgg16, int8"]["run_ms"]
     report.target(f"vgg16: int8 at least 1.5 times as fast as float32 ({faster:.2f})", faster >= 1.5)
     errors_of = second_table(options.data) if options.data else report.former("errors")
+    for name, row in errors_of.items():
+        if "own_over_bundle" in row:
+            share = row["own_over_bundle"]
+            report.target(f"{name}, second table: own memory under 3 bundles ({share:.2f})", share < 3)
     report.write({"frames": FRAMES, "rows": rows, "errors": errors_of})
 
 

@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from analytic.distances import distance as distance_named
 from siamloc.calls import typed
+from siamloc.maps.packing import Packed
 from siamloc.maps.search import Retrieval, check_excluded, check_neighbours
 from siamloc.maps.visual_map import VisualMap
 
 _PAIRS = 1 << 17  # aligned distances held at once
+_ROWS = 512  # of a map kept short that become float32 at once
 
 
 @typed
@@ -87,7 +89,11 @@ def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float6
         AnalyticError: descriptions that cannot be compared.
     """
     if not known.aligned:
-        return distance_named(known.distance)(queries.position, known.descriptors)
+        apart = distance_named(known.distance)
+        if not isinstance(known.descriptors, Packed):
+            return apart(queries.position, known.descriptors)
+        blocks = (known.descriptors[at : at + _ROWS] for at in range(0, len(known), _ROWS))
+        return np.concatenate([apart(queries.position, block) for block in blocks], axis=1)
     parts = [np.empty((0, len(known)))]
     for part in _parts(len(queries), _PAIRS // len(known)):
         parts.append(known.descriptor.pairwise(queries.take(part), known.description, known.distance))

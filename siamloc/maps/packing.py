@@ -50,7 +50,8 @@ def packed(name: str, values: NDArray, precision: Precision) -> dict[str, NDArra
 class Packed:
     """What `packed` kept of an array (n, ...), which gives rows as float32 when they are asked for.
 
-    A map takes a half or a quarter of the memory in this way, where only the rows nearest to a query are looked at.
+    A robot's map keeps its descriptors in this way beside what it searches: only the rows nearest to a query are asked
+    for.
 
     Attributes:
         values: (n, ...) int8 or float16.
@@ -71,18 +72,24 @@ class Packed:
     dtype = np.dtype(np.float32)
 
     def __post_init__(self) -> None:
-        unpacked(self.values[:0], self.scale[:0])
-        if self.scale.shape != self.values.shape[:1]:
-            raise ValueError(f"{len(self.values)} rows with {self.scale.shape} scales")
+        _check(self.values, self.scale)
 
     def __len__(self) -> int:
         return len(self.values)
 
-    def __getitem__(self, rows: NDArray[Any] | slice) -> NDArray[np.float32]:
+    def __getitem__(self, rows: NDArray[Any] | slice | int) -> NDArray[np.float32]:
+        if isinstance(rows, (int, np.integer)):
+            return self[np.array([rows])][0]
         return unpacked(self.values[rows], self.scale[rows])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if copy is False:
+            raise ValueError("rows kept in fewer bytes become float32 only in an array of their own")
         return self[:].astype(dtype or self.dtype, copy=False)
+
+    def rows(self, rows: NDArray[Any]) -> Packed:
+        """Return some rows, by their numbers or a mask, kept as short."""
+        return Packed(self.values[rows], self.scale[rows])
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -93,6 +100,16 @@ class Packed:
     def ndim(self) -> int:
         """How many dimensions the array has."""
         return self.values.ndim
+
+    @property
+    def size(self) -> int:
+        """How many numbers the array has."""
+        return self.values.size
+
+    @property
+    def nbytes(self) -> int:
+        """How many bytes are kept."""
+        return self.values.nbytes + self.scale.nbytes
 
 
 def all_finite(values: NDArray[Any] | Packed) -> bool:
@@ -107,8 +124,13 @@ def unpacked(values: NDArray, scale: NDArray) -> NDArray:
     Raises:
         ValueError: arrays that do not fit each other.
     """
+    _check(values, scale)
+    full = values.astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # who reads a file looks for what is not finite
+        full *= scale.reshape(-1, *[1] * (values.ndim - 1))  # in place: maps are large
+    return full.view(np.complex64)[..., 0] if full.ndim == 4 and full.shape[3] == 2 else full
+
+
+def _check(values: NDArray, scale: NDArray) -> None:
     if values.dtype not in (np.int8, np.float16) or scale.shape != values.shape[:1] or scale.dtype != np.float32:
         raise ValueError(f"values {values.dtype} {values.shape} with a scale {scale.dtype} {scale.shape}")
-    full = values.astype(np.float32)
-    full *= scale.reshape(-1, *[1] * (values.ndim - 1))  # in place: maps are large
-    return full.view(np.complex64)[..., 0] if full.ndim == 4 and full.shape[3] == 2 else full

@@ -42,7 +42,7 @@ def write_projector(known: VisualMap, folder: str | Path) -> list[Path]:
         ['map.tsv', 'map_frames.tsv', 'projector_config.pbtxt']
     """
     folder = Path(folder)
-    vectors = ("\t".join(f"{value:.7g}" for value in row) for row in known.descriptors.tolist())
+    vectors = ("\t".join(f"{value:.7g}" for value in row) for row in known.descriptors[:].tolist())
     columns = [getattr(known.frames, name).tolist() for name in _COLUMNS]
     rows = ("\t".join(map(_cell, row)) for row in zip(*columns, strict=True))
     texts = {

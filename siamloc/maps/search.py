@@ -63,7 +63,7 @@ class Retrieval:
 
 
 class VectorIndex:
-    """Vectors made ready for exact search; that takes their memory once more, as float32.
+    """Vectors made ready for exact search; that takes their memory as float32, once more.
 
     Euclidean distances are ordered by the score q.r - |r|^2 / 2 of centred vectors; centring and scaling keep the
     rounding small where all vectors lie close together. Cosine and correlation are Euclidean distances between unit

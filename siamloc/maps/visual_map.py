@@ -92,7 +92,7 @@ class VisualMap:
             object.__setattr__(self, "unit", self.frames.unit)
         if self.orientation is not None:
             orientation = _checked_orientation(self.orientation, len(self.frames))
-            if _in_one_line(orientation, descriptors):
+            if not isinstance(descriptors, Packed) and _in_one_line(orientation, descriptors):
                 orientation = descriptors.reshape(orientation.shape)
             object.__setattr__(self, "orientation", orientation)
         if self.heading is not None and len(self.heading) != len(self.frames):
@@ -171,10 +171,11 @@ class VisualMap:
 
     def take(self, rows: ArrayLike) -> VisualMap:
         """Return the map of the rows given by positions or by a mask."""
-        key: Any = np.asarray(rows)
+        key: Any = np.atleast_1d(rows)
+        held = self.descriptors
         return replace(
             self,
-            descriptors=self.descriptors[key],
+            descriptors=held.rows(key) if isinstance(held, Packed) else held[key],
             frames=self.frames.take(key),
             orientation=None if self.orientation is None else self.orientation[key],
             heading=None if self.heading is None else self.heading.take(key),
@@ -201,7 +202,7 @@ class VisualMap:
     def search(self, descriptors: ArrayLike, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
         """Find the k nearest map frames of each descriptor (n, D), exactly; min(k, len(map)) of them.
 
-        The first search prepares the map for all that follow, which takes the descriptors' memory once more.
+        The first search prepares the map for all that follow, which takes the memory of its descriptors as float32.
 
         Args:
             descriptors: (n, D).
@@ -377,7 +378,8 @@ class VisualMap:
     def read(cls, file: BinaryIO, source: str) -> VisualMap:
         """Read what `save` wrote for a robot, from an open file.
 
-        Orientation parts of fewer digits by which headings alone are found stay as short as they are, as `heading`.
+        Descriptors of fewer digits stay as short as they are, as `siamloc.maps.packing.Packed`, and so do orientation
+        parts by which headings alone are found, as `heading`.
 
         Args:
             file: opened for reading, with a beginning and an end.
@@ -404,13 +406,15 @@ class VisualMap:
                 del header["orientation"], arrays["orientation_scale"]
             if "orientation_scale" in arrays:
                 arrays["orientation"] = unpacked(arrays["orientation"], arrays.pop("orientation_scale"))
-            short = short and header.get("orientation") is None  # else all are turned to compare them with a query
+            # Descriptors that are compared at every turn are all needed as float32.
+            stays = short and header.get("orientation") is None and "orientation" not in arrays
             if "descriptors_scale" in arrays:
                 held = Packed(arrays["descriptors"], arrays.pop("descriptors_scale"))
-                arrays["descriptors"] = cast("NDArray[np.float32]", held) if short else held[:]
+                arrays["descriptors"] = cast("NDArray[np.float32]", held) if stays else held[:]
             for name in {"descriptors", "orientation", "heading"} & set(arrays):
-                if not isinstance(arrays[name], Packed):
-                    arrays[name].flags.writeable = False  # nobody else has them
+                found = arrays[name]
+                for array in (found.values, found.scale) if isinstance(found, Packed) else (found,):
+                    array.flags.writeable = False  # nobody else has them
         except DAMAGE as error:
             raise FormatError(damaged) from error
         columns: dict[str, Any] = {

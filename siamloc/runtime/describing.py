@@ -19,6 +19,7 @@ from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
 from siamloc.settings import Count, checked
 
+_ON_CPU = {"CPUExecutionProvider", "AzureExecutionProvider"}  # the second asks a service only for models that say so
 _LOCATION, _OVERLAP = b"location", 64
 _KEY = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)\Z")  # a text of eight letters under the first number follows
 
@@ -78,9 +79,10 @@ class Describer:
 
         self._size = bundle.image_size
         self._session, self._relative = session(MODEL), session(RELATIVE)
-        # Weights made float32 for every image are not put in the order in which one image and several add up alike.
+        # onnxruntime does not rearrange weights that it converts for every image, and then one image and a batch may
+        # add up in different orders.
         halved = self._session is not None and self._session.get_overridable_initializers()
-        self._one_by_one = bool(halved) and self._session.get_providers()[0] == "CPUExecutionProvider"
+        self._one_by_one = bool(halved) and set(self._session.get_providers()) <= _ON_CPU
         if self._session is None:
             turned = known.orientation if known.heading is None else known.heading.values
             known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, turned))
@@ -116,7 +118,7 @@ class Describer:
         return Description(position, orientation)
 
     def _run(self, panoramas: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
-        """Return what the network gives."""
+        """Run the network, one image at a time where a batch would change the last bits."""
         if not self._one_by_one or len(panoramas) < 2:
             return list(self._session.run(None, {"panorama": panoramas}))
         each = [self._session.run(None, {"panorama": panorama[None]}) for panorama in panoramas]

@@ -135,7 +135,7 @@ class FrameFilter:
 class Localizer:
     """Locates images by a bundle that `siamloc.runtime.export` wrote.
 
-    The map is made ready for search once, which takes the memory of its descriptors once more. Nothing is kept between
+    The map is made ready for search once, which takes the memory of its descriptors as float32. Nothing is kept between
     images: each answer depends on its image alone, but where a `tracker` is given. Several threads may share one.
 
     A bundle with a coarse layer is searched through it: the map frames come from the nodes that resemble the image

@@ -1,10 +1,10 @@
 """What a bundle costs and gives in each precision.
 
 "float16" keeps weights in half precision and computes as before: file and memory have half the length, the descriptor
-changes by about a thousandth, and an image takes somewhat longer. "int8" computes convolutions and fully connected
-layers with whole numbers of 8 bits (static, per channel, ranges from panoramas of the map): a quarter of the length,
-and faster where the processor multiplies such numbers. Weights keep to 7 bits, so that no processor's sums overflow and
-all give the same answers.
+changes by about a thousandth, and an image takes up to 1.7 times as long. "int8" computes convolutions and fully
+connected layers with whole numbers of 8 bits (static, per channel, ranges from panoramas of the map): a quarter of the
+length, and faster where the processor multiplies such numbers. Weights keep to 7 bits, so that no processor's sums
+overflow and all give the same answers.
 """
 
 from __future__ import annotations

@@ -28,9 +28,9 @@ def halve(path: Path) -> None:
     """Keep the weights of an ONNX file in half precision, in place; it computes in float32 as before.
 
     Each layer's weights become float32 when the layer is reached, for every image again, so that a robot never holds
-    all of them twice. The weights are listed among the inputs for that, as ones that need not be given: of constants
-    onnxruntime makes float32 when it starts, and keeps them. A large fully connected layer is cut into several, each
-    with some of the outputs, since its float32 alone would be longer than all weights in half precision.
+    all of them in float32. They are listed among the inputs for that, as ones that need not be given: onnxruntime would
+    convert constants when it starts, and keep them. A large fully connected layer is cut into several, each with some
+    of the outputs, since in float32 it alone could take more memory than all weights in half precision.
 
     Raises:
         ConfigError: a file of 2 GB and more, whose weights lie beside it.
@@ -78,19 +78,21 @@ def _halve_weights(graph: GraphProto) -> None:
     from onnx import helper, numpy_helper
 
     casts: dict[str, NodeProto] = {}
-    kept = []
+    kept, given = [], {one.name for one in graph.output}
     for tensor in graph.initializer:
         values = numpy_helper.to_array(tensor)
-        if values.dtype != np.float32 or values.size < _WORTH or np.abs(values).max() >= np.finfo(np.float16).max:
+        # Vectors are biases, and scales of whole numbers, which half precision would spoil.
+        short = values.dtype != np.float32 or values.ndim < 2 or values.size < _WORTH or tensor.name in given
+        if short or np.abs(values).max() >= np.finfo(np.float16).max:
             kept.append(tensor)
             continue
-        name = f"{tensor.name}_half"
+        name = f"{tensor.name} in half precision"  # no exporter gives a name with spaces
         kept.append(numpy_helper.from_array(values.astype(np.float16), name))
         graph.input.append(helper.make_tensor_value_info(name, kept[-1].data_type, values.shape))
         casts[tensor.name] = helper.make_node("Cast", [name], [tensor.name], to=tensor.data_type)
     nodes = []
     for node in graph.node:
-        nodes += [casts.pop(name) for name in node.input if name in casts]
+        nodes += [casts.pop(name) for name in _names(node) if name in casts]
         nodes.append(node)
     _replace(graph, nodes, kept)
 
@@ -100,10 +102,12 @@ def _divide_layers(graph: GraphProto) -> None:
     from onnx import helper, numpy_helper
 
     weights = {tensor.name: tensor for tensor in graph.initializer}
-    uses = Counter(name for node in graph.node for name in node.input)
+    uses = Counter([*(name for node in graph.node for name in _names(node)), *(one.name for one in graph.output)])
     nodes = []
     for node in graph.node:
-        names = list(node.input[1:])  # weights (outputs, inputs), and where there is one the bias (outputs,)
+        names = [
+            name for name in node.input[1:] if name
+        ]  # weights (outputs, inputs), and where there is one the bias (outputs,)
         attributes = {one.name: helper.get_attribute_value(one) for one in node.attribute}
         own = all(name in weights and uses[name] == 1 for name in names)
         if node.op_type != "Gemm" or not attributes.get("transB") or not own:
@@ -112,13 +116,13 @@ def _divide_layers(graph: GraphProto) -> None:
         arrays = [numpy_helper.to_array(weights[name]) for name in names]
         outputs, inputs = arrays[0].shape
         step = max(_PIECE // inputs // _ROWS, 1) * _ROWS
-        if outputs <= step or any(len(array) != outputs for array in arrays):
+        if outputs <= step or any(array.shape != (outputs,) for array in arrays[1:]):
             nodes.append(node)
             continue
         pieces = []
         for start in range(0, outputs, step):
-            held = [f"{name}_from_{start}" for name in names]
-            pieces.append(f"{node.output[0]}_from_{start}")
+            held = [f"{name} from {start}" for name in names]
+            pieces.append(f"{node.output[0]} from {start}")
             nodes.append(helper.make_node("Gemm", [node.input[0], *held], pieces[-1:], **attributes))
             for name, array in zip(held, arrays, strict=True):
                 weights[name] = numpy_helper.from_array(np.ascontiguousarray(array[start : start + step]), name)
@@ -126,6 +130,15 @@ def _divide_layers(graph: GraphProto) -> None:
         for name in names:
             del weights[name]
     _replace(graph, nodes, weights.values())
+
+
+def _names(node: NodeProto) -> Iterator[str]:
+    """Yield what a node uses, in its branches and loops too."""
+    yield from node.input
+    for attribute in node.attribute:
+        for graph in [attribute.g, *attribute.graphs]:
+            for inner in graph.node:
+                yield from _names(inner)
 
 
 def _replace(graph: GraphProto, nodes: Iterable[NodeProto], weights: Iterable[TensorProto]) -> None:

@@ -231,6 +231,61 @@ def test_a_robot_keeps_the_rows_of_a_short_map_short(world, network, tmp_path, p
         np.testing.assert_array_equal(maps.match(one, queries, 2).indices, maps.match(same, queries, 2).indices)
 
 
+def test_a_robot_keeps_the_placed_rows_of_a_short_map_short(world, network, tmp_path):
+    images, monday, _ = world
+    known = maps.build(network, images, monday, progress=False)
+    columns = known.frames.columns()
+    columns["x"] = np.where(np.arange(len(known)) == 1, np.nan, columns["x"])
+    partly = replace(known, frames=siamloc.data.FrameTable(**columns))
+    localizer = runtime.Localizer(runtime.export(network, partly, tmp_path / "b", precision="float16").path)
+    placed = localizer.map.placed()
+    assert isinstance(placed.descriptors, Packed)
+    assert len(placed) == len(known) - 1
+    np.testing.assert_array_equal(placed.descriptors[0], localizer.map.descriptors[0])
+    with pytest.raises(ValueError, match="read-only"):
+        localizer.map.descriptors.values[0] = 0
+
+
+def test_a_short_map_with_an_orientation_part_that_it_does_not_announce(world, network, tmp_path):
+    images, monday, _ = world
+    maps.build(network, images, monday, progress=False).save(tmp_path / "map.npz", "float16")
+    with np.load(tmp_path / "map.npz") as arrays:
+        np.savez(tmp_path / "altered.npz", **arrays, orientation=np.zeros((len(monday), 2, 2), dtype=np.float32))
+    with (tmp_path / "altered.npz").open("rb") as file:
+        assert isinstance(VisualMap.read(file, "altered").descriptors, np.ndarray)
+
+
+def small_graph(bias):
+    """Write a fully connected layer of 64 outputs, whose weights a branch uses too, and one with this bias."""
+    generator, helper = np.random.default_rng(0), onnx.helper
+    weights = {"w": generator.normal(size=(64, 128)), "v": generator.normal(size=(64, 64)), "c": bias}
+    branch = helper.make_graph(
+        [helper.make_node("Identity", ["w"], ["out"])], "branch", [], [helper.make_tensor_value_info("out", 1, None)]
+    )
+    nodes = [
+        helper.make_node("If", ["wanted"], ["same"], then_branch=branch, else_branch=branch),
+        helper.make_node("Gemm", ["x", "same"], ["y"], transB=1),
+        helper.make_node("Gemm", ["y", "v", "c"], ["z"], transB=1),
+    ]
+    inputs = [helper.make_tensor_value_info("x", 1, ["batch", 128]), helper.make_tensor_value_info("wanted", 9, [])]
+    held = [onnx.numpy_helper.from_array(np.asarray(value, dtype=np.float32), name) for name, value in weights.items()]
+    graph = helper.make_graph(nodes, "net", inputs, [helper.make_tensor_value_info("z", 1, ["batch", 64])], held)
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
+
+
+@pytest.mark.parametrize("bias", [np.arange(64), np.float32(3), np.arange(64)[None]])
+def test_weights_of_branches_and_odd_biases_are_halved_right(tmp_path, monkeypatch, bias):
+    monkeypatch.setattr(shortening, "_PIECE", 16 * 64)
+    onnx.save(small_graph(bias), tmp_path / "network.onnx")
+    given = {"x": np.ones((2, 128), dtype=np.float32), "wanted": np.array(True)}
+    before = session_of(tmp_path / "network.onnx").run(None, given)[0]
+    shortening.halve(tmp_path / "network.onnx")
+    onnx.checker.check_model(onnx.load(tmp_path / "network.onnx"))
+    session = session_of(tmp_path / "network.onnx")
+    assert len(session.get_overridable_initializers()) == 1 + (np.ndim(bias) != 1)
+    np.testing.assert_allclose(session.run(None, given)[0], before, rtol=0, atol=5e-3 * np.abs(before).max())
+
+
 @pytest.mark.parametrize("piece", [1 << 19, 5000])
 def test_weights_in_half_precision_become_float32_one_layer_after_the_other(tmp_path, monkeypatch, piece):
     monkeypatch.setattr(shortening, "_PIECE", piece)
