@@ -92,7 +92,7 @@ def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float6
         apart = distance_named(known.distance)
         if not isinstance(known.descriptors, Packed):
             return apart(queries.position, known.descriptors)
-        blocks = (known.descriptors[at : at + _ROWS] for at in range(0, len(known), _ROWS))
+        blocks = (known.descriptors[part] for part in _parts(len(known), _ROWS))
         return np.concatenate([apart(queries.position, block) for block in blocks], axis=1)
     parts = [np.empty((0, len(known)))]
     for part in _parts(len(queries), _PAIRS // len(known)):

@@ -105,9 +105,8 @@ def _divide_layers(graph: GraphProto) -> None:
     uses = Counter([*(name for node in graph.node for name in _names(node)), *(one.name for one in graph.output)])
     nodes = []
     for node in graph.node:
-        names = [
-            name for name in node.input[1:] if name
-        ]  # weights (outputs, inputs), and where there is one the bias (outputs,)
+        # The weights (outputs, inputs), and where there is one the bias (outputs,).
+        names = [name for name in node.input[1:] if name]
         attributes = {one.name: helper.get_attribute_value(one) for one in node.attribute}
         own = all(name in weights and uses[name] == 1 for name in names)
         if node.op_type != "Gemm" or not attributes.get("transB") or not own:
