@@ -12,16 +12,18 @@ from typing import TYPE_CHECKING
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
+    from siamloc.reproduce.catalogue import listing
     from siamloc.reproduce.claims import holds
     from siamloc.reproduce.page import write_report
     from siamloc.reproduce.recipe_book import Recipe, recipe, recipes
-    from siamloc.reproduce.running import Reproduction, listing, reproduce
+    from siamloc.reproduce.reproduction import Reproduction
+    from siamloc.reproduce.running import reproduce
 
 _HOMES = {
     "Recipe": "recipe_book",
-    "Reproduction": "running",
+    "Reproduction": "reproduction",
     "holds": "claims",
-    "listing": "running",
+    "listing": "catalogue",
     "recipe": "recipe_book",
     "recipes": "recipe_book",
     "reproduce": "running",

@@ -10,7 +10,8 @@ from pathlib import Path
 from siamloc.calls import typed
 from siamloc.files import write_text
 from siamloc.reproduce.recipe_book import data_named
-from siamloc.reproduce.running import Reproduction, Verdict, machine
+from siamloc.reproduce.reproduction import Reproduction, Verdict
+from siamloc.reproduce.running import machine
 from siamloc.results import versions
 
 _ABOUT = """\

@@ -28,6 +28,14 @@ class Source:
     table: str | None = None
     figures: str | None = None
 
+    @property
+    def place(self) -> str:
+        """The table or the figures in words, "" where it is neither."""
+        if self.table:
+            return f"table {self.table}"
+        several = self.figures is not None and bool(re.search("-| and ", self.figures))
+        return f"figure{'s' if several else ''} {self.figures}" if self.figures else ""
+
 
 @dataclass(frozen=True)
 class Column:

@@ -237,6 +237,17 @@ def data_names() -> tuple[str, ...]:
     return tuple(_contents()["data"])
 
 
+def check_scale_and_data(scale: str, data: str) -> None:
+    """Refuse a scale or a data set that recipes do not know.
+
+    Raises:
+        ConfigError: an unknown one, with those that there are.
+    """
+    if scale not in SCALES:
+        raise ConfigError(f"unknown scale {scale!r}: {hint(str(scale), SCALES)}")
+    data_named(data)
+
+
 def _at(value: Any, scale: str) -> Any:
     """Return what a value is at a scale."""
     if not isinstance(value, Mapping) or not value or not set(value) <= set(SCALES):

@@ -13,7 +13,7 @@ import pytest
 from siamloc.cli import main
 from siamloc.errors import ConfigError, DataError, StorageError
 from siamloc.reproduce import listing, recipe, recipes, reproduce, write_report
-from siamloc.reproduce import running as running_module
+from siamloc.reproduce import reproduction as reproduction_module
 from siamloc.reproduce.claims import claim, claims
 from siamloc.reproduce.experiments import KINDS, Data
 from siamloc.reproduce.panels import shown
@@ -175,7 +175,7 @@ def test_no_published_number_is_ever_ours(root, out, monkeypatch):
         rows = tuple({key: 9731 if key == "hit_rate" else value for key, value in row.items()} for row in found.rows)
         return type(found)(**{**vars(found), "rows": rows})
 
-    monkeypatch.setattr(running_module, "published", poisoned)
+    monkeypatch.setattr(reproduction_module, "published", poisoned)
     after = reproduce("section_3_5_1", data="mini", root=root, scale="smoke", out=out / "poisoned", progress=False)
     timed = {"seconds"}
     ours = [
