@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from siamloc.cli import main
-from siamloc.evaluation.disturbed import curves
+from siamloc.evaluation.disturbed_tables import curves
 from siamloc.results import read_rows
 from tests.drawn import write_manifest
 

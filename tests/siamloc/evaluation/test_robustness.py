@@ -10,7 +10,9 @@ from analytic import disturb
 from augment import AugmentError
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.disturbed import Answer, Disturbance, answers, concatenated, curves, locate_disturbed, measures
+from siamloc.evaluation.disturbance import Disturbance
+from siamloc.evaluation.disturbed import locate_disturbed
+from siamloc.evaluation.disturbed_tables import Answer, answers, concatenated, curves, measures
 
 ROWS = np.array([4, 9, 11])
 

@@ -11,7 +11,7 @@ import numpy as np
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation import calibration, disturbed
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.disturbed import Disturbance
+from siamloc.evaluation.disturbance import Disturbance
 from siamloc.evaluation.estimate_columns import estimate_columns, measures_of
 from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.result import Result

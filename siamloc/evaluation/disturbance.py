@@ -1,0 +1,108 @@
+"""`Disturbance`: what happens to query images, at several levels ([T] 3.4.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.errors import ConfigError
+
+Images = NDArray[np.uint8]
+
+_NAMES = {"noise": "variance", "occlusion": "share of the columns", "turn": "degrees"}
+_KINDS = ("noise", "occlusion", "turn", "effect")
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Something that happens to query images, at several levels.
+
+    Attributes:
+        name: "noise", "occlusion", "turn", or an effect of `augment`.
+        levels: variances on images in [0, 1]; shares of the columns; degrees turned left; strengths in [-1, 1].
+        kind: "effect" for what comes from `augment`, also where that has an effect called noise; else the name.
+        circular: whether columns wrap around.
+
+    Raises:
+        ConfigError: an unknown kind, no levels, levels that repeat or are out of range, or a turn of images whose
+            columns do not wrap around.
+        AugmentError: an unknown effect.
+    """
+
+    name: str
+    levels: tuple[float, ...]
+    kind: str
+    circular: bool = True
+
+    def __post_init__(self) -> None:
+        if self.kind not in _KINDS or (self.kind != "effect" and self.kind != self.name):
+            raise ConfigError(f"a disturbance is of kind {', '.join(_KINDS)}, got {self.kind!r} named {self.name!r}")
+        low, high = {"noise": (0, np.inf), "occlusion": (0, 1), "turn": (-360, 360), "effect": (-1, 1)}[self.kind]
+        fits = all(np.isfinite(level) and low <= level <= high for level in self.levels)
+        if not self.levels or not fits or len(set(self.levels)) < len(self.levels):
+            raise ConfigError(
+                f"the levels of {self.name} must be numbers from {low:g} to {high:g} that differ, got "
+                f"{list(self.levels)}"
+            )
+        if self.kind == "turn" and not self.circular:
+            raise ConfigError(
+                "images whose columns do not wrap around cannot be turned: leave turn out "
+                "(task.robustness.turn=[]), or say that they do (circular=true)"
+            )
+        if self.kind == "effect":
+            self._effect()
+
+    @property
+    def unit(self) -> str:
+        """What the levels count."""
+        return _NAMES.get(self.kind, "strength")
+
+    def apply(self, images: Images, level: float, rows: NDArray[np.int64], seed: int = 0) -> Images:
+        """Return disturbed images, each with draws of its own that are the same at every level.
+
+        Args:
+            images: (B, 3, H, W) uint8, RGB.
+            level: one of the levels.
+            rows: numbers of the queries (B,), that the draws follow from together with the seed.
+            seed: of all draws.
+        """
+        from analytic import disturb
+
+        if self.kind == "turn":
+            return np.roll(images, round(level / 360 * images.shape[-1]), axis=-1)
+        if self.kind == "effect":
+            return self._with_effect(images, level, rows, seed)
+        made = []
+        for image, row in zip(images, rows.tolist(), strict=True):
+            rng = np.random.default_rng((seed, row))
+            if self.kind == "noise":
+                made.append(disturb.noise(image, level, rng))
+            else:
+                made.append(disturb.occlude(image, level, rng, circular=self.circular))
+        return np.stack(made)
+
+    def _with_effect(self, images: Images, strength: float, rows: NDArray[np.int64], seed: int) -> Images:
+        """Apply an effect with strengths given and everything else (places, forms) drawn."""
+        import torch
+
+        effect, batch = self._effect(), torch.from_numpy(np.ascontiguousarray(images))
+        height, width = batch.shape[2:]
+        strong = effect.at(strength, batch)
+        draws = []
+        for row in rows.tolist():
+            state = int(np.random.SeedSequence((seed, row)).generate_state(1)[0])
+            draws.append(effect.draw(torch.Generator().manual_seed(state), batch[:1]))
+        params = {
+            key: strong[key] if span.neutral is not None else torch.cat([draw[key] for draw in draws])
+            for key, span in effect.spans(height, width).items()
+        }
+        changed: Images = effect.apply(batch, effect.complete(params, len(batch), height, width)).numpy()
+        return changed
+
+    def _effect(self) -> Any:
+        import augment
+
+        return augment.effect(self.name, circular=self.circular)

@@ -1,0 +1,188 @@
+"""Tables of robustness: a row for each answer, and a row for each method, disturbance and level."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.columns import room_names
+from siamloc.evaluation.disturbance import Disturbance
+from siamloc.evaluation.metrics import error_floor, heading_error, localization_error, recall_from_ranks, summarize
+from siamloc.results import Columns
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a descriptor says of images.
+
+    Attributes:
+        nearest: rows of the most similar map frames (B,).
+        heading: by them (B,), rad; NaN where it gives none.
+        heading_nearest: by the geometrically nearest map frames (B,), rad ([T] 3.5.3-3.5.4).
+
+    Headings that are left out are NaN.
+    """
+
+    nearest: NDArray[np.int64]
+    heading: NDArray[np.float64] = None  # type: ignore[assignment]
+    heading_nearest: NDArray[np.float64] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for name in ("heading", "heading_nearest"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(len(self.nearest), np.nan))
+
+    @staticmethod
+    def concatenate(parts: Sequence[Answer]) -> Answer:
+        """Return the answers for one batch of queries after the other."""
+        return Answer(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Answer)))
+
+
+def answers(
+    method: str,
+    known: FrameTable,
+    queries: FrameTable,
+    found: Mapping[tuple[str, float], Answer],
+    by_room: bool = False,
+    excluded: NDArray[np.bool_] | None = None,
+) -> Columns:
+    """Return one row for each query, disturbance and level: what `answers.csv` holds.
+
+    Args:
+        method: name of the descriptor.
+        known: m map frames with positions.
+        queries: n frames with positions.
+        found: by disturbance and level what was answered for each query (n,).
+        by_room: judge by rooms instead of positions: the error is 1 in a wrong room.
+        excluded: (n, m) map frames that a query was not compared with; its floor leaves them out too.
+
+    Raises:
+        DataError: no queries, nothing found, or frames without positions.
+    """
+    if not len(queries) or not found:
+        raise DataError("robustness needs at least one query and one disturbance")
+    known_rooms, rooms = room_names(known, queries)
+    if by_room:
+        findable = known_rooms[None, :] == rooms[:, None]
+        floor = (~(findable if excluded is None else findable & ~excluded).any(axis=1)).astype(float)
+    else:
+        floor = error_floor(known.xy, queries.xy, excluded)
+    parts = []
+    for (name, level), answer in found.items():
+        row = answer.nearest
+        error = (known_rooms[row] != rooms).astype(float) if by_room else localization_error(known.xy[row], queries.xy)
+        parts.append(
+            {
+                "method": np.full(len(queries), method),
+                "disturbance": np.full(len(queries), name),
+                "level": np.full(len(queries), float(level)),
+                "path": queries.path,
+                "lighting": queries.lighting,
+                "room": queries.room,
+                "match_path": known.path[row],
+                "error": error,
+                "floor": np.minimum(floor, error),
+                "heading_error": np.degrees(_turned_wrongly(answer.heading, queries.theta)),
+                "heading_error_nearest": np.degrees(_turned_wrongly(answer.heading_nearest, queries.theta)),
+            }
+        )
+    return concatenated(parts)
+
+
+def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Columns:
+    """Return one row for each method, disturbance and level, from the rows of `answers`: `robustness.csv`.
+
+    Args:
+        columns: method, disturbance, level, error, floor.
+        radius: not negative; an error exactly as large counts as within.
+        map_frames: in the map.
+
+    Returns:
+        method, disturbance, level, queries, map_frames; mean, median, p95 of the errors, floor (mean), excess (mean);
+        hit_rate, the share of queries whose answer is the geometrically nearest map frame; heading and heading_nearest,
+        mean errors in degrees by the frame found and by the nearest one, NaN where no heading is known;
+        radius, within (queries), share (of all queries), answerable (queries with a map frame that near).
+
+    Raises:
+        ConfigError: a negative radius.
+    """
+    if not radius >= 0:
+        raise ConfigError(f"the radius must not be negative, got {radius}")
+    keys = list(zip(*(columns[name].tolist() for name in ("method", "disturbance", "level")), strict=True))
+    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    group = np.array([number[key] for key in keys])
+    rows: list[dict[str, Any]] = []
+    for (method, name, level), i in number.items():
+        error, floor = columns["error"][group == i], columns["floor"][group == i]
+        errors = summarize(error)
+        near = recall_from_ranks((error <= radius).astype(np.int64), floor, radius, 1)
+        rows.append(
+            {
+                "method": method,
+                "disturbance": name,
+                "level": level,
+                "queries": len(error),
+                "map_frames": int(map_frames),
+                **{key: errors[key] for key in ("mean", "median", "p95")},
+                "floor": float(floor.mean()),
+                "excess": float((error - floor).mean()),
+                "hit_rate": float((error - floor <= 1e-9).mean()),
+                "heading": _mean(columns["heading_error"][group == i]),
+                "heading_nearest": _mean(columns["heading_error_nearest"][group == i]),
+                "radius": float(radius),
+                "within": near.hits,
+                "share": near.recall,
+                "answerable": near.answerable,
+            }
+        )
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def measures(
+    table: Mapping[str, NDArray], disturbances: Sequence[Disturbance], unit: str, every: int
+) -> dict[str, Any]:
+    """Return what `results.json` holds, from the rows of `curves`.
+
+    Returns:
+        unit, every, radius, queries, map_frames, `disturbances` (name, kind, unit, levels), and `methods`: by method
+        and disturbance a list with one entry for each level.
+    """
+    shared = ("queries", "map_frames", "radius")
+    own = [name for name in table if name not in ("method", "disturbance", *shared)]
+    methods: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for i, (method, name) in enumerate(zip(table["method"].tolist(), table["disturbance"].tolist(), strict=True)):
+        entry = {key: table[key][i].item() for key in own}
+        methods.setdefault(method, {}).setdefault(name, []).append(entry)
+    return {
+        "unit": unit,
+        "every": every,
+        **{key: table[key][0].item() for key in shared},
+        "disturbances": [
+            {"name": one.name, "kind": one.kind, "unit": one.unit, "levels": list(one.levels)} for one in disturbances
+        ],
+        "methods": methods,
+    }
+
+
+def concatenated(parts: Sequence[Mapping[str, NDArray]]) -> Columns:
+    """Return tables of the same columns one below the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _turned_wrongly(estimated: NDArray[np.float64], theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the errors of headings (n,) in rad, NaN where the estimated or the true one is not known."""
+    error, known = np.full(len(theta), np.nan), np.isfinite(estimated) & np.isfinite(theta)
+    error[known] = heading_error(estimated[known], theta[known])
+    return error
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    """Return the mean of the values that are known; NaN where none is."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else np.nan
