@@ -95,6 +95,11 @@ def is_analytic(identity: Mapping[str, Any]) -> bool:
     return identity.get("name") in (Thumbnail.name, *DESCRIPTORS)
 
 
+def without_images(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an identity without how images became panoramas: that of the descriptor alone."""
+    return {key: value for key, value in identity.items() if key != "images"}
+
+
 def descriptor_of(identity: Mapping[str, Any], device: str | None = None) -> Descriptor:
     """Return the analytic descriptor that an identity names.
 
@@ -105,7 +110,7 @@ def descriptor_of(identity: Mapping[str, Any], device: str | None = None) -> Des
     Raises:
         AnalyticError: a descriptor or a parameter that this version does not know.
     """
-    options = {key: value for key, value in identity.items() if key != "images"}
+    options = without_images(identity)
     name = options.pop("name", "")
     if name == Thumbnail.name:
         return Thumbnail(**options)

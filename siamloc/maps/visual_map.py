@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import AnalyticError, Description, Descriptor
-from analytic.arrays_file import DAMAGE, read_arrays
+from analytic import Description, Descriptor
 from analytic.distances import DISTANCES
 from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import atomic_path, parsed_json, plain
-from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic
-from siamloc.maps.packing import Packed, Precision, all_finite, packed, unpacked
+from siamloc.files import plain
+from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic, without_images
+from siamloc.maps.map_file import not_whole, read_map, write_map
+from siamloc.maps.packing import Packed, Precision, all_finite
 from siamloc.maps.search import Retrieval, VectorIndex
-
-_FORMAT = "siamloc-map"
-_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,7 +139,7 @@ class VisualMap:
         """Whether headings are found by a heading part that its own descriptor gives."""
         if self.heading is None or self.heading.own:
             return self.heading is not None
-        return self.heading.identity == _without_images(self.identity)
+        return self.heading.identity == without_images(self.identity)
 
     @property
     def aligned(self) -> bool:
@@ -322,38 +318,9 @@ class VisualMap:
         Raises:
             StorageError: the disk refuses.
         """
-        header = {
-            "format": _FORMAT,
-            "version": 1 if precision == "float32" else _VERSION,
-            "frames": len(self),
-            "width": self.width,
-            "identity": self.identity,
-            "distance": self.distance,
-            "unit": self.unit,
-            "made": plain(self.made),
-        }
+        about = {"identity": self.identity, "distance": self.distance, "unit": self.unit, "made": plain(self.made)}
         descriptors = np.asarray(self.descriptors)
-        arrays: dict[str, NDArray] = {"descriptors": descriptors}
-        if self.orientation is not None:
-            header["orientation"] = list(self.orientation.shape)
-            if not np.shares_memory(self.orientation, descriptors):
-                arrays["orientation"] = self.orientation
-        if self.heading is not None:
-            header["heading"] = self.heading.identity
-            arrays["heading"] = self.heading.values
-        arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
-        arrays.update({f"frame_{name}": column for name, column in self.frames.columns().items()})
-        if precision != "float32":
-            arrays = {**arrays, **packed("descriptors", descriptors, precision)}
-            if "orientation" in arrays:
-                arrays.update(packed("orientation", arrays["orientation"], "float16"))
-        with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-            for name, array in arrays.items():
-                # A fixed date keeps the file a function of its contents; text shrinks to little, descriptors do not.
-                entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
-                entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind == "U" else zipfile.ZIP_STORED
-                with archive.open(entry, "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, array, allow_pickle=False)
+        write_map(path, descriptors, self.frames, about, self.orientation, self.heading, precision)
 
     @classmethod
     @typed
@@ -392,54 +359,11 @@ class VisualMap:
 
     @classmethod
     def _read(cls, content: Path | BinaryIO, path: str | Path, short: bool = False) -> VisualMap:
-        damaged = f"{path} is not a siamloc map, or not a whole one: build it again"
+        fields = read_map(content, path, short)
         try:
-            arrays = read_arrays(content)
-        except DAMAGE as error:
-            raise FormatError(damaged) from error
-        header = _read_header(path, arrays)
-        try:
-            if short and "orientation_scale" in arrays and _turned_alone(header):
-                # A heading is the turn of the largest correlation, which no scale changes.
-                header["heading"] = _without_images(header["identity"])
-                arrays["heading"] = arrays.pop("orientation")
-                del header["orientation"], arrays["orientation_scale"]
-            if "orientation_scale" in arrays:
-                arrays["orientation"] = unpacked(arrays["orientation"], arrays.pop("orientation_scale"))
-            # Descriptors that are compared at every turn are all needed as float32.
-            stays = short and header.get("orientation") is None and "orientation" not in arrays
-            if "descriptors_scale" in arrays:
-                held = Packed(arrays["descriptors"], arrays.pop("descriptors_scale"))
-                arrays["descriptors"] = cast("NDArray[np.float32]", held) if stays else held[:]
-            for name in {"descriptors", "orientation", "heading"} & set(arrays):
-                found = arrays[name]
-                for array in (found.values, found.scale) if isinstance(found, Packed) else (found,):
-                    array.flags.writeable = False  # nobody else has them
-        except DAMAGE as error:
-            raise FormatError(damaged) from error
-        columns: dict[str, Any] = {
-            name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")
-        }
-        columns.pop("index", None)  # of maps by version 0.1
-        try:
-            loaded = cls(
-                descriptors=arrays["descriptors"],
-                frames=FrameTable(**columns, unit=header["unit"]),
-                identity=header["identity"],
-                distance=header["distance"],
-                unit=header["unit"],
-                made=header.get("made", {}),
-                orientation=_stored_orientation(header, arrays),
-                heading=HeadingPart(header["heading"], arrays["heading"]) if "heading" in header else None,
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise FormatError(f"{path} is not a whole siamloc map ({error}): build it again") from error
-        if (len(loaded), loaded.width) != (header.get("frames"), header.get("width")):
-            raise FormatError(
-                f"{path} announces {header.get('frames')} descriptors of {header.get('width')} values and holds "
-                f"{len(loaded)} of {loaded.width}: build it again"
-            )
-        return loaded
+            return cls(**fields)
+        except (TypeError, ValueError) as error:
+            raise not_whole(path, error) from error
 
 
 _ABSENT = object()
@@ -457,28 +381,6 @@ def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:
     return same and np.array_equal(orientation.reshape(descriptors.shape), descriptors)
 
 
-def _without_images(identity: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in identity.items() if key != "images"}
-
-
-def _turned_alone(header: Mapping[str, Any]) -> bool:
-    """Find out whether orientation parts give headings and nothing else: then no descriptor is turned to compare it."""
-    identity = header.get("identity")
-    if "heading" in header or not isinstance(identity, dict) or not is_analytic(identity):
-        return False
-    try:
-        made = descriptor_of(identity)
-    except (AnalyticError, TypeError):
-        return False  # and who describes images says so
-    return made.tells_heading and not made.aligned
-
-
-def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> NDArray | None:
-    if "orientation" in arrays or header.get("orientation") is None:
-        return arrays.get("orientation")
-    return arrays["descriptors"].reshape(header["orientation"])
-
-
 def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
     array = _own(np.asarray(orientation), orientation)
     if array.ndim != 3 or len(array) != frames or 0 in array.shape or array.dtype.kind not in "fcu":
@@ -489,22 +391,6 @@ def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
         raise DataError("a map's orientation parts hold values that are not finite: look at the images")
     array.flags.writeable = False
     return array
-
-
-def _read_header(path: str | Path, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
-    try:
-        header = parsed_json(str(arrays["header"][()]))
-        known = header["format"] == _FORMAT and isinstance(header["version"], int)
-    except (KeyError, TypeError, ValueError):
-        known = False
-    if not known:
-        raise FormatError(f"{path} is not a siamloc map: give the file that `siamloc map` wrote")
-    if header["version"] > _VERSION:
-        raise FormatError(
-            f"{path} is a map of format version {header['version']}, this siamloc reads up to {_VERSION}: "
-            "update siamloc"
-        )
-    return header
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

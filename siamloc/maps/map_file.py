@@ -1,0 +1,183 @@
+"""The file of a map: an npz archive of descriptors, frames, what gives headings, and a header in JSON."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic import AnalyticError
+from analytic.arrays_file import DAMAGE, read_arrays
+from siamloc.data.frames import FrameTable
+from siamloc.errors import FormatError
+from siamloc.files import atomic_path, parsed_json
+from siamloc.maps.heading import HeadingPart, descriptor_of, is_analytic, without_images
+from siamloc.maps.packing import Packed, Precision, packed, unpacked
+
+_FORMAT = "siamloc-map"
+_VERSION = 2
+
+
+def write_map(
+    path: str | Path,
+    descriptors: NDArray[np.float32],
+    frames: FrameTable,
+    about: Mapping[str, Any],
+    orientation: NDArray[Any] | None,
+    heading: HeadingPart | None,
+    precision: Precision,
+) -> None:
+    """Write what a map holds, atomically; equal contents give equal files.
+
+    Args:
+        path: of the file.
+        descriptors: (n, D).
+        frames: n of them.
+        about: `identity`, `distance`, `unit` and `made`, as plain values.
+        orientation: (n, K, F); not written twice where it is the descriptors in another shape and memory.
+        heading: by what headings are found besides.
+        precision: of descriptors; orientation parts are kept no shorter than float16.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    header = {
+        "format": _FORMAT,
+        "version": 1 if precision == "float32" else _VERSION,
+        "frames": len(descriptors),
+        "width": descriptors.shape[1],
+        **about,
+    }
+    arrays: dict[str, NDArray] = {"descriptors": descriptors}
+    if orientation is not None:
+        header["orientation"] = list(orientation.shape)
+        if not np.shares_memory(orientation, descriptors):
+            arrays["orientation"] = orientation
+    if heading is not None:
+        header["heading"] = heading.identity
+        arrays["heading"] = heading.values
+    arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
+    arrays.update({f"frame_{name}": column for name, column in frames.columns().items()})
+    if precision != "float32":
+        arrays = {**arrays, **packed("descriptors", descriptors, precision)}
+        if "orientation" in arrays:
+            arrays.update(packed("orientation", arrays["orientation"], "float16"))
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, array in arrays.items():
+            # A fixed date keeps the file a function of its contents; text shrinks to little, descriptors do not.
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind == "U" else zipfile.ZIP_STORED
+            with archive.open(entry, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+
+def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> dict[str, Any]:
+    """Read what `write_map` wrote, as what a `VisualMap` is made of, by name.
+
+    Args:
+        content: the file, or one opened for reading, with a beginning and an end.
+        path: what to call it in error messages.
+        short: whether descriptors of fewer digits stay as they are (`Packed`) where they can be compared so.
+
+    Raises:
+        FormatError: a file that is cut short, altered, not a map, or of a newer version.
+    """
+    damaged = f"{path} is not a siamloc map, or not a whole one: build it again"
+    try:
+        arrays = read_arrays(content)
+    except DAMAGE as error:
+        raise FormatError(damaged) from error
+    header = _read_header(path, arrays)
+    try:
+        _unpack(header, arrays, short)
+    except DAMAGE as error:
+        raise FormatError(damaged) from error
+    columns: dict[str, Any] = {
+        name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")
+    }
+    columns.pop("index", None)  # of maps by version 0.1
+    try:
+        descriptors = arrays["descriptors"]
+        fields = {
+            "descriptors": descriptors,
+            "frames": FrameTable(**columns, unit=header["unit"]),
+            "identity": header["identity"],
+            "distance": header["distance"],
+            "unit": header["unit"],
+            "made": header.get("made", {}),
+            "orientation": _stored_orientation(header, arrays),
+            "heading": HeadingPart(header["heading"], arrays["heading"]) if "heading" in header else None,
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise not_whole(path, error) from error
+    announced = (header.get("frames"), header.get("width"))
+    if descriptors.ndim == 2 and descriptors.shape != announced:
+        raise FormatError(
+            f"{path} announces {announced[0]} descriptors of {announced[1]} values and holds {descriptors.shape[0]} of "
+            f"{descriptors.shape[1]}: build it again"
+        )
+    return fields
+
+
+def not_whole(path: str | Path, error: Exception) -> FormatError:
+    """Return the error for a file whose parts do not make a map."""
+    return FormatError(f"{path} is not a whole siamloc map ({error}): build it again")
+
+
+def _unpack(header: dict[str, Any], arrays: dict[str, Any], short: bool) -> None:
+    """Make float32 of what was written in fewer digits, but for what may stay short; nothing may be written into."""
+    if short and "orientation_scale" in arrays and _turned_alone(header):
+        # A heading is the turn of the largest correlation, which no scale changes.
+        header["heading"] = without_images(header["identity"])
+        arrays["heading"] = arrays.pop("orientation")
+        del header["orientation"], arrays["orientation_scale"]
+    if "orientation_scale" in arrays:
+        arrays["orientation"] = unpacked(arrays["orientation"], arrays.pop("orientation_scale"))
+    # Descriptors that are compared at every turn are all needed as float32.
+    stays = short and header.get("orientation") is None and "orientation" not in arrays
+    if "descriptors_scale" in arrays:
+        held = Packed(arrays["descriptors"], arrays.pop("descriptors_scale"))
+        arrays["descriptors"] = cast("NDArray[np.float32]", held) if stays else held[:]
+    for name in {"descriptors", "orientation", "heading"} & set(arrays):
+        found = arrays[name]
+        for array in (found.values, found.scale) if isinstance(found, Packed) else (found,):
+            array.flags.writeable = False  # nobody else has them
+
+
+def _turned_alone(header: Mapping[str, Any]) -> bool:
+    """Find out whether orientation parts give headings and nothing else: then no descriptor is turned to compare it."""
+    identity = header.get("identity")
+    if "heading" in header or not isinstance(identity, dict) or not is_analytic(identity):
+        return False
+    try:
+        made = descriptor_of(identity)
+    except (AnalyticError, TypeError):
+        return False  # and who describes images says so
+    return made.tells_heading and not made.aligned
+
+
+def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> NDArray | None:
+    if "orientation" in arrays or header.get("orientation") is None:
+        return arrays.get("orientation")
+    return arrays["descriptors"].reshape(header["orientation"])
+
+
+def _read_header(path: str | Path, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
+    try:
+        header = parsed_json(str(arrays["header"][()]))
+        known = header["format"] == _FORMAT and isinstance(header["version"], int)
+    except (KeyError, TypeError, ValueError):
+        known = False
+    if not known:
+        raise FormatError(f"{path} is not a siamloc map: give the file that `siamloc map` wrote")
+    if header["version"] > _VERSION:
+        raise FormatError(
+            f"{path} is a map of format version {header['version']}, this siamloc reads up to {_VERSION}: "
+            "update siamloc"
+        )
+    return header
