@@ -1,4 +1,4 @@
-"""Data sets: readers, unwrapping, decoded panoramas, who does what (protocol), and what is wrong with the data."""
+"""Data sets: readers, unwrapping, decoded panoramas, the protocol (which frames do what), and data checks."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ __all__ = [
     "unwrap",
 ]
 
-# They need torch, which nothing else here loads.
+# These need torch, which nothing else here loads.
 _HOMES = {"Expanded": "enlarge", "expand": "enlarge"}
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

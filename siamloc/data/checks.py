@@ -1,4 +1,4 @@
-"""`summary` and `check`: what a data set holds and what is wrong with it, found before anything is trained."""
+"""`summary` and `check`: describe a data set and find its faults before training."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _TURN = 2 * np.pi
 
 @typed
 def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str]:
-    """Check a data set for what goes unnoticed until the results are poor.
+    """Check a data set for faults that go unnoticed until the results are poor.
 
-    Looked at are headings (degrees instead of radians, clockwise, x and y exchanged), missing positions and labels,
-    jumps and stops of a drive, times, the sizes of the images, and images that are there twice.
+    Checked are headings (degrees instead of radians, clockwise, x and y exchanged), missing positions and labels,
+    jumps and stops of a drive, times, the sizes of the images, and duplicate images.
 
     Args:
         frames: the data set.
-        images: its panoramas, if they are decoded: their size is then compared with the images'.
+        images: its panoramas, if they are decoded: their size is then compared with that of the images.
 
     Returns:
-        A sentence for each finding, with what to do; none where nothing is wrong.
+        A sentence for each finding, with what to do about it; empty if nothing is wrong.
 
     Example:
         >>> angle = np.arange(8) * 45.0
@@ -45,7 +45,7 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
 
 @typed
 def summary(frames: FrameTable) -> str:
-    """Describe a data set in a line for each drive and each room: frames, lighting, and how far apart the frames lie.
+    """Describe a data set in one line per drive and per room: frames, lighting, and how far apart the frames are.
 
     Example:
         >>> frames = FrameTable(path=["1.jpg", "2.jpg"], x=[0, 1], y=[0, 0], room=["hall"] * 2, sequence=["monday"] * 2)
@@ -69,9 +69,9 @@ def summary(frames: FrameTable) -> str:
 
 @typed
 def room_sizes(frames: FrameTable) -> dict[str, tuple[int, float]]:
-    """Return of each room its frames and the largest distance between two of them ([T] table 5.5).
+    """Return the number of frames of each room and the largest distance between two of them ([T] table 5.5).
 
-    Distances are in the unit of the positions, and NaN where fewer than two frames have one.
+    Distances are in the unit of the positions, and NaN if fewer than two frames have a position.
 
     Example:
         >>> room_sizes(FrameTable(path=["1.jpg", "2.jpg"], x=[0, 3], y=[0, 4], room=["hall", "hall"]))
@@ -97,7 +97,7 @@ def _spacing(frames: FrameTable) -> str:
 
 
 def _headings(frames: FrameTable) -> Iterator[str]:
-    """Look at headings: what is wrong with them, and what may be."""
+    """Check headings for what is wrong and what may be wrong."""
     theta = frames.theta[np.isfinite(frames.theta)]
     beyond = np.abs(theta) > _TURN + 0.01
     heading, travel = _moving(frames)
@@ -111,7 +111,7 @@ def _headings(frames: FrameTable) -> Iterator[str]:
 
 
 def wrong_headings(frames: FrameTable) -> Iterator[str]:
-    """Look at headings: their range, and how they follow the direction in which the robot moves."""
+    """Check headings: their range, and whether they follow the direction in which the robot moves."""
     theta = frames.theta[np.isfinite(frames.theta)]
     beyond = np.abs(theta) > _TURN + 0.01
     heading, travel = _moving(frames)
@@ -151,7 +151,7 @@ def _moving(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64
         step = np.diff(frames.xy[rows], axis=0)
         length = np.linalg.norm(step, axis=1)
         usual = np.median(length[length > 0]) if (length > 0).any() else np.inf
-        # Short steps are noise of the positions, long ones jumps.
+        # Short steps are noise in the positions, long ones are jumps.
         real = (length > usual / 4) & (length < 4 * usual) & np.isfinite(frames.theta[rows[:-1]])
         headings.append(frames.theta[rows[:-1]][real])
         travels.append(np.arctan2(step[real, 1], step[real, 0]))
@@ -165,7 +165,7 @@ def _agreement(difference: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _missing(frames: FrameTable) -> Iterator[str]:
-    """Look for what frames lack, and say what that costs."""
+    """Look for what frames lack, and report the consequences."""
     total = len(frames)
     without = int((~frames.has_position).sum())
     if without:
@@ -182,7 +182,7 @@ def _missing(frames: FrameTable) -> Iterator[str]:
 
 
 def _drives(frames: FrameTable) -> Iterator[str]:
-    """Look for stops, jumps and uneven times of each drive."""
+    """Look for stops, jumps and uneven times in each drive."""
     for name, rows in frames.rows_by("sequence").items():
         own, drive = frames.take(rows), f"sequence {name or '(unnamed)'}"
         known = own.take(own.has_position)
@@ -192,7 +192,7 @@ def _drives(frames: FrameTable) -> Iterator[str]:
         still = int((steps <= usual / 20).sum())
         if still > len(own) / 5 and len(own) > 2:
             yield (
-                f"the robot stands still in {_count(still, len(own))} of {drive}: these frames weigh on every mean. "
+                f"the robot stands still in {_count(still, len(own))} of {drive}: these frames skew every mean. "
                 "Thin them out with spacing (protocol.map.spacing and so on)."
             )
         if len(moves) > 10 and steps.max() > 20 * usual:
@@ -217,7 +217,7 @@ def _drives(frames: FrameTable) -> Iterator[str]:
 
 
 def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
-    """Look at the sizes of some images."""
+    """Check the sizes of some images."""
     counts: dict[tuple[int, int], int] = {}
     for row in np.unique(np.linspace(0, len(frames) - 1, _PROBED).astype(int)) if len(frames) else []:
         try:
@@ -228,8 +228,8 @@ def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
     if len({round(width / height, 1) for height, width in counts}) > 1:
         listed = ", ".join(f"{width} x {height} px ({count})" for (height, width), count in counts.items())
         yield (
-            f"images have different shapes, among those looked at {listed}: they would be brought to one size and look "
-            "different for that alone. Use one camera and crop for all."
+            f"images have different shapes, among those looked at {listed}: they would be resized to one size and look "
+            "different for that reason alone. Use one camera and crop for all."
         )
     if images is None or images.preprocessing.camera is not None or not counts:
         return
@@ -238,15 +238,15 @@ def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
     squeezed = (columns / rows) / (width / height)
     if not 0.67 < squeezed < 1.5:
         yield (
-            f"images of {width} x {height} px (columns x rows) are brought to {columns} x {rows} without unwrapping, "
-            "which changes their shape: pictures of a mirror need unwrap=polar or unwrap=hyperbolic, others an "
+            f"images of {width} x {height} px (columns x rows) are resized to {columns} x {rows} without unwrapping, "
+            "which changes their shape: images of a mirror need unwrap=polar or unwrap=hyperbolic, others an "
             "image_size of their own shape"
             + (", and circular=false if they do not show the full turn." if images.circular else ".")
         )
 
 
 def _copies(frames: FrameTable) -> Iterator[str]:
-    """Look for images that are there more than once: the same file, or files with the same contents."""
+    """Look for images that occur more than once: the same file, or files with the same contents."""
     paths: dict[str, str] = {}
     for sequence, path in frames.identities():
         paths.setdefault(path, sequence)

@@ -29,22 +29,22 @@ def read_cold(
     camera: str = "omni_cam",
     on_error: str = "skip",
 ) -> FrameTable:
-    """Read the sequences of the COLD database that lie under a folder.
+    """Read the sequences of the COLD database below a folder.
 
-    A sequence is a folder with a camera's folder inside, or with `localization/places.lst` or `places.lst`; or a list
-    named after its sequence, such as `freiburg_seq2_cloudy1.places.lst`, whose images are looked for in
-    `freiburg_seq2_cloudy1/<camera>` next to it and need not be there. Frames are ordered by time inside each sequence;
-    sequences are called `freiburg_a_seq2_cloudy3`, their building `freiburg_a`. Without a list the frames are the
-    images of the camera's folder, without rooms. Pronobis & Caputo 2009, IJRR 28(5).
+    A sequence is a folder that contains a camera's folder, `localization/places.lst` or `places.lst`; or a list named
+    after its sequence, such as `freiburg_seq2_cloudy1.places.lst`, whose images are looked for in
+    `freiburg_seq2_cloudy1/<camera>` next to it and need not be there. Frames are ordered by time within each sequence;
+    sequences are called `freiburg_a_seq2_cloudy3`, their building `freiburg_a`. Without a list, the frames are the
+    images in the camera's folder, without rooms. Pronobis & Caputo 2009, IJRR 28(5).
 
     Args:
         root: the database, a building, a part, or one sequence.
-        places: exactly one list, instead of `root`.
+        places: a single list, instead of `root`.
         camera: "omni_cam" or "std_cam".
         on_error: "skip" or "raise", for images that are listed but missing and for sequences without this camera.
 
     Raises:
-        ConfigError: neither or both of root and places, or an unknown camera or policy.
+        ConfigError: neither or both of `root` and `places`, or an unknown camera or policy.
         DataError: nothing found, a malformed line (with file and line number), or the same sequence found twice.
     """
     check_policy(on_error)
@@ -71,7 +71,7 @@ def read_cold(
 
 @dataclass(frozen=True)
 class _Source:
-    """One sequence on disk: its folder, the folder of its images, its list, and what it is called within the root."""
+    """One sequence on disk: its folder, the folder of its images, its list, and its name within the root."""
 
     folder: Path
     images: Path
@@ -103,7 +103,7 @@ def _find(root: Path, camera: str) -> list[_Source]:
 
 
 def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Yield the folders under a root, down to the depth at which sequences lie, and the names of their files."""
+    """Yield the folders below a root, down to the depth at which sequences occur, and the names of their files."""
     visited: set[str] = set()
     for name, children, files in os.walk(root, followlinks=True):
         folder = Path(name)
@@ -120,7 +120,7 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
 
 
 def _own_lists(folder: Path) -> list[Path]:
-    """Where a sequence's folder keeps its list; a folder `localization` is no sequence itself."""
+    """Return where a sequence's folder may keep its list; a folder `localization` is not itself a sequence."""
     if folder.name == "localization":
         return []
     return [folder / "localization" / "places.lst", folder / "places.lst"]
@@ -139,7 +139,7 @@ def _source_of_list(path: Path, camera: str) -> _Source:
 
 
 def _with_camera(sources: list[_Source], camera: str, on_error: str) -> list[_Source]:
-    """Leave out the sequences that hold another camera's images but none of this one's."""
+    """Leave out the sequences that contain another camera's images but none of this one's."""
     lacking = [
         source
         for source in sources
@@ -169,7 +169,7 @@ def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]]
 
 
 def _listed(path: Path) -> list[dict[str, Any]]:
-    """Read a list: `<image name> <room code>` in each line."""
+    """Read a list with `<image name> <room code>` on each line."""
     try:
         lines = path.read_bytes().decode("utf-8-sig").split("\n")
     except UnicodeDecodeError as error:

@@ -1,4 +1,4 @@
-"""From an image file to a panorama of the working size."""
+"""Decode an image file into a panorama of the working size."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from siamloc.files import plain
 
 
 class UnreadableImageError(Exception):
-    """An image file that gives no picture; the text says why."""
+    """An image file that cannot be decoded; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Preprocessing:
     """How an image becomes a panorama.
 
     Attributes:
-        view: size of the panorama, and the elevations that unwrapping gives it.
+        view: size of the panorama, and its elevations after unwrapping.
         camera: the camera whose omnidirectional images are unwrapped; None to resize only.
 
     Example:
@@ -60,9 +60,9 @@ class Preprocessing:
 
         Args:
             image_size: rows and columns (H, W) of a panorama.
-            unwrap: the camera, or plain values as `conf/unwrap` holds them (`camera_from_config`); None to resize.
-            view: what an unwrapped panorama shows; the elevations among the plain values, or the default ones, if
-                None. Its size has to be `image_size`.
+            unwrap: the camera, or plain values as in `conf/unwrap` (`camera_from_config`); None to resize.
+            view: size and elevations of an unwrapped panorama. Its size has to be `image_size`. If None, the
+                elevations are those among the plain values, or the defaults.
 
         Raises:
             ConfigError: an impossible size, a view of another size, or a camera whose parameters cannot be read.
@@ -85,10 +85,10 @@ class Preprocessing:
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Preprocessing:
-        """Return what `parameters` describes: its inverse.
+        """Rebuild the preprocessing from its `parameters`.
 
         Raises:
-            ConfigError: a camera of one's own, which cannot be made again from plain values, or missing values.
+            ConfigError: a custom camera, which cannot be rebuilt from plain values, or missing values.
         """
         try:
             values = dict(parameters)
@@ -106,14 +106,14 @@ class Preprocessing:
         raise ConfigError(f"a camera of kind {kind} cannot be made from its parameters: give the camera object itself")
 
     def parameters(self) -> dict[str, Any]:
-        """Return what decides the panorama's pixels, as plain values that `of` reads back."""
+        """Return everything that determines the panorama's pixels, as plain values that `of` reads back."""
         if self.camera is None:
             return {"height": self.view.height, "width": self.view.width, "camera": None}
         camera = {"kind": type(self.camera).__name__, **dataclasses.asdict(self.camera)}  # type: ignore[call-overload]
         return {**dataclasses.asdict(self.view), "camera": camera}
 
     def unwrap_settings(self) -> dict[str, Any]:
-        """Return the camera and the elevations as plain values, as `conf/unwrap` holds them; `checked` reads them."""
+        """Return the camera and the elevations as plain values, as in `conf/unwrap`; `checked` reads them."""
         if self.camera is None:
             return {"kind": "none"}
         known = [kind for kind, camera in CAMERAS.items() if type(self.camera) is camera]
@@ -125,7 +125,7 @@ class Preprocessing:
         """Read an image and return its panorama (3, H, W), uint8, RGB.
 
         Raises:
-            UnreadableImageError: the file is missing, empty, cut short, or no image.
+            UnreadableImageError: the file is missing, empty, cut short, or not an image.
             ConfigError: the camera does not fit the image.
         """
         try:
@@ -166,14 +166,14 @@ class Preprocessing:
         return unwrap(image, self.camera, self.view)
 
 
-_LARGEST = 16_384  # pixels on a side of an image
+_LARGEST = 16_384  # pixels per side of an image
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """Read an image file as (rows, columns, 3), uint8, BGR; grey images get three equal channels.
 
     Raises:
-        UnreadableImageError: the file is missing, empty, cut short, or no image.
+        UnreadableImageError: the file is missing, empty, cut short, or not an image.
     """
     try:
         data = Path(path).read_bytes()
@@ -192,12 +192,12 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     except cv2.error as error:
         raise UnreadableImageError(f"the image cannot be decoded ({error.err})") from error
     if image is None:
-        raise UnreadableImageError("the file is no image, or a damaged one")
+        raise UnreadableImageError("the file is not an image, or it is damaged")
     return np.asarray(image, dtype=np.uint8)
 
 
 def _declared_size(data: bytes) -> tuple[int, int] | None:
-    """Return the rows and columns that a PNG or JPEG says it has; None for others, and where it says nothing."""
+    """Return the rows and columns that a PNG or JPEG declares; None for other formats, or if it declares none."""
     if data.startswith(b"\x89PNG") and len(data) > 24:
         columns, rows = struct.unpack(">II", data[16:24])
         return rows, columns
@@ -212,9 +212,9 @@ def _declared_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _cut_short(data: bytes) -> bool:
-    """Say whether a JPEG or PNG ends before its end marker: some releases of OpenCV fill the rest with grey."""
+    """Whether a JPEG or PNG ends before its end marker: some releases of OpenCV fill the rest with grey."""
     if data.startswith(b"\xff\xd8"):
-        # The last scan has to be closed; an end marker further up may belong to an embedded thumbnail.
+        # The last scan has to be closed; an earlier end marker may belong to an embedded thumbnail.
         return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xd9" not in data
     if data.startswith(b"\x89PNG"):
         return b"IEND" not in data

@@ -1,4 +1,4 @@
-"""`expand`: write an augmented data set in the layout of the one it is made of ([T] 5.3.2, table 5.18)."""
+"""`expand`: write an augmented data set in the layout of the one it is made from ([T] 5.3.2, table 5.18)."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Expanded:
     """An expanded data set on disk.
 
     Attributes:
-        folder: where it lies.
-        kind: what `siamloc.data.read` calls it.
-        frames: how many frames were expanded.
-        depth: pictures of each frame.
-        written: pictures written now.
-        kept: pictures that were there already.
-        failed: why images were left out, a sentence each.
+        folder: folder of the data set.
+        kind: kind of data for `siamloc.data.read`.
+        frames: number of frames expanded.
+        depth: number of images per frame.
+        written: number of images written by this call.
+        kept: number of images that were already there.
+        failed: why images were left out, one sentence each.
     """
 
     folder: Path
@@ -47,19 +47,19 @@ class Expanded:
 
     @property
     def source(self) -> dict[str, Any]:
-        """What `siamloc.data.read` reads it with: `read(**expanded.source)`."""
+        """Arguments with which `siamloc.data.read` reads it: `read(**expanded.source)`."""
         where = {"manifest": self.folder / "manifest.csv"} if self.kind == "manifest" else {"root": self.folder}
         return {"kind": self.kind, **{key: str(path) for key, path in where.items()}}
 
     def summary(self) -> str:
-        """Return what was written, what was left out, and how to train with it."""
+        """Report what was written, what was left out, and how to train with it."""
         lines = []
         if self.failed:
             total = self.frames + len(self.failed)
             lines.append(f"left out: {len(self.failed)} of {total} images, the first: {self.failed[0]}")
         before = f", {self.kept} were there" if self.kept else ""
         count = self.written + self.kept
-        lines.append(f"{self.folder}: {count} pictures of {self.frames} frames, {self.depth} each{before}")
+        lines.append(f"{self.folder}: {count} images of {self.frames} frames, {self.depth} each{before}")
         where = next(f"data.{key}={value}" for key, value in self.source.items() if key != "kind")
         unwrap = " unwrap=none" if self.kind == "cold" else ""
         lines.append(f"train with: siamloc train data={self.kind} {where}{unwrap}")
@@ -80,29 +80,30 @@ def expand(
     workers: int = 2,
     on_error: str = "skip",
 ) -> Expanded:
-    """Write several pictures of every frame: the original, spots, global light, blur, rotations and their combinations.
+    """Write several images of every frame: the original, spots, global light, blur, rotations and their combinations.
 
     Args:
-        frames: what to expand, as a reader gave them: the layout is that of the data set they were read from.
-        out: folder of the expanded data set, outside of the data.
-        depth: pictures of every frame; 16, 44, 128, 129 and 246 in the thesis.
-        image_size: rows and columns of the pictures, which are panoramas.
+        frames: the frames to expand, as returned by a reader: the layout is that of the data set they were read from.
+        out: folder of the expanded data set, outside the data.
+        depth: number of images per frame; 16, 44, 128, 129 and 246 in the thesis.
+        image_size: rows and columns of the images, which are panoramas.
         unwrap: camera of omnidirectional images; see `PanoramaLibrary`.
-        circular: the columns wrap around.
-        seed: of all draws.
-        resume: go on in a folder that was interrupted; only what is missing is made.
-        workers: pictures in work at once.
+        circular: whether the columns wrap around.
+        seed: seed of all random draws.
+        resume: continue an interrupted expansion in the same folder; only what is missing is made.
+        workers: number of images processed at once.
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
 
     Raises:
-        ConfigError: frames that no reader gave, a folder inside the data, or another process that writes there.
+        ConfigError: frames that do not come from a reader, a folder inside the data, or another process that writes
+            there.
         DataError: no image can be read.
-        AugmentError: a depth below 1, a folder in use, or another expansion to resume.
-        StorageError: the disk is full or refuses.
+        AugmentError: a depth below 1, a folder in use, or a folder to resume that holds another expansion.
+        StorageError: the disk is full or cannot be written to.
     """
     folder, kind = Path(out), str(frames.source.get("kind", ""))
     if kind not in ("cold", "folder", "manifest"):
-        raise ConfigError("an expanded data set has the layout of its own: give frames that siamloc.data.read gave")
+        raise ConfigError("an expanded data set keeps the layout of its source: give frames from siamloc.data.read")
     root = Path(frames.source["manifest"]).parent if kind == "manifest" else Path(frames.source["root"])
     _check_apart(folder, root, kind, frames)
     decode = Preprocessing.checked(image_size, unwrap)
@@ -140,9 +141,9 @@ def expand(
 
 
 def _check_apart(folder: Path, root: Path, kind: str, frames: FrameTable) -> None:
-    """Raise ConfigError if the pictures would come to lie where they would be read as frames again."""
+    """Raise ConfigError if the images would end up where they would be read as frames again."""
     inside = real_path(folder)
     if kind != "manifest" and inside.is_relative_to(real_path(root)):
-        raise ConfigError(f"out={folder} lies in the data set {root} itself: choose a folder outside of it")
+        raise ConfigError(f"out={folder} lies in the data set {root} itself: choose a folder outside it")
     if any(parent.is_relative_to(inside) for parent in {real_path(path).parent for path in frames.path.tolist()}):
-        raise ConfigError(f"out={folder} holds images that are to be expanded: choose a folder outside of the data")
+        raise ConfigError(f"out={folder} holds images that are to be expanded: choose a folder outside the data")

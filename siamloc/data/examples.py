@@ -1,4 +1,4 @@
-"""`example`: a tiny data set to try things on, drawn and decoded in a moment."""
+"""`example`: a tiny data set for trying things out, drawn and decoded in a moment."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ ROOMS = ("office", "hall", "lab")
 def example(frames: int = 12, image_size: tuple[int, int] = (16, 64), seed: int = 0) -> PanoramaLibrary:
     """Draw two drives, "monday" and "tuesday", along a painted corridor with three rooms.
 
-    The pictures lie in a temporary folder, which is removed when Python ends. They are noise that slides past as the
-    robot moves: enough to try every call on, and nothing to measure.
+    The images are in a temporary folder, which is removed when Python exits. They show noise that slides past as the
+    robot moves: enough to try out every call, but not to measure anything.
 
     Args:
-        frames: of each drive, 0.5 m apart.
+        frames: number of frames per drive, 0.5 m apart.
         image_size: rows and columns of a panorama.
-        seed: of the paint and of the light.
+        seed: seed of the paint and of the light.
 
     Example:
         >>> images = example()

@@ -1,7 +1,7 @@
-"""Where the pictures of an expanded data set lie, and the lists next to them: the layout of the data set itself.
+"""File names of the images of an expanded data set, and the lists next to them, in the layout of the original.
 
-The pose and the labels of a picture are its frame's; only the heading grows by what a rotation added. Readers so find
-an expanded data set as they find any other.
+The pose and the labels of an image are those of its frame; a rotation only adds to the heading. Readers thus read an
+expanded data set like any other.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ _KEPT = (".jpeg", ".jpg", ".png")
 def outputs(
     kind: str, frames: FrameTable, root: str | Path, folder: str | Path, headings: NDArray[np.float64]
 ) -> list[list[Path]]:
-    """Return the file of every picture (frames, depth).
+    """Return the file of every image (frames, depth).
 
     - cold: `<sequence folder>/<camera>/t<time>_x<x>_y<y>_a<theta>.jpeg`; the variants of a frame are a microsecond
-      apart, so that no two have one name.
-    - folder: `<split>/<room>/`, with COLD's names where the frame has one, else `<name>_v<variant>`.
+      apart, so that no two have the same name.
+    - folder: `<split>/<room>/`, with COLD names if the frame has one, else `<name>_v<variant>`.
     - manifest: the image's own path with `_v<variant>` added.
 
     Args:
         kind: "cold", "folder" or "manifest".
         frames: n frames.
         root: the folder that the frames were read from; for a manifest, the folder of the table.
-        folder: of the expanded data set.
-        headings: what each picture's rotation adds to the heading (n, depth), rad.
+        folder: folder of the expanded data set.
+        headings: amount that each image's rotation adds to the heading (n, depth), rad.
 
     Raises:
-        DataError: two pictures would have one name, or the folder's own name would rename a sequence.
+        DataError: two images would have the same name, or the folder's own name would rename a sequence.
     """
     places = _cold(frames, Path(root), Path(folder)) if kind == "cold" else _PLACES[kind](frames, Path(root))
     turned = turned_headings(frames, headings)
@@ -64,7 +64,7 @@ def outputs(
 
 
 def turned_headings(frames: FrameTable, headings: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the heading of every picture (frames, depth), rad; those that were turned in (-pi, pi]."""
+    """Return the heading of every image (frames, depth), rad; those of rotated images lie in (-pi, pi]."""
     theta = frames.theta[:, None] + headings
     return np.where(headings != 0, math.pi - (math.pi - theta) % (2 * math.pi), theta)
 
@@ -72,17 +72,17 @@ def turned_headings(frames: FrameTable, headings: NDArray[np.float64]) -> NDArra
 def write_lists(
     kind: str, frames: FrameTable, pictures: list[list[Path]], folder: str | Path, headings: NDArray[np.float64]
 ) -> list[Path]:
-    """Write what a reader needs next to the pictures and return it: COLD's lists of rooms, or the manifest.
+    """Write the files that a reader needs next to the images and return them: COLD's lists of rooms, or the manifest.
 
     Args:
         kind: "cold", "folder" (which needs nothing) or "manifest".
-        frames: those whose pictures were made.
-        pictures: files of each (n, depth).
-        folder: of the expanded data set.
-        headings: (n, depth), rad.
+        frames: the frames whose images were made.
+        pictures: image files of each frame (n, depth).
+        folder: folder of the expanded data set.
+        headings: as for `outputs` (n, depth), rad.
 
     Raises:
-        StorageError: the disk refuses.
+        StorageError: the disk cannot be written to.
     """
     if kind == "cold":
         return _write_places(frames, pictures)
@@ -92,7 +92,7 @@ def write_lists(
 
 
 def _cold(frames: FrameTable, root: Path, folder: Path) -> list[tuple[Path, str, str]]:
-    """Keep each sequence's folder below the root, with as much of what lies above as its name needs."""
+    """Keep each sequence's folder below the root, with as many of the folders above as its name needs."""
     above: dict[str, Path] = {}
     for sequence, rows in frames.rows_by("sequence").items():
         camera = Path(frames.path[rows[0]]).parent
@@ -104,7 +104,7 @@ def _cold(frames: FrameTable, root: Path, folder: Path) -> list[tuple[Path, str,
         else:
             raise DataError(
                 f"below {folder} the sequence {sequence} would be read as one of another building: choose a folder "
-                "whose name says no building and no part"
+                "whose name contains no building and no part"
             )
     return [
         (above[frame["sequence"]] / Path(frame["path"]).parent.name, *_stem(Path(frame["path"]))) for frame in frames
@@ -123,7 +123,7 @@ def _folder(frames: FrameTable, root: Path) -> list[tuple[Path, str, str]]:
 
 
 def _manifest(frames: FrameTable, root: Path) -> list[tuple[Path, str, str]]:
-    """Keep the images' own folders where they lie below the table's folder, else gather them by sequence."""
+    """Keep the images' own folders if they lie below the table's folder, else gather them by sequence."""
     places = []
     for frame in frames:
         path = Path(frame["path"])
@@ -159,7 +159,7 @@ def _write_places(frames: FrameTable, pictures: list[list[Path]]) -> list[Path]:
     written = []
     for rows in frames.rows_by("sequence").values():
         sequence = pictures[rows[0]][0].parents[1]
-        # Without it the reader of COLD would take panoramas for what the mirror shows, and unwrap them again.
+        # Without this note, the COLD reader would take the panoramas for images of the mirror and unwrap them.
         write_json(sequence / "camera.json", {"images": "panorama"})
         if not any(frames.room[rows].tolist()):
             continue

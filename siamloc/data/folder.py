@@ -16,12 +16,12 @@ _LAYOUT = "<split>/<room>/<image>, such as test_cloudy/KT-A/t1152889564.947_x0.2
 def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
     """Read an image folder.
 
-    The split becomes the sequence, the room's folder the room, and the split's name may say the lighting. Where the
-    images of a split all have COLD names they are ordered by time, else by room and name; an image without such a
+    The split becomes the sequence and the room's folder the room; the split's name may contain the lighting. If all
+    images of a split have COLD names, they are ordered by time, otherwise by room and name; an image without such a
     name has no pose (NaN).
 
     Args:
-        root: the folder that holds the splits.
+        root: the folder that contains the splits.
         on_error: "skip" or "raise", for images next to the rooms' folders, which have no room.
 
     Raises:

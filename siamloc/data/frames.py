@@ -1,4 +1,4 @@
-"""`FrameTable`: what every reader returns and everything else takes."""
+"""`FrameTable`: the table of frames that every reader returns and everything else takes."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class FrameTable:
     """Frames as columns of equal length, in capture order inside each sequence.
 
     Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a
-    missing label is the empty text. Columns that are left out are filled with these. A frame is known by its sequence
-    and its path; rows have no number of their own that would outlive a selection.
+    missing label is the empty string. Columns that are left out are filled with these. A frame is identified by its
+    sequence and its path; row numbers do not survive a selection.
 
     Headings run counter-clockwise seen from above, in radians, 0 along +x. The columns of a panorama run clockwise,
-    and its middle column looks straight ahead, along theta: when theta grows, what the picture shows moves right.
+    and its middle column looks straight ahead, along theta: as theta grows, the contents of the image move right.
 
     Attributes:
         path: image files (n,).
@@ -40,10 +40,10 @@ class FrameTable:
         sequence: names of the drives the frames belong to (n,).
         lighting: "cloudy", "night", "sunny", or "" (n,).
         time: seconds (n,).
-        building: name of the building, so that equal room codes of two buildings stay apart (n,).
-        unit: what x and y count; only used in texts. Selections keep it, equality ignores it.
-        source: what `siamloc.data.read(**source)` reads the frames from; empty if unknown. Selections keep it,
-            equality ignores it.
+        building: name of the building, which distinguishes equal room codes of two buildings (n,).
+        unit: unit of x and y; only used in texts. Selections keep it, equality ignores it.
+        source: the arguments with which `siamloc.data.read(**source)` reads the frames; empty if unknown. Selections
+            keep it, equality ignores it.
 
     Raises:
         DataError: columns of different lengths.
@@ -118,8 +118,8 @@ class FrameTable:
         return np.char.add(prefix, self.room)
 
     def identities(self) -> list[tuple[str, str]]:
-        """Return what each frame is known by (n): its sequence, and the absolute path of its image."""
-        paths = [abspath(path) for path in self.path.tolist()]  # noqa: PTH100 (ten thousands of paths)
+        """Return what identifies each frame (n): its sequence, and the absolute path of its image."""
+        paths = [abspath(path) for path in self.path.tolist()]  # noqa: PTH100 (tens of thousands of paths)
         return list(zip(self.sequence.tolist(), paths, strict=True))
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -136,14 +136,14 @@ class FrameTable:
 
     @typed
     def select(self, **wanted: str | Iterable[str]) -> FrameTable:
-        """Return the frames whose labels are among the wanted ones.
+        """Return the frames with the requested labels.
 
         Args:
-            **wanted: by column (`sequence`, `room`, `lighting`, `building`): one label or several; shell patterns
+            **wanted: one label or several, by column (`sequence`, `room`, `lighting`, `building`); shell patterns
                 such as "*seq2_cloudy?" are understood.
 
         Raises:
-            ConfigError: an unknown column, or a label that no frame carries (the valid ones are named).
+            ConfigError: an unknown column, or a label that no frame carries (the message lists the valid ones).
         """
         mask = np.ones(len(self), dtype=bool)
         for column, labels in wanted.items():
@@ -167,10 +167,10 @@ class FrameTable:
 
     @typed
     def every(self, k: int, offset: int = 0) -> FrameTable:
-        """Return every k-th frame of each sequence, beginning with its first, or so many frames later.
+        """Return every k-th frame of each sequence, starting with its first, or `offset` frames later.
 
         Raises:
-            ConfigError: k is not a positive whole number, or the offset none from 0 to k - 1.
+            ConfigError: k is not a positive whole number, or the offset is not one from 0 to k - 1.
         """
         if k < 1:
             raise ConfigError(f"every k-th frame needs a whole k >= 1, got {k}")
@@ -183,7 +183,7 @@ class FrameTable:
 
     @typed
     def spaced(self, metres: float) -> FrameTable:
-        """Return, of each sequence, the first frame and then each that is `metres` away from the last one kept.
+        """Return the first frame of each sequence, then each that is at least `metres` away from the last one kept.
 
         Raises:
             ConfigError: the distance is not positive.
@@ -215,7 +215,7 @@ class FrameTable:
         return replace(self, **columns)  # type: ignore[arg-type]
 
     def describe(self) -> str:
-        """Say in one line how many frames there are, of which sequences, rooms and lightings, and where."""
+        """Summarize in one line the number of frames, their sequences, rooms and lightings, and their positions."""
         sequences = [f"{name or '(unnamed)'} {len(rows)}" for name, rows in self.rows_by("sequence").items()]
         return (
             f"{len(self)} frames; sequences: {_listed(sequences)}; rooms: {_listed(_labels(self.room))}; "
@@ -241,17 +241,17 @@ class FrameTable:
 
     @classmethod
     def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> FrameTable:
-        """Build a table from dictionaries; keys that are missing become NaN or the empty text."""
+        """Build a table from dictionaries; missing keys become NaN or the empty string."""
         empty = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
         return cls(**{name: [row.get(name, empty[name]) for row in rows] for name in _COLUMNS})  # type: ignore[arg-type]
 
 
 @typed
 def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
-    """Join tables one after the other. What they all have as `unit` and `source` is kept.
+    """Concatenate tables. The `unit`, and a `source` that they all share, are kept.
 
     Raises:
-        DataError: the tables count their positions in different units.
+        DataError: the tables give their positions in different units.
     """
     if not tables:
         return FrameTable(path=np.array([], dtype=np.str_))
@@ -270,7 +270,7 @@ def image_files(folder: Path) -> list[Path]:
 
 
 def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a small HTML table, as notebooks show it; the texts are escaped."""
+    """Return a small HTML table for notebooks; the texts are escaped."""
     lines = [
         "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in cells)
         for tag, cells in [("th", header), *(("td", row) for row in rows)]

@@ -25,33 +25,33 @@ CACHE = ".siamloc/panoramas"
 class PanoramaLibrary:
     """The panoramas of a table of frames: (B, 3, rows, columns), uint8, RGB.
 
-    Images are decoded when the library is made for the first time, and opened from the cache from then on. Each
-    sequence has a store of its own, so that a library of whole sequences serves every selection of them: changing
-    which sequences train, form the map or are queried never decodes an image twice.
+    Images are decoded when the library is first created, and opened from the cache from then on. Each sequence has
+    its own store, so that a library of whole sequences serves every selection of them: changing which sequences
+    train, form the map or are queried never decodes an image twice.
 
     Args:
-        frames: the frames wanted.
+        frames: the requested frames.
         cache: folder of the decoded panoramas; the environment variable SIAMLOC_CACHE or `.siamloc/panoramas` if None.
         image_size: rows and columns (H, W) of a panorama.
         unwrap: camera of omnidirectional images, or plain values as `conf/unwrap` holds them, such as
-            {"kind": "polar", "inner": 60}. None for panoramas and ordinary pictures, which are resized by area.
-        circular: the columns wrap around; False for ordinary cameras.
+            {"kind": "polar", "inner": 60}. None for panoramas and ordinary images, which are resized by area.
+        circular: whether the columns wrap around; False for ordinary cameras.
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
-        workers: decoding threads; one for each core, up to 16, if None.
+        workers: decoding threads; one per core, up to 16, if None.
 
     Attributes:
-        frames: the frames whose image could be read, in the order given; row i of the library shows frame i.
+        frames: the frames whose image could be read, in the given order; row i of the library shows frame i.
         rejected: images that were left out, each as {"path": ..., "reason": ...}.
         image_size: rows and columns (H, W).
         circular: whether the columns wrap around.
         preprocessing: how an image becomes a panorama.
 
     Raises:
-        ConfigError: a size, camera, number of workers or policy that makes no sense, or simulated images that `unwrap`
-            does not fit.
-        DataError: no frames, none readable, or an unreadable one and `on_error` is "raise".
+        ConfigError: a size, camera, number of workers or policy that makes no sense, or an `unwrap` that does not fit
+            simulated images.
+        DataError: no frames, none readable, or an unreadable one if `on_error` is "raise".
         FormatError: a store was written by a newer version.
-        StorageError: the disk is full or refuses.
+        StorageError: the disk is full or cannot be written to.
 
     Example:
         >>> import cv2, tempfile
@@ -119,7 +119,7 @@ class PanoramaLibrary:
         return (3, *self.image_size)
 
     def settings(self) -> dict[str, Any]:
-        """Return plain values that make this library again: `PanoramaLibrary(frames, **settings)`."""
+        """Return plain values that recreate this library: `PanoramaLibrary(frames, **settings)`."""
         return {
             "cache": str(self._cache),
             "image_size": list(self.image_size),
@@ -146,10 +146,10 @@ class PanoramaLibrary:
         return rows
 
     def readable(self, frames: FrameTable) -> FrameTable:
-        """Return those of the library's frames whose image could be read, in the order given.
+        """Return those of the library's frames whose image could be read, in the given order.
 
         Raises:
-            DataError: a frame that the library was not made of.
+            DataError: a frame that is not among those the library was made from.
         """
         return frames.take(self._found(frames) >= 0)
 
@@ -157,7 +157,7 @@ class PanoramaLibrary:
         """Return panoramas (B, 3, H, W), uint8, RGB, by row numbers (B,) in any order, repeated or not.
 
         Raises:
-            IndexError: a row outside 0 ... N - 1, or rows that are no whole numbers.
+            IndexError: a row outside 0 ... N - 1, or rows that are not whole numbers.
         """
         wanted = np.asarray(rows)
         if wanted.size == 0:
@@ -189,14 +189,14 @@ class PanoramaLibrary:
         unknown = [key for key in keys if key not in self._row_of]
         if unknown:
             raise DataError(
-                f"{len(unknown)} of {len(frames)} frames are not among those that the library was made of, the first "
-                f"is {unknown[0][1]} of sequence {unknown[0][0]!r}: make the library of all frames that are needed"
+                f"{len(unknown)} of {len(frames)} frames are not among those that the library was made from, the "
+                f"first is {unknown[0][1]} of sequence {unknown[0][0]!r}: make the library from all needed frames"
             )
         return np.array([self._row_of[key] for key in keys], dtype=np.int64)
 
 
 def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
-    """Compare what simulated images are, as the note next to them says, with how they would be unwrapped."""
+    """Compare the kind of simulated images, as noted next to them, with how they would be unwrapped."""
     kind = preprocessing.unwrap_settings()["kind"]
     for folder in sorted({Path(path).absolute().parents[1] for path in frames.path.tolist()}):
         if not (folder / "camera.json").is_file():

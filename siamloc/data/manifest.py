@@ -1,4 +1,4 @@
-"""Reader of manifests: a CSV table with one row for each image, for QuorumV, INNOVA and a user's own images."""
+"""Reader of manifests: CSV tables with one row per image, for QuorumV, INNOVA and your own images."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     """Read a manifest.
 
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
-    `sequence`, `lighting`, `time` (s), `building`; others are ignored
-    with a warning. Images are relative to the table's folder. An
-    empty number is unknown (NaN); blank lines do not count. Rows of a sequence whose times are all known are put in
-    order of time; the others keep the order of the table.
+    `sequence`, `lighting`, `time` (s), `building`; others are ignored with a warning. Image paths are relative to the
+    table's folder. An empty number is unknown (NaN); blank lines are skipped. The rows of a sequence whose times are
+    all known are sorted by time; the others keep the order of the table.
 
     Args:
         manifest: the CSV file, in UTF-8.
@@ -80,7 +79,7 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
 
 
 def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return frames in capture order inside each sequence, where the times are known."""
+    """Return frames in capture order within each sequence if its times are known."""
     places: dict[str, list[int]] = {}
     for place, frame in enumerate(frames):
         places.setdefault(frame.get("sequence", ""), []).append(place)
@@ -94,7 +93,7 @@ def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and cells of the lines that are not blank."""
+    """Yield the line number and cells of each line that is not blank."""
     try:
         with file.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
@@ -106,7 +105,7 @@ def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
                 except csv.Error as error:
                     raise DataError(f"{file}, line {reader.line_num}: not a CSV row ({error})") from error
                 if any("\0" in cell for cell in cells):
-                    raise DataError(f"{file}, line {reader.line_num}: the row holds a NUL character, so it is no text")
+                    raise DataError(f"{file}, line {reader.line_num}: the row has a NUL character, so it is not text")
                 if any(cell.strip() for cell in cells):
                     yield reader.line_num, cells
     except UnicodeDecodeError as error:
@@ -116,7 +115,7 @@ def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _column_names(file: Path, header: list[str]) -> dict[str, int]:
-    """Return where the known columns stand."""
+    """Return the positions of the known columns."""
     found = [name.strip().lower() for name in header]
     if "image" not in found:
         meant = _closest("image", [name for name in found if name not in COLUMNS])
@@ -139,7 +138,7 @@ def _ignored(name: str, found: list[str]) -> str:
 
 
 def _closest(name: str, candidates: Iterable[str]) -> str:
-    # Not `hint`: these columns may be there on purpose, so that only a near miss is worth a word, without a list.
+    # Not `hint`: these columns may be there on purpose, so only a near miss is worth mentioning, without a list.
     return next(iter(get_close_matches(name, list(candidates), n=1)), "")
 
 

@@ -1,4 +1,4 @@
-"""What COLD's names say: an image's its time and pose, a folder's its sequence, building and lighting.
+"""Parse COLD's names: an image's name holds its time and pose, a folder's its sequence, building and lighting.
 
 Images are called `t<seconds>_x<metres>_y<metres>_a<radians>.jpeg`.
 """
@@ -24,7 +24,7 @@ _SHORT_PART = re.compile(r"(?P<building>.+)[_-](?P<part>[ab])")
 
 
 class NamedPose(NamedTuple):
-    """What a COLD image name says: time in s, position in m, heading in rad."""
+    """Time in s, position in m and heading in rad that a COLD image name holds."""
 
     time: float
     x: float
@@ -33,10 +33,10 @@ class NamedPose(NamedTuple):
 
 
 def parse_name(name: str) -> NamedPose | None:
-    """Return the time and pose that a file name (without its folder) carries, or None where it is no COLD name.
+    """Return the time and pose that a file name (without its folder) carries, or None if it is not a COLD name.
 
-    The whole name has to fit, and the numbers have to be finite; exponents such as `1e-05` and `-0.000000` are
-    understood, `.jpg` and `.png` too.
+    The whole name has to match, and the numbers have to be finite; exponents such as `1e-05` and `-0.000000` are
+    understood, as are `.jpg` and `.png`.
     """
     match = _NAME.fullmatch(name)
     if match is None:
@@ -57,7 +57,7 @@ def format_name(pose: NamedPose, suffix: str = ".jpeg") -> str:
 
 
 def lighting_in(text: str) -> str:
-    """Return the one lighting (cloudy, night, sunny) that a text names, in whatever case, or the empty text."""
+    """Return the one lighting (cloudy, night, sunny) that a text names, in any case, or the empty string."""
     named = [lighting for lighting in LIGHTINGS if lighting in text.lower()]
     return named[0] if len(named) == 1 else ""
 
@@ -71,16 +71,16 @@ class SequenceName(NamedTuple):
 
 
 def name_sequence(folder: Path, label: str, rooms: Sequence[str]) -> SequenceName:
-    """Name a sequence from the folder it lies in, and from the suffix of its room codes.
+    """Name a sequence after its folder and the suffix of its room codes.
 
-    Understood are `freiburg/part_a/seq2_cloudy3`, `cold-freiburg_part_a_seq2_cloudy3`,
-    `cold-freiburg_part_a/seq2_cloudy3`, `freiburg_seq2_cloudy3` and `freiburg_a_seq2_cloudy3`. Where the folders do
-    not say the part, the room codes do if all of them end in -A or all in -B.
+    The folder may be named `freiburg/part_a/seq2_cloudy3`, `cold-freiburg_part_a_seq2_cloudy3`,
+    `cold-freiburg_part_a/seq2_cloudy3`, `freiburg_seq2_cloudy3` or `freiburg_a_seq2_cloudy3`. If the folders do not
+    name the part, it follows from the room codes if all of them end in -A or all in -B.
 
     Args:
-        folder: the sequence's folder; the folders above it may say building and part.
-        label: what to call a sequence whose folder has no such name.
-        rooms: its room codes as written.
+        folder: the sequence's folder; the folders above it may name building and part.
+        label: name of a sequence whose folder is not named in one of these ways.
+        rooms: room codes of the sequence, as written.
     """
     parts = [part.lower() for part in folder.absolute().parts]
     match = _SEQUENCE.fullmatch(parts[-1])
@@ -99,16 +99,16 @@ def name_sequence(folder: Path, label: str, rooms: Sequence[str]) -> SequenceNam
 
 
 def _place(text: str) -> tuple[str, str]:
-    """Return building and part that one folder name says, each perhaps empty."""
+    """Return the building and part that a folder name holds; either may be empty."""
     text = re.sub(r"^cold[_-]", "", text)
     match = _PART.fullmatch(text) or _SHORT_PART.fullmatch(text)
     return (match["building"] or "", match["part"]) if match else (text, "")
 
 
 def _place_above(parents: list[str], part: str) -> tuple[str, str]:
-    """Return building and part that the folders above a sequence say.
+    """Return the building and part that the folders above a sequence name.
 
-    A folder counts as a building if COLD has one of that name, or if it says a part or holds a folder that does.
+    A folder counts as a building if COLD has one of that name, or if it names a part or contains a folder that does.
     """
     for name in reversed(parents[-3:]):
         building, named_part = _place(name)

@@ -1,4 +1,4 @@
-"""Pairs of frames with their labels: what a siamese network is trained and tested on ([T] 5.3.4, 5.3.5)."""
+"""Labelled pairs of frames for training and testing a siamese network ([T] 5.3.4, 5.3.5)."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class PairSettings(Settings):
     """Which pairs of frames an epoch has, and their labels.
 
     Attributes:
-        label: "room": 0 for one room, 1 for two ([T] 5.3.4). "distance": the distance between the two positions
-            divided by `scale` inside one room, 1 across rooms ([T] 5.3.5). "auto": "room" where there are at least
-            two rooms, otherwise "distance".
-        same_room_share: share of same-room pairs; exact up to rounding. None: one half, or 1 where there is one room
-            only.
+        label: "room": 0 for the same room, 1 for different rooms ([T] 5.3.4). "distance": the distance between the
+            two positions divided by `scale` within a room, 1 across rooms ([T] 5.3.5). "auto": "room" if there are at
+            least two rooms, otherwise "distance".
+        same_room_share: share of same-room pairs; exact up to rounding. None: one half, or 1 if there is only one
+            room.
         epoch_pairs: pairs in an epoch; as many as there are frames if None.
         balance: "frames": every frame is equally likely to be the first of a pair; "rooms": every room is.
-        scale: what "distance" divides by, in the unit of the positions: one number for all frames, or numbers by
-            building. Buildings without a number get the largest distance between two of their frames of one room
-            (18.99 m in Freiburg A).
+        scale: divisor of "distance", in the unit of the positions: one number for all frames, or numbers by building.
+            Buildings without a number get the largest distance between two of their frames in the same room (18.99 m
+            in Freiburg A).
     """
 
     WHERE = "pairs"
@@ -49,7 +49,7 @@ class Pairs:
     Attributes:
         first: rows of the frame table (n,).
         second: rows of the frame table (n,), never equal to `first`.
-        label: dissimilarity in [0, 1] (n,) float32: what the contrastive loss is given.
+        label: dissimilarity in [0, 1] (n,) float32, the target of the contrastive loss.
         same: True where both frames show the same room (n,).
     """
 
@@ -62,33 +62,33 @@ class Pairs:
         return len(self.first)
 
     def take(self, rows: Any) -> Pairs:
-        """Select the pairs of these positions."""
+        """Select the pairs at these positions."""
         return Pairs(self.first[rows], self.second[rows], self.label[rows], self.same[rows])
 
 
 class PairSampler:
     """Draw the pairs of an epoch.
 
-    A pair is two different frames of one room, or two frames of different rooms. Frames without a room label count
-    as one room; `fit` leaves them out where other frames of their building have one. Rooms of different buildings are
-    different rooms. Which pairs an epoch has depends on the seed, the epoch and the pair's number alone: not on
-    workers, ranks, or on what was drawn before.
+    A pair is two different frames of the same room, or two frames of different rooms. Frames without a room label
+    count as one room; `fit` leaves them out if other frames of their building have one. Rooms of different buildings
+    are different rooms. Which pairs an epoch has depends only on the seed, the epoch and the pair's number: not on
+    workers, ranks, or earlier draws.
 
     Args:
         frames: the frames to pair (N).
         settings: which pairs; the defaults of `PairSettings` if None.
-        seed: any whole number, not negative.
+        seed: any non-negative whole number.
 
     Attributes:
         label: "room" or "distance".
         same_room_share: share of same-room pairs.
         epoch_pairs: pairs in an epoch.
-        scale: what "distance" divides by, in a form that `PairSettings` accepts: one number where one was given or
-            where the frames are of one building, otherwise numbers by building; NaN for label "room".
+        scale: divisor of "distance", in a form that `PairSettings` accepts: one number if one was given or if the
+            frames are of one building, otherwise numbers by building; NaN for label "room".
 
     Raises:
-        ConfigError: pairs that cannot exist, such as different-room pairs where there is one room; label "room" where
-            there is one, unless a `same_room_share` of 1 is asked for.
+        ConfigError: pairs that cannot exist, such as different-room pairs if there is only one room; label "room" with
+            only one room, unless a `same_room_share` of 1 is given.
         DataError: fewer than two frames, or "distance" for frames without positions.
 
     Example:
@@ -124,14 +124,14 @@ class PairSampler:
         return self.epoch_pairs
 
     def summary(self) -> str:
-        """Say what an epoch has."""
+        """Describe an epoch."""
         return f"{self.epoch_pairs} {self.label} pairs"
 
     def epoch(self, epoch: int, rank: int = 0, world_size: int = 1) -> Pairs:
         """Draw the pairs of an epoch, or the share of one process among `world_size`.
 
-        Process r has the pairs r, r + world_size, r + 2 world_size, ...: no pair is given to two processes, and the
-        union over the processes is the epoch.
+        Process r gets the pairs r, r + world_size, r + 2 world_size, ...: no pair goes to two processes, and together
+        the processes get the whole epoch.
 
         Raises:
             ConfigError: the rank is not in [0, world_size), or the epoch is negative.
@@ -167,20 +167,20 @@ class PairSampler:
         if self.label == "room" and self._rooms.count == 1 and self.settings.same_room_share is None:
             raise ConfigError(
                 f"room labels (pairs.label=room) need two rooms, and all {len(self.frames)} frames belong to one, "
-                f"{self.frames.room[0] or '(no label)'}, so that there is nothing to tell apart: name the rooms, "
-                "take distance labels (pairs.label=distance), which need positions, or ask for same-room pairs alone "
+                f"{self.frames.room[0] or '(no label)'}, so there is nothing to tell apart: name the rooms, "
+                "use distance labels (pairs.label=distance), which need positions, or ask for same-room pairs only "
                 "(pairs.same_room_share=1)"
             )
         if same_pairs < self.epoch_pairs and self._rooms.count == 1:
             room = self.frames.room[0] or "(no label)"
             raise ConfigError(
-                f"all {len(self.frames)} frames belong to one room, {room}, so that there are no different-room pairs: "
+                f"all {len(self.frames)} frames belong to one room, {room}, so there are no different-room pairs: "
                 "ask for same-room pairs only, with distance labels (pairs.same_room_share=1 pairs.label=distance), "
                 "or add frames of another room"
             )
         if same_pairs > 0 and not self._rooms.has_pairs:
             raise ConfigError(
-                f"each of the {self._rooms.count} rooms has one frame only, so that there are no same-room pairs: "
+                f"each of the {self._rooms.count} rooms has only one frame, so there are no same-room pairs: "
                 "ask for different-room pairs only (pairs.same_room_share=0 pairs.label=room), or add frames"
             )
         if self.label == "distance" and not self.frames.has_position.all():
@@ -192,7 +192,7 @@ class PairSampler:
 
 
 class _Rooms:
-    """The frames sorted by room, so that partners are drawn by table look-up, without trial and error."""
+    """The frames sorted by room, so that partners can be drawn by table lookup, without trial and error."""
 
     def __init__(self, frames: FrameTable) -> None:
         _, self.room = np.unique(frames.place, return_inverse=True)
@@ -207,7 +207,7 @@ class _Rooms:
     def anchors(
         self, room: NDArray[np.float64], frame: NDArray[np.float64], *, same: bool, balance: str
     ) -> NDArray[np.int64]:
-        """Return the first frame of each pair; rooms of one frame have no same-room pairs."""
+        """Return the first frame of each pair; rooms with only one frame have no same-room pairs."""
         usable = np.flatnonzero(self.size > 1) if same else np.arange(self.count)
         if balance == "rooms":
             chosen = usable[_scaled(room, len(usable))]
@@ -216,7 +216,7 @@ class _Rooms:
         return candidates[_scaled(frame, len(candidates))]
 
     def partners(self, anchor: NDArray[np.int64], uniform: NDArray[np.float64], *, same: bool) -> NDArray[np.int64]:
-        """Return the second frame: the k-th of the anchor's room without the anchor, or of all other rooms."""
+        """Return the second frame: the k-th of the anchor's room, not counting the anchor, or of all other rooms."""
         start, size = self.start[self.room[anchor]], self.size[self.room[anchor]]
         if same:
             k = _scaled(uniform, size - 1)
@@ -228,10 +228,10 @@ class _Rooms:
 
 
 def largest_same_room_distance(frames: FrameTable) -> float:
-    """Find the largest distance between two frames of one room, in the unit of the positions ([T] table 5.5).
+    """Find the largest distance between two frames of the same room, in the unit of the positions ([T] table 5.5).
 
-    Equals the maximum over all same-room pairs: the two frames that are farthest apart lie on the convex hull of
-    their room, so that only the hull's corners are compared where a room has many frames.
+    This is the maximum over all same-room pairs: the two frames that are farthest apart lie on the convex hull of
+    their room, so only the hull's corners are compared in rooms with many frames.
     """
     largest = 0.0
     for rows in frames.rows_by("place").values():
@@ -243,11 +243,11 @@ def largest_same_room_distance(frames: FrameTable) -> float:
 def _scales(
     frames: FrameTable, scale: float | Mapping[str, float] | None
 ) -> tuple[float | dict[str, float], NDArray[np.float64]]:
-    """Return what `PairSampler.scale` shows, and what the distances of each frame are divided by (N,).
+    """Return the value of `PairSampler.scale`, and the divisor of each frame's distances (N,).
 
     Raises:
         ConfigError: a scale that is not a positive number.
-        DataError: a building whose rooms were each taken at one point, so that its largest distance is 0.
+        DataError: a building whose rooms were each taken at one point, so its largest distance is 0.
     """
     if scale is not None and not isinstance(scale, Mapping):
         return float(scale), np.full(len(frames), float(scale))

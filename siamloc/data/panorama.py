@@ -1,14 +1,14 @@
-"""From the omnidirectional image to the panorama: polar unwrapping and the hyperbolic mirror model.
+"""From omnidirectional image to panorama: polar unwrapping and the hyperbolic mirror model.
 
 Frames of reference. The robot's frame is x forward, y left, z up; azimuth is counter-clockwise seen from above and
 0 straight ahead; elevation is 0 at the horizon and positive upwards. The camera stands upright below its mirror and
-looks up. With the top of the picture turned to the robot's front, what is to the robot's left then appears on the
+looks up. With the top of the image turned to the robot's front, what is to the robot's left then appears on the
 *right* of the omnidirectional image: a camera that looks up sees the floor plan mirrored. A panorama is not
 mirrored: its columns run clockwise, the middle of its width (between the columns W/2 - 1 and W/2) looks straight
 ahead, and the middle of column c has the azimuth (W/2 - c - 1/2) * 2 pi / W. Headings (theta) run counter-clockwise,
-so when the robot turns left by delta rad, what the panorama shows moves right by delta * W / (2 pi) columns.
+so when the robot turns left by delta rad, the contents of the panorama move right by delta * W / (2 pi) columns.
 
-Axes. An image as a file or in memory (`unwrap`, `Localizer.locate`) is (rows, columns, 3). A batch of panoramas
+Axes. An image in a file or in memory (`unwrap`, `Localizer.locate`) is (rows, columns, 3). A batch of panoramas
 (`PanoramaLibrary.batch`, `describe`, networks) is (B, 3, rows, columns).
 """
 
@@ -38,23 +38,23 @@ def column_azimuth(width: int) -> Array:
 
 @typed
 def azimuth_column(azimuth: Array | float, width: int) -> Array:
-    """Return the fractional column [-0.5, W - 0.5) at which a direction appears; inverse of `column_azimuth`."""
+    """Return the fractional column [-0.5, W - 0.5) at which a direction appears; the inverse of `column_azimuth`."""
     column = width / 2 - 0.5 - np.asarray(azimuth, dtype=np.float64) * width / (2 * np.pi)
     return (column + 0.5) % width - 0.5
 
 
 @dataclass(frozen=True)
 class PanoramaView:
-    """What a panorama shows: its size and the elevations between which its rows lie.
+    """Size of a panorama, and the elevations between which its rows lie.
 
-    The rows divide a vertical cylinder evenly, so that they are even in the tangent of the elevation. The defaults
-    give square pixels at 128 x 512 and look a little more to the floor than to the ceiling.
+    The rows divide a vertical cylinder evenly, so they are evenly spaced in the tangent of the elevation. The defaults
+    give square pixels at 128 x 512 and look a little more at the floor than at the ceiling.
 
     Attributes:
-        height: rows.
-        width: columns; they cover the full turn.
-        top: elevation of the upper rim in degrees.
-        bottom: elevation of the lower rim in degrees.
+        height: number of rows.
+        width: number of columns; they cover the full turn.
+        top: elevation of the upper edge in degrees.
+        bottom: elevation of the lower edge in degrees.
     """
 
     height: int = 128
@@ -76,7 +76,7 @@ class PanoramaView:
         return np.arctan(high + (np.arange(self.height) + 0.5) / self.height * (low - high))
 
     def elevation_row(self, elevation: Array | float) -> Array:
-        """Return the fractional row at which an elevation in rad appears; inverse of `row_elevation`."""
+        """Return the fractional row at which an elevation in rad appears; the inverse of `row_elevation`."""
         high, low = np.tan(np.radians([self.top, self.bottom]))
         return (np.tan(np.asarray(elevation, dtype=np.float64)) - high) / (low - high) * self.height - 0.5
 
@@ -92,22 +92,22 @@ class OmnidirectionalCamera(Protocol, Hashable):
     """Anything that knows where each pixel of a panorama lies in the omnidirectional image."""
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the columns (H, W) and rows (H, W) of the image of size (rows, columns) to sample."""
+        """Return the columns (H, W) and rows (H, W) to sample in an image of size (rows, columns)."""
         ...
 
 
 @dataclass(frozen=True)
 class PolarRing(Settings):
-    """Polar unwrapping: the ring between two radii, rows even in the radius.
+    """Polar unwrapping of the ring between two radii, with rows evenly spaced in the radius.
 
     Attributes:
-        centre: column and row of the ring's centre in pixels; the image's middle if None.
+        centre: column and row of the ring's centre in pixels; the middle of the image if None.
         inner: inner radius in pixels; a fifth of the outer one if None.
         outer: outer radius in pixels; up to the nearest image border if None.
-        forward: direction of the robot's front in the image, in degrees clockwise from its upper rim.
-        mirrored: the camera looks up into the mirror, so that the image shows the left on its right.
-        inside_up: the ring's inner rim becomes the panorama's upper row (cameras that look down into a mirror on
-            the floor side); otherwise the outer rim does.
+        forward: direction of the robot's front in the image, in degrees clockwise from the image's upper edge.
+        mirrored: whether the camera looks up into the mirror, so that the image shows the left on its right.
+        inside_up: whether the ring's inner rim becomes the panorama's upper row (cameras that look down into a mirror
+            on the floor side); otherwise the outer rim does.
     """
 
     WHERE: ClassVar[str] = "unwrap"
@@ -137,9 +137,9 @@ class PolarRing(Settings):
 class HyperbolicMirror(Settings):
     """A pinhole camera below a hyperbolic mirror with a single viewpoint.
 
-    The mirror is the sheet r(u) = p / (1 - e u_z) around its focus, u being the unit direction of the scene; the
-    camera stands in the other focus, 2 e p / (e^2 - 1) below, and looks up. The focus is where a panorama is seen
-    from. In such a central system the picture depends on the eccentricity only: p sets the size in metres.
+    The mirror is the sheet r(u) = p / (1 - e u_z) around its focus, where u is the unit direction of the scene; the
+    camera is at the other focus, 2 e p / (e^2 - 1) below, and looks up. The mirror's focus is the viewpoint of the
+    panorama. In such a central system the image depends only on the eccentricity: p sets the size in metres.
 
     Attributes:
         fx: focal length in pixels along the columns.
@@ -148,12 +148,12 @@ class HyperbolicMirror(Settings):
         cy: row of the principal point in pixels.
         eccentricity: e > 1. Nothing above the elevation asin(1 / e) is seen.
         focal_parameter: p in metres (semi-latus rectum).
-        forward: direction of the robot's front in the image, in degrees clockwise from its upper rim.
+        forward: direction of the robot's front in the image, in degrees clockwise from the image's upper edge.
         mirrored: False for images that were flipped left to right after they were taken.
 
     Raises:
-        ConfigError: eccentricity not above 1, focal parameter or focal lengths not positive, or a panorama that
-            looks higher than the mirror shows.
+        ConfigError: an eccentricity that is not above 1, a focal parameter or focal length that is not positive, or a
+            panorama that looks higher than the mirror shows.
     """
 
     WHERE: ClassVar[str] = "unwrap"
@@ -174,12 +174,12 @@ class HyperbolicMirror(Settings):
 
     @property
     def camera_depth(self) -> float:
-        """How far the camera's centre lies below the mirror's focus, in metres."""
+        """Distance in metres of the camera's centre below the mirror's focus."""
         return 2 * self.eccentricity * self.focal_parameter / (self.eccentricity**2 - 1)
 
     @property
     def highest_elevation(self) -> float:
-        """The elevation in rad that the mirror's rim could reach were it endless: asin(1 / e)."""
+        """Elevation in rad that the mirror's rim would reach if the mirror were infinite: asin(1 / e)."""
         return float(np.arcsin(1 / self.eccentricity))
 
     def project(self, directions: Array) -> Array:
@@ -234,11 +234,11 @@ CAMERAS: dict[str, type[PolarRing] | type[HyperbolicMirror] | None] = {
 
 @typed
 def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | None = None) -> Array:
-    """Unwrap an omnidirectional image to a panorama by bilinear sampling.
+    """Unwrap an omnidirectional image into a panorama by bilinear sampling.
 
     Args:
         image: (rows, columns) or (rows, columns, 3), uint8.
-        camera: where the panorama's pixels lie in the image: a `PolarRing` or a `HyperbolicMirror`.
+        camera: a `PolarRing` or a `HyperbolicMirror`, which knows where the panorama's pixels lie in the image.
         view: size and elevations of the panorama; 128 x 512 if None.
 
     Returns:
@@ -247,7 +247,7 @@ def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | Non
     Columns run clockwise and the middle one looks straight ahead; headings run counter-clockwise, in rad.
 
     Raises:
-        DataError: the image has no pixels or another shape.
+        DataError: the image has no pixels or the wrong shape.
 
     Example:
         >>> ring = np.zeros((480, 640), np.uint8)
@@ -269,11 +269,11 @@ def camera_from_config(
 
     Args:
         options: `kind` none, polar or hyperbolic, and the parameters of `PolarRing`, or of `HyperbolicMirror` and the
-            view's `top` and `bottom`. "none" is for images that are panoramas already: there is no camera.
+            view's `top` and `bottom`. "none" is for images that are already panoramas: there is no camera.
         image_size: rows and columns of the panorama.
 
     Raises:
-        ConfigError: an unknown kind or parameter, with the nearest valid one.
+        ConfigError: an unknown kind or parameter; the message names the nearest valid one.
     """
     parameters = dict(options)
     kind = checked(parameters.pop("kind", "none"), str, "unwrap.kind")
@@ -295,7 +295,7 @@ def _remap_tables(
 
 
 def _image_angle(azimuth: Array, forward: float, mirrored: bool) -> Array:
-    """Angle in the image, clockwise from its upper rim, at which an azimuth appears."""
+    """Return the angle in the image, clockwise from its upper edge, at which an azimuth appears."""
     return np.radians(forward) + (azimuth if mirrored else -azimuth)
 
 

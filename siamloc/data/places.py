@@ -1,4 +1,4 @@
-"""Batches of places: several images of each of several places, for losses that use all pairs of a batch."""
+"""Batches of places, with several images of each place, for losses that use all pairs of a batch."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ class PlaceSettings(Settings):
     """Which images a batch has.
 
     Attributes:
-        by: "position", or "sequence" where there are no positions: how near two images are is then counted in frames
-            between them, in the order of the table, and images of two sequences are never near each other.
-        places: in a batch.
-        images: of each place, from different positions where there are several, and under different lightings where
-            the place was seen under several.
-        radius: images of a place lie this near its first one, in the unit of the positions, or in frames; 0 for the
-            same image again, of which augmentation makes different views.
-        near: share of the places that lie within `reach` of another place of the batch, so that it learns to tell
-            neighbours apart, too.
-        reach: how near that is, in the unit of the positions, or in frames.
-        same_room_share: share of the places that lie in the room of an earlier place of the batch, those `near` another
-            one included; the others each in a room of their own, as far as there are rooms, and as these have frames.
-            As it comes if None.
+        by: "position", or "sequence" if there are no positions: the distance between two images is then the number of
+            frames between them, in the order of the table, and images of two sequences are never near each other.
+        places: number of places in a batch.
+        images: number of images of each place, from different positions if there are several, and under different
+            lightings if the place was seen under several.
+        radius: largest distance of the images of a place from its first one, in the unit of the positions, or in
+            frames; 0 for the same image again, of which augmentation makes different views.
+        near: share of the places that lie within `reach` of another place of the batch, so that the network also
+            learns to tell neighbours apart.
+        reach: that distance, in the unit of the positions, or in frames.
+        same_room_share: share of the places that lie in the room of an earlier place of the batch, including those
+            `near` another one; each of the others lies in a room of its own, as far as the rooms and their frames
+            allow. If None, rooms are not considered.
         lightings: weights by which the images of a place are divided among the lightings that it was seen under; 1
-            for a lighting that is not named. The lightings take turns if None.
-        epoch_batches: batches in an epoch; if None as many as show every frame once on average.
+            for a lighting that is not named. If None, the lightings take turns.
+        epoch_batches: batches in an epoch; if None, enough to show every frame once on average.
     """
 
     WHERE = "pairs"
@@ -67,13 +67,13 @@ class PlaceSettings(Settings):
 class PlaceSampler:
     """Draw the batches of an epoch.
 
-    Which images a batch has depends on the seed, the epoch and the number of the batch alone. Several processes draw
-    one batch together, as large as all of theirs, and each takes its own places of it.
+    Which images a batch has depends only on the seed, the epoch and the number of the batch. Several processes draw
+    one batch together, as large as all of theirs combined, and each takes its own places from it.
 
     Args:
         frames: the frames to draw from (N), all with positions unless places are drawn by sequence.
         settings: which images; the defaults of `PlaceSettings` if None.
-        seed: any whole number, not negative.
+        seed: any non-negative whole number.
 
     Raises:
         ConfigError: a batch of fewer than two places, or more than there are frames.
@@ -117,7 +117,7 @@ class PlaceSampler:
         per_batch = settings.places * settings.images
         self.epoch_batches = settings.epoch_batches or max(1, round(len(frames) / per_batch))
         place, apart = places_of(frames, settings.by)
-        # Where images are never near each other, a third coordinate keeps them farther apart than the reach.
+        # A third coordinate keeps images that are never near each other farther apart than the reach.
         far = 2 * max(settings.radius, settings.reach) + 1.0
         self._points = np.column_stack([place, apart * far])
         self._tree = cKDTree(self._points)
@@ -136,11 +136,11 @@ class PlaceSampler:
         return self.epoch_batches
 
     def summary(self) -> str:
-        """Say what an epoch has."""
+        """Describe an epoch."""
         return f"{self.epoch_batches} batches of {self.settings.places} places x {self.settings.images} images"
 
     def notes(self) -> list[str]:
-        """Say of which frames no batch can be what was asked for."""
+        """Return notes on the frames whose batches cannot be as requested."""
         settings, unit = self.settings, self._unit
         instead = {
             "radius": "their places have the same image again, which augmentation alone makes different",
@@ -156,7 +156,7 @@ class PlaceSampler:
         ]
 
     def check_processes(self, processes: int) -> None:
-        """Raise ConfigError unless so many processes find as many places as they draw together."""
+        """Raise ConfigError unless there are enough frames for the places that so many processes draw together."""
         places, most = self.settings.places * processes, len(self.frames) // processes
         if places <= len(self.frames):
             return
@@ -169,10 +169,10 @@ class PlaceSampler:
         )
 
     def batch(self, epoch: int, number: int, rank: int = 0, world_size: int = 1) -> NDArray[np.int64]:
-        """Return the rows of a batch (places * images,), those of one place after those of another.
+        """Return the rows of a batch (places * images,), one place after another.
 
         Raises:
-            ConfigError: the rank is not in [0, world_size), or more places than frames.
+            ConfigError: the rank is not in [0, world_size), or there are more places than frames.
         """
         if not 0 <= rank < world_size or epoch < 0:
             raise ConfigError(f"need epoch >= 0 and 0 <= rank < world_size, got {epoch}, {rank} and {world_size}")
@@ -183,7 +183,7 @@ class PlaceSampler:
         """Return the rows of a batch of all processes together (places * images * world_size,).
 
         Raises:
-            ConfigError: more places than frames.
+            ConfigError: there are more places than frames.
         """
         self.check_processes(world_size)
         generator = np.random.default_rng([self.seed, epoch, number, 0x91ACE])
@@ -195,14 +195,14 @@ class PlaceSampler:
         return self.frames.unit if self.settings.by == "position" else "frames"
 
     def _far_off(self) -> str:
-        """Say how far apart frames are."""
+        """Describe how far apart frames are."""
         half = float(np.median(self._nearest))
         if not np.isfinite(half):
             return f"most are the only ones of their {'building' if self.settings.by == 'position' else 'sequence'}"
         return f"half of the frames have one within {half:.3g} {self._unit}"
 
     def _centres(self, generator: np.random.Generator, count: int) -> NDArray[np.int64]:
-        """Draw the first frame of each place: some anywhere, the rest near those, in mixed order."""
+        """Draw the first frame of each place: some anywhere, the rest near those, in random order."""
         near = min(round(self.settings.near * count), count - 1)
         by_room = self.settings.same_room_share is not None
         if by_room:
@@ -218,7 +218,7 @@ class PlaceSampler:
         return generator.permutation(np.concatenate([first, np.asarray(second, dtype=np.int64)]))
 
     def _of_rooms(self, frames: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Put frames in mixed order so that a batch begins with one for each room, and goes on with others of these."""
+        """Order shuffled frames so that a batch starts with one from each room, followed by others from these rooms."""
         assert self.settings.same_room_share is not None
         rooms = max(1, count - round(self.settings.same_room_share * count))
         turn = _turns(self._room[frames])
@@ -228,15 +228,15 @@ class PlaceSampler:
         return frames[np.argsort(rank, kind="stable")]
 
     def _images(self, generator: np.random.Generator, centre: np.int64) -> NDArray[np.int64]:
-        """Draw the images of a place, of every lighting by weight or in turn; the same again where it has too few."""
+        """Draw the images of a place, its lightings by weight or in turn; images repeat if it has too few."""
         found = np.asarray(self._tree.query_ball_point(self._points[centre], self.settings.radius), dtype=np.int64)
         found = generator.permutation(found[found != centre])
         order = np.concatenate([[centre], found])
         turn = _turns(self._kind[order])
-        if self.settings.lightings is not None:  # first as many of each as are due, then what is left in turn
+        if self.settings.lightings is not None:  # first the number due of each, then the rest in turn
             due = _due(self._kind[order], self._weight[order], self.settings.images, generator.random())
             turn = np.where(turn < due, -1, turn)
-        elif (again := _turns(self._position[order])).any():  # pictures from one position under several lights
+        elif (again := _turns(self._position[order])).any():  # images from one position under several lights
             # First those that share neither position nor lighting, then other positions, then these ones again.
             first = self._apart(order)
             again += np.isin(self._position[order], self._position[order][first])
@@ -246,7 +246,7 @@ class PlaceSampler:
         return np.resize(chosen, self.settings.images)
 
     def _apart(self, order: NDArray[np.int64]) -> list[int]:
-        """Return which of some frames to take, in their order, so that all positions and all lightings differ."""
+        """Return which of some frames to take, in order, so that all positions and all lightings differ."""
         positions, kinds, found = set(), set(), []
         pairs = zip(self._position[order].tolist(), self._kind[order].tolist(), strict=True)
         for number, (position, kind) in enumerate(pairs):
@@ -258,9 +258,10 @@ class PlaceSampler:
 
 
 def places_of(frames: FrameTable, by: str = "position") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return where frames were taken (N, 2), and the number (N,) of what sets them apart wherever that is.
+    """Return where frames were taken (N, 2), and a group number (N,); frames of different groups are never near.
 
-    By position these are positions and buildings; by sequence the number of the frame in its sequence, and sequences.
+    By position, these are the positions and the buildings; by sequence, the frames' numbers in their sequence and the
+    sequences.
     """
     if by == "position":
         return frames.xy.copy(), np.unique(frames.building, return_inverse=True)[1]
@@ -269,13 +270,13 @@ def places_of(frames: FrameTable, by: str = "position") -> tuple[NDArray[np.floa
 
 
 def _kinds(frames: FrameTable) -> NDArray[np.int64]:
-    """Number the lightings, or the drives where all have one lighting."""
+    """Number the lightings, or the drives if all have the same lighting."""
     names = frames.lighting if len(set(frames.lighting.tolist())) > 1 else frames.sequence
     return np.unique(names, return_inverse=True)[1]
 
 
 def _turns(kinds: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each item how many of its kind come before it."""
+    """Return, for each item, how many of its kind come before it."""
     order = np.argsort(kinds, kind="stable")
     ordered = kinds[order]
     first = np.flatnonzero(np.diff(ordered, prepend=ordered[0] - 1))
@@ -286,7 +287,7 @@ def _turns(kinds: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _due(kinds: NDArray[np.int64], weights: NDArray[np.float64], count: int, offset: float) -> NDArray[np.int64]:
-    """Return for each item how many of its kind are due among so many, on average over offsets in [0, 1) by weight."""
+    """Return, for each item, how many of its kind are due among `count`, by weight averaged over offsets in [0, 1)."""
     _, first, kind = np.unique(kinds, return_index=True, return_inverse=True)
     ends = np.cumsum(weights[first])
     marks = (np.arange(count) + offset) / count * ends[-1]

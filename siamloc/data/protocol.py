@@ -1,4 +1,4 @@
-"""Who does what: which frames train, validate, form the map and are queried ([T] 5.3.4, 5.3.5)."""
+"""The protocol: which frames train, validate, form the map and are queried ([T] 5.3.4, 5.3.5)."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ class Role(Settings):
     """A selection of frames.
 
     Attributes:
-        sequences: names or shell patterns such as "*seq2_cloudy3"; None where the role is not filled.
+        sequences: names or shell patterns such as "*seq2_cloudy3"; None if the role is not filled.
         lightings: keep these lightings; all if None.
         rooms: keep these rooms; all if None.
         every: keep every k-th frame of a sequence; all if None.
-        offset: with `every`, how many frames of a sequence come before the first one kept.
+        offset: with `every`, the number of frames of a sequence before the first one kept.
         spacing: keep frames at least this far apart along a sequence, in the unit of the positions; all if None.
-        rest: keep the frames that `every` or `spacing` would leave out instead: the queries where a map takes every
+        rest: keep instead the frames that `every` or `spacing` would leave out: the queries if the map takes every
             k-th frame of the same drive ([C] 5.1).
 
     Raises:
-        ConfigError: both `every` and `spacing`, an offset or a rest without them, or a value of another type.
+        ConfigError: both `every` and `spacing`, `offset` or `rest` without them, or a value of the wrong type.
 
     Example:
         >>> frames = FrameTable(path=["1.jpg", "2.jpg", "3.jpg"], sequence=["day", "day", "night"])
@@ -64,7 +64,7 @@ class Role(Settings):
             raise ConfigError("rest=true keeps what every or spacing leaves out: set one of them")
 
     def __str__(self) -> str:
-        """Say what is selected: "sequences a, every 5"; the empty text where nothing is set."""
+        """Describe the selection, such as "sequences a, every 5"; the empty string if nothing is set."""
         given = {name: value for name, value in self.plain().items() if value not in (None, 0, False)}
         return ", ".join(
             f"{name} {' '.join(value) if isinstance(value, list) else value}" for name, value in given.items()
@@ -93,24 +93,24 @@ class Role(Settings):
 class Protocol(Settings):
     """The roles of a data set, and which map frames a query may not be compared with.
 
-    Two kinds are never compared with each other: in "cross_run" map and queries come from different sequences, and
-    no query was trained on; in "same_run" queries may come from the map's own sequence, map frames among them. With
-    `leave_one_out`, `apart_seconds` or `apart_metres`, queries of a cross_run protocol may also come from the map's
-    sequences, since each is then compared with other frames only.
+    There are two kinds, whose results are never compared with each other: in "cross_run", map and queries come from
+    different sequences, and no query was trained on; in "same_run", queries may come from the map's own sequence, and
+    even be map frames. With `leave_one_out`, `apart_seconds` or `apart_metres`, queries of a cross_run protocol may
+    also come from the map's sequences, since each is then only compared with other frames.
 
     Attributes:
         kind: "cross_run" or "same_run".
         train: frames whose pairs the network learns from.
-        validation: frames by which the checkpoint is chosen; never trained on, never tested on.
+        validation: frames by which the checkpoint is chosen; never used for training or testing.
         map: frames that the robot knows; the training frames if not filled.
         query: frames to be located.
         leave_one_out: a query is never compared with its own image.
         apart_seconds: a query is not compared with frames of its own drive taken less than this before or after it.
-        apart_metres: a query is not compared with frames of its own drive less than this way away, measured along
-            the drive, in the unit of the positions.
+        apart_metres: a query is not compared with frames of its own drive that are less than this distance away,
+            measured along the drive, in the unit of the positions.
 
     Raises:
-        ConfigError: an unknown kind, or a value of another type or out of range.
+        ConfigError: an unknown kind, or a value of the wrong type or out of range.
 
     Example:
         >>> frames = FrameTable(path=["1.jpg", "2.jpg", "3.jpg"], time=[0, 1, 5], sequence=["day"] * 3)
@@ -133,10 +133,11 @@ class Protocol(Settings):
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Protocol:
-        """Make a protocol from plain values; keys that are missing have their defaults.
+        """Make a protocol from plain values; missing keys take their defaults.
 
         Raises:
-            ConfigError: an unknown key, with the nearest valid one, or a value of another type or out of range.
+            ConfigError: an unknown key (the message names the nearest valid one), or a value of the wrong type or out
+                of range.
         """
         roles = {}
         for name in ROLES:
@@ -165,15 +166,15 @@ class Protocol(Settings):
 
     @property
     def excludes(self) -> bool:
-        """Whether some map frames are out of bounds for a query of the same drive."""
+        """Whether some map frames are excluded for a query of the same drive."""
         return self.leave_one_out or self.apart_seconds is not None or self.apart_metres is not None
 
     def frames(self, role: str, table: FrameTable) -> FrameTable:
         """Return the frames of a role.
 
         Raises:
-            ConfigError: the role is not filled, names something that no frame carries, or shares a sequence with a
-                role that it must stay apart from.
+            ConfigError: the role is not filled, names a label that no frame carries, or shares a sequence with a role
+                that it must not overlap.
         """
         selection = self._role(role)
         if selection.sequences is None:
@@ -193,7 +194,7 @@ class Protocol(Settings):
         """Return the frames of several roles by name; each has at least one.
 
         Raises:
-            ConfigError: as `frames`, or a role that selects no frame.
+            ConfigError: as for `frames`, or a role that selects no frame.
         """
         found = {name: self.frames(name, table) for name in names}
         for name, frames in found.items():
@@ -207,19 +208,19 @@ class Protocol(Settings):
     def excluded(
         self, queries: FrameTable, known: FrameTable, drives: FrameTable | None = None
     ) -> NDArray[np.bool_] | None:
-        """Return which map frames each query may not be compared with, or None where it may be with all.
+        """Return which map frames each query may not be compared with, or None if all comparisons are allowed.
 
         Args:
             queries: n frames.
             known: the map's m frames.
-            drives: frames in capture order along which `apart_metres` measures the way, such as the whole data set.
-                The queries and the map's frames, in order of time, if None.
+            drives: frames in capture order along which `apart_metres` measures the distance, such as the whole data
+                set. If None, the queries and the map's frames, in order of time.
 
         Returns:
             (n, m), True where the two must not be compared.
 
         Raises:
-            DataError: times, positions or an order of capture that the setting needs are not known.
+            DataError: times, positions or a capture order that the setting needs are unknown.
         """
         if not self.excludes:
             return None
@@ -274,7 +275,7 @@ def _exclude_near(
     apart: float,
     lack: str,
 ) -> None:
-    """Mark the pairs of one drive that are less than `apart` away from each other on a scale, such as time."""
+    """Mark the pairs of frames of a drive that are less than `apart` away from each other on a scale, such as time."""
     query_at, known_at = at
     for sequence, rows in queries.rows_by("sequence").items():
         columns = np.flatnonzero(known.sequence == sequence)
@@ -301,7 +302,11 @@ def _travelled(
 
 
 def _in_order(queries: FrameTable, known: FrameTable) -> FrameTable:
-    """Return the frames of both tables in capture order, as far as it can be known."""
+    """Return the frames of both tables in capture order.
+
+    Raises:
+        DataError: the order is unknown, since some frames have no time.
+    """
     query_keys, known_keys = queries.identities(), set(known.identities())
     if known_keys <= set(query_keys):
         return queries

@@ -1,4 +1,4 @@
-"""`read`: the frames of a data set, whatever form it comes in, and the settings that say which one."""
+"""`read`: read the frames of a data set, whatever its layout, and the settings that select one."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     Args:
         kind: "cold" (`siamloc.data.cold.read_cold`), "manifest" (`siamloc.data.manifest.read_manifest`) or "folder"
             (`siamloc.data.folder.read_folder`).
-        unit: what x and y count.
-        name: what results and runs call the data; that of the file or folder if empty.
-        **where: what that reader takes, such as root=FOLDER.
+        unit: unit of x and y.
+        name: name of the data in results and runs; the name of the file or folder if empty.
+        **where: arguments of that reader, such as root=FOLDER.
 
     Returns:
-        The frames. `source` holds what they were read from, with absolute paths: `read(**frames.source)` reads them
+        The frames. `source` records what they were read from, with absolute paths: `read(**frames.source)` reads them
         again.
 
     Raises:
-        ConfigError: an unknown kind or keyword, or one that is missing; the valid ones are named.
+        ConfigError: an unknown or missing kind or keyword; the message lists the valid ones.
         DataError: files that cannot be used as they are.
 
     Example:
@@ -67,23 +67,23 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
 
 @dataclass(frozen=True)
 class DataSettings(Settings):
-    """Which frames to read, and how their images become panoramas: what `conf/data` holds.
+    """Which frames to read, and how their images become panoramas: the settings in `conf/data`.
 
     Attributes:
         kind: "cold", "folder" or "manifest".
-        name: what results and runs call the data.
-        manifest: the CSV table of kind "manifest".
-        root: the folder of kind "cold" or "folder".
-        places: one list of kind "cold", instead of `root`.
-        camera: "omni_cam" or "std_cam" of kind "cold".
-        unit: what x and y count; only used in texts.
+        name: name of the data in results and runs.
+        manifest: CSV table, for kind "manifest".
+        root: folder, for kind "cold" or "folder".
+        places: a single list, for kind "cold", instead of `root`.
+        camera: "omni_cam" or "std_cam", for kind "cold".
+        unit: unit of x and y; only used in texts.
         image_size: rows and columns of a panorama.
-        circular: the columns wrap around; False for ordinary cameras.
+        circular: whether the columns wrap around; False for ordinary cameras.
         on_error: "skip" leaves out what cannot be read and reports it, "raise" stops.
         cache: folder of the decoded panoramas; see `PanoramaLibrary`.
 
     Raises:
-        ConfigError: a value of another type.
+        ConfigError: a value of the wrong type.
 
     Example:
         >>> DataSettings.of({"kind": "manifest", "manifest": "robot.csv", "image_size": [64, 256]}).image_size
@@ -105,7 +105,7 @@ class DataSettings(Settings):
     cache: Path | None = None
 
     def summary(self) -> str:
-        """Name the data and where they lie, such as "robot, /data/robot.csv"."""
+        """Return the name and location of the data, such as "robot, /data/robot.csv"."""
         where = self.manifest or self.places or self.root
         return self.name or self.kind if where is None else f"{self.name or self.kind}, {where.absolute()}"
 

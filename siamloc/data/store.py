@@ -1,4 +1,4 @@
-"""Decoded panoramas on disk: `<cache>/<key>/{panoramas.npy, store.json}`, made once, whole or not at all."""
+"""Decoded panoramas on disk: `<cache>/<key>/{panoramas.npy, store.json}`, made once, completely or not at all."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Store:
     """The panoramas of a list of images.
 
     Attributes:
-        folder: where they lie. Its name is the store's key: a hash of the images' names, sizes and times and of the
-            preprocessing.
+        folder: folder of the store. Its name is the store's key: a hash of the images' names, sizes and times and of
+            the preprocessing.
         panoramas: (N, 3, H, W), uint8, RGB, memory-mapped and read-only.
-        kept: which images of the list they show (N,).
+        kept: positions in the list of the images that the panoramas show (N,).
         rejected: images that could not be read, each as {"path": ..., "reason": ...}.
     """
 
@@ -59,21 +59,21 @@ def open_store(
 ) -> Store:
     """Open the store of these images in a cache folder, or decode them and make it first.
 
-    Two processes that ask for the same store build it once: the second one waits. What an interrupted build leaves
+    If two processes ask for the same store, it is built once: the second one waits. What an interrupted build leaves
     behind is never taken for a store, and the next build removes it.
 
     Args:
         paths: images to decode.
-        cache: folder of the stores, made if need be.
+        cache: folder of the stores, created if necessary.
         preprocessing: how an image becomes a panorama.
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
-        workers: decoding threads; one for each core, up to 16, if None.
+        workers: decoding threads; one per core, up to 16, if None.
 
     Raises:
         ConfigError: a camera that does not fit the images, or a number of workers that makes no sense.
-        DataError: no image readable, or an unreadable one and `on_error` is "raise".
+        DataError: no readable image, or an unreadable one if `on_error` is "raise".
         FormatError: the store was written by a newer version.
-        StorageError: the disk is full or refuses, or has no locks.
+        StorageError: the disk is full, cannot be written to, or does not support locks.
     """
     if workers is not None and workers < 1:
         raise ConfigError(f"decoding needs at least one worker, got {workers}")
@@ -91,7 +91,7 @@ def _key(paths: Sequence[str], preprocessing: Preprocessing) -> str:
     files: list[list[Any]] = []
     for path in paths:
         try:
-            status = os.stat(path)  # noqa: PTH116 (ten thousands of paths)
+            status = os.stat(path)  # noqa: PTH116 (tens of thousands of paths)
             files.append([os.path.abspath(path), status.st_size, status.st_mtime_ns])  # noqa: PTH100
         except (OSError, ValueError):
             files.append([os.path.abspath(path), None, None])  # noqa: PTH100
@@ -99,7 +99,7 @@ def _key(paths: Sequence[str], preprocessing: Preprocessing) -> str:
 
 
 def _load(folder: Path, total: int) -> Store | None:
-    """Open a store of `total` images, or return None if there is none that is whole.
+    """Open a store of `total` images, or return None if there is no complete one.
 
     Raises:
         FormatError: the store was written by a newer version.
@@ -144,7 +144,7 @@ def _reopened(folder: Path, total: int) -> Store:
 
 
 def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> Store:
-    """Decode the images into a new store, or take the one that another process makes in the meantime."""
+    """Decode the images into a new store, or open the one that another process makes in the meantime."""
     _require_a_folder(paths)
     with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -162,10 +162,10 @@ def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
 
 
 def _require_a_folder(paths: Sequence[str]) -> None:
-    """Tell lists that came without their images from images that cannot be read.
+    """Distinguish lists that come without images from images that cannot be read.
 
     Raises:
-        DataError: there are paths, and none of their folders exists.
+        DataError: there are paths, but none of their folders exists.
     """
     folders = list(dict.fromkeys(Path(path).parent for path in paths))
     if folders and not any(folder.exists() for folder in folders):
@@ -215,7 +215,7 @@ def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
 def _decoded(
     paths: Sequence[str], preprocessing: Preprocessing, workers: int
 ) -> Iterator[NDArray[np.uint8] | UnreadableImageError]:
-    """Yield the panoramas in order, decoded by threads that run only a little ahead."""
+    """Yield the panoramas in order; threads decode them only a little ahead."""
 
     def decode(path: str) -> NDArray[np.uint8] | UnreadableImageError:
         try:
@@ -237,7 +237,7 @@ def _decoded(
 
 
 def _reserve(file: BinaryIO, size: int) -> None:
-    """Ask the disk for all the space at once, so that a full one refuses before the work is done."""
+    """Reserve all the disk space at once, so that a full disk is noticed before the work is done."""
     if hasattr(os, "posix_fallocate"):
         try:
             os.posix_fallocate(file.fileno(), 0, size)
@@ -261,7 +261,7 @@ def _header(shape: tuple[int, ...]) -> bytes:
 
 @contextmanager
 def _locked(folder: Path, wait: bool = True) -> Iterator[bool]:
-    """Hold the lock of a store, and yield whether it could be had; the system frees it if the process dies."""
+    """Hold the lock of a store, and yield whether it was acquired; the system frees it if the process dies."""
     from filelock import FileLock, Timeout
 
     lock = FileLock(_lock_of(folder), mode=0o666)
@@ -285,7 +285,7 @@ def _locked(folder: Path, wait: bool = True) -> Iterator[bool]:
 
 
 def _remove_stale(folder: Path) -> None:
-    """Remove what killed builds left: of this store, whose lock is held here, and of others that nobody builds."""
+    """Remove what killed builds left behind: of this store, whose lock is held here, and of others not being built."""
     for path in folder.parent.glob(".*.tmp"):
         owner = folder.with_name(path.name[1:].split(".", 1)[0])
         if owner == folder:

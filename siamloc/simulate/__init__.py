@@ -1,4 +1,4 @@
-"""Simulated buildings: they are furnished, lit and photographed by ray casting, and written in COLD's own layout.
+"""Simulated buildings: furnished, lit, rendered by ray casting, and written in COLD's own layout.
 
     from siamloc.simulate import simulate
 
@@ -12,11 +12,11 @@ or, step by step, without files:
     scene = build_scene(load_building("mini"), Run("night", 1))
     panoramas = render(scene, scene.state.track.poses[:3])  # (3, 128, 512, 3) uint8
 
-From a building's YAML file to a panorama, in the order of the work: `layout` (what a building consists of), `parse` and
-`load` (its file), `floor_plans`, `furnishing`, `route` and `draw` (one that is drawn from a seed), `plan` (free space),
-`trajectory` and `run` (one drive), `mesh`, `shell`, `furniture`, `fittings`, `textures` and `prints` (what is seen),
-`sky` and `light` (what shines), `scene` (all of it), `camera` and `render` (pictures), `views` (many quick ones),
-`config` and `produce` (the data set). Rendering needs the package embreex, the extra "simulate".
+The modules, from a building's YAML file to a panorama: `layout` (what a building consists of), `parse` and `load` (its
+file), `floor_plans`, `furnishing`, `route` and `draw` (a building drawn from a seed), `plan` (free space), `trajectory`
+and `run` (one drive), `mesh`, `shell`, `furniture`, `fittings`, `textures` and `prints` (what is visible), `sky` and
+`light` (light sources), `scene` (all of these), `camera` and `render` (images), `views` (many images, quickly),
+`config` and `produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
 """
 
 from siamloc.simulate.config import STANDARD_RUNS, SimulateConfig

@@ -1,4 +1,4 @@
-"""The cameras: which way every pixel looks, and how light becomes pixels (exposure, glare, noise, gamma)."""
+"""The cameras: where each pixel looks, and how light becomes pixel values (exposure, glare, noise, gamma)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from siamloc.simulate.layout import Array, single
 
 #: Height of the viewpoint above the floor in metres.
 HEIGHT = 0.95
-#: Positions in a pixel of the rays that smooth edges, as shares of it; the first one is the middle.
+#: Positions within a pixel of the rays that smooth edges, as fractions of a pixel; the first is the middle.
 OFFSETS = ((0.0, 0.0), (-0.35, 0.15), (0.15, 0.35), (0.25, -0.3))
 _RIM, _BODY = 236.0, 24.0
 _VIGNETTE = 0.42
@@ -22,13 +22,13 @@ _VIGNETTE = 0.42
 
 @dataclass(frozen=True)
 class Pixels:
-    """The pixels of a picture that see something.
+    """The pixels of an image that see something.
 
     Attributes:
-        rows: of each (n,).
-        columns: of each (n,).
+        rows: row of each pixel (n,).
+        columns: column of each pixel (n,).
         directions: unit vectors in the robot's frame for each entry of OFFSETS (4, n, 3), float32.
-        spread: angle that a pixel covers in rad (n,).
+        spread: angle in rad that a pixel covers (n,).
         vignette: share of the light that arrives (n,).
     """
 
@@ -41,7 +41,7 @@ class Pixels:
 
 @dataclass(frozen=True)
 class PanoramaCamera:
-    """A camera that takes panoramas directly, as unwrapping would make them."""
+    """A camera that takes panoramas directly, like those that unwrapping produces."""
 
     view: PanoramaView = field(default_factory=PanoramaView)
     wraps: bool = True
@@ -69,7 +69,7 @@ class PanoramaCamera:
 
 @dataclass(frozen=True)
 class OmnidirectionalCamera:
-    """The camera below a hyperbolic mirror; its picture is a ring with the camera's own reflection in the middle."""
+    """A camera below a hyperbolic mirror; its image is a ring with the camera's own reflection in the middle."""
 
     mirror: HyperbolicMirror = field(default_factory=HyperbolicMirror)
     wraps: bool = False
@@ -97,7 +97,7 @@ def make_camera(name: str) -> Camera:
     """Return the camera called "omnidirectional" or "panorama".
 
     Raises:
-        ConfigError: another name.
+        ConfigError: any other name.
     """
     if name not in CAMERAS:
         raise ConfigError(f"camera {name!r} is unknown; {hint(name, CAMERAS)}")
@@ -137,7 +137,7 @@ def _mirror_pixels(mirror: HyperbolicMirror) -> Pixels:
 
 
 def _vignette(directions: Array) -> Array:
-    """Return the share of the light that reaches the sensor: less towards the rim of the mirror."""
+    """Return the share of the light that reaches the sensor, which falls off towards the rim of the mirror."""
     pixel = HyperbolicMirror().project(np.asarray(directions, dtype=np.float64))
     radius = np.hypot(pixel[:, 0] - 319.5, pixel[:, 1] - 239.5) / _RIM
     return (1 - _VIGNETTE * np.clip(radius, 0, 1.1) ** 4).astype(np.float32)
@@ -152,12 +152,12 @@ _BANK = 1 << 21
 
 @dataclass(frozen=True)
 class Exposure:
-    """How the camera was set for every frame of a run.
+    """Camera settings for every frame of a run.
 
     Attributes:
         gain: pixel value per radiosity (n,).
         balance: colour gains of the run (3,).
-        seconds: how long the shutter stood open (n,).
+        seconds: how long the shutter is open (n,).
     """
 
     gain: Array
@@ -166,10 +166,10 @@ class Exposure:
 
 
 def expose(brightness: Array, colour: Array, time: Array, offset: float) -> Exposure:
-    """Follow the brightness as an automatic exposure does.
+    """Follow the brightness as automatic exposure does.
 
     Args:
-        brightness: radiosity of k directions in every frame (n, k).
+        brightness: radiosity in k directions in every frame (n, k).
         colour: mean colour of the run (3,).
         time: seconds (n,).
         offset: exposure compensation of the run in stops.
@@ -187,7 +187,7 @@ def expose(brightness: Array, colour: Array, time: Array, offset: float) -> Expo
 
 
 def metered(values: Array, steps: int = 24) -> float:
-    """Return the gain at which the mean of the clipped pixels is mid grey, the more exactly the more steps."""
+    """Return the gain at which the mean of the clipped pixels is mid grey; more steps make it more exact."""
     low, high = np.log(1e-3), np.log(1e2)
     for _ in range(steps):
         middle = (low + high) / 2
@@ -199,13 +199,13 @@ def metered(values: Array, steps: int = 24) -> float:
 
 
 def develop(light: Array, gain: float, balance: Array, wraps: bool, rng: np.random.Generator, quiet: float) -> Array:
-    """Turn radiosity (rows, columns, 3) into a uint8 picture.
+    """Turn radiosity (rows, columns, 3) into a uint8 image.
 
     Args:
         light: radiosity after lens and motion.
         gain: pixel value per radiosity.
         balance: colour gains (3,).
-        wraps: the left rim continues at the right one.
+        wraps: whether the left edge continues at the right one.
         rng: draws the noise.
         quiet: scale of the noise; below 1 where unwrapping would have averaged it.
     """
@@ -222,13 +222,13 @@ def develop(light: Array, gain: float, balance: Array, wraps: bool, rng: np.rand
 
 
 def _glare(value: Array, wraps: bool) -> None:
-    """Let what is too bright spill over its surroundings, in place."""
+    """Let what is too bright spill into its surroundings, in place."""
     height, width = value.shape[:2]
     small = cv2.resize(value, (width // 4, height // 4), interpolation=cv2.INTER_AREA)
     excess = np.clip(small - 1, 0, 40)
     if not excess.any():
         return
-    scale = height / 128 if wraps else 1.0  # a panorama of fewer rows has fewer pixels to a degree
+    scale = height / 128 if wraps else 1.0  # a panorama with fewer rows has fewer pixels per degree
     pad = round(24 * scale)
     mode = "wrap" if wraps else "edge"
     excess = np.pad(excess, ((0, 0), (pad, pad), (0, 0)), mode=mode)  # type: ignore[call-overload]

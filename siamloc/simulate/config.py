@@ -1,4 +1,4 @@
-"""What `simulate` is asked to do."""
+"""The settings of `simulate`."""
 
 from __future__ import annotations
 
@@ -42,24 +42,25 @@ _RULES: dict[str, Rule] = {
 
 @dataclass(frozen=True, kw_only=True)
 class SimulateConfig:
-    """The settings of `simulate`; a setting without a meaning raises a ConfigError.
+    """The settings of `simulate`; an invalid value raises a ConfigError.
 
     Attributes:
-        out: folder that receives `<building>/part_a/seq2_cloudy1/...`.
+        out: output folder, which receives `<building>/part_a/seq2_cloudy1/...`.
         building: name of a built-in building, "random", or a YAML file.
-        seed: draws everything; equal seeds give equal bytes.
-        path: name of the building's path.
+        seed: seed of all random draws; equal seeds give equal bytes.
+        path: name of one of the building's paths.
         runs: lightings with numbers, such as ("cloudy1", "night2").
         spacing: metres between frames.
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
-        trajectory: a `places.lst`; one image is rendered for each pose under its listed name, in one run with the
-            lighting that the list's own name contains, unless runs are given. Poses are checked for collisions, the
-            ways between them are not.
-        frames: at most so many frames of each run; all if None.
-        workers: processes; as many as there are processors (at most 8) if None.
-        quality: of the JPEG files, 1 to 100.
+        trajectory: a `places.lst`; one image is rendered for each pose, under its listed name, in one run with the
+            lighting that the list's file name contains, unless runs are given. Poses are checked for collisions, but
+            not the ways between them.
+        frames: largest number of frames per run; all if None.
+        workers: number of processes; as many as there are processors (at most 8) if None.
+        quality: quality of the JPEG files, 1 to 100.
         preview: write a contact sheet and a floor plan instead of the data set.
-        overwrite: replace what another configuration rendered into the folder; whole images of this one stay.
+        overwrite: replace images in the folder that another configuration rendered; complete images of this
+            configuration are kept.
 
     >>> SimulateConfig(building="mini", runs=("cloudy1", "night1")).drives()[1].name
     'seq2_night1'
@@ -98,7 +99,7 @@ class SimulateConfig:
             raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
 
     def drives(self) -> list[Run]:
-        """Return the runs to render; for a list of poses the one in its name, unless other runs are given."""
+        """Return the runs to render; for a list of poses, the one in its name, unless other runs are given."""
         if self.trajectory is not None and self.runs == STANDARD_RUNS:
             lighting = lighting_in(Path(self.trajectory).name) or "cloudy"
             return [Run.parse(f"{lighting}1", self.path, self.spacing, self.trajectory)]
@@ -106,10 +107,10 @@ class SimulateConfig:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> SimulateConfig:
-        """Make a configuration from settings by name, as the command line gives them.
+        """Make a configuration from settings by name, as given on the command line.
 
         Raises:
-            ConfigError: an unknown key, or a value without a meaning.
+            ConfigError: an unknown key, or an invalid value.
 
         >>> SimulateConfig.of({"out": "data", "runs": ["night1"], "camera": "panorama"}).runs
         ('night1',)

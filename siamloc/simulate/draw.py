@@ -1,4 +1,4 @@
-"""Drawing a building from a seed: plan, doors, windows, materials, furniture, and the robot's ways through it."""
+"""Draw a building from a seed: plan, doors, windows, materials, furniture, and the robot's paths through it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def draw_building(seed: int) -> Entry:
     ['doors', 'height', 'materials', 'name', 'north', 'paths', 'rooms']
     """
     for attempt in range(_ATTEMPTS):
-        # Now and then the furniture leaves no way, or a window meets a wall; then another one is drawn.
+        # Sometimes the furniture blocks the way, or a window meets a wall; then another building is drawn.
         with suppress(DataError):
             return _drawn(seed, seeded(seed, attempt, "random building"))
     return _drawn(seed, seeded(seed, _ATTEMPTS, "random building"))
@@ -69,7 +69,7 @@ def _drawn(seed: int, rng: Rng) -> Entry:
 
 
 def _walled(plan: Plan, doors: list[Entry]) -> list[Entry]:
-    """Add to each door in which wall of either room it is."""
+    """Add to each door the wall that it is in, for both of its rooms."""
     by_name = {cell.name: cell for cell in plan.cells}
     found = []
     for door in doors:
@@ -85,7 +85,7 @@ def _walled(plan: Plan, doors: list[Entry]) -> list[Entry]:
 
 
 def _materials(rng: Rng) -> Any:
-    """Draw what a building is made of, and return the entries of a room by its use."""
+    """Draw the materials of a building, and return a function that gives the entries of a room by its use."""
     walls = str(rng.choice(["paint", "paint", "paint", "paint", "concrete", "brick", "stripes", "panelling"]))
     ceiling = str(rng.choice(["ceiling_panels", "paint", "paint", "concrete", "panelling"]))
     white = rng.random() < 0.65
@@ -98,7 +98,7 @@ def _materials(rng: Rng) -> Any:
 
     def of_room(use: str) -> Entry:
         suitable = USES[use].floors
-        if use not in floors:  # most rooms have the floor of others
+        if use not in floors:  # most rooms share their floor with others
             shared = [floor for floor in floors.values() if floor in suitable]
             floors[use] = str(rng.choice(shared if shared and rng.random() < 0.6 else suitable))
         entry: Entry = {"floor": floors[use] if rng.random() < 0.85 else str(rng.choice(suitable))}
@@ -116,7 +116,7 @@ def _materials(rng: Rng) -> Any:
 
 
 def _paint(rng: Rng) -> list[float]:
-    """Draw the linear colour of a wall: mostly light, now and then strong."""
+    """Draw the linear colour of a wall: mostly light, sometimes strong."""
     strong = rng.random() < 0.2
     colour = rng.uniform(0.25, 1.0, 3) if strong else rng.uniform(0.7, 1.0, 3)
     return [round(float(value), 2) for value in colour]
@@ -142,7 +142,7 @@ def _window_style(rng: Rng, height: float) -> Entry:
 
 
 def _windows(cell: Cell, plan: Plan, style: Entry, rng: Rng) -> list[Entry]:
-    """Put windows into the walls that look outside."""
+    """Put windows into the outer walls."""
     found: list[Entry] = []
     chance = style["walls"] * (0.15 if cell.use in ("storage", "toilet", "bath") else 1.0)
     for side in SIDES:
@@ -160,16 +160,16 @@ def _windows(cell: Cell, plan: Plan, style: Entry, rng: Rng) -> list[Entry]:
 
 
 def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
-    """Find the robot's ways.
+    """Find the robot's paths.
 
     Raises:
-        DataError: there is no way.
+        DataError: there is no way through the building.
     """
     building = parse_building(content, seed, content["name"])
     space = FreeSpace(building)
     start_cells = space.inside(plan.cells[0].x, plan.cells[0].y)
     if not len(start_cells):
-        raise DataError("the robot has no place to set out from")
+        raise DataError("the robot has nowhere to start from")
     start = int(start_cells[np.argmin(space.points[start_cells].sum(axis=1))])
     seen = space.reachable(start)
     places = {cell.name: visits(space, cell.x, cell.y, seen, rng) for cell in plan.cells}
@@ -181,7 +181,7 @@ def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
         stops = [start]
         for cell in cells:
             left = list(places[cell])
-            while left:  # the nearest one next
+            while left:  # the nearest one is next
                 here = space.points[stops[-1]]
                 following = min(left, key=lambda one: float(np.linalg.norm(space.points[one] - here)))
                 left.remove(following)
@@ -194,7 +194,7 @@ def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
 
 
 def _order(plan: Plan) -> list[str]:
-    """Return the cells in the order in which one comes through their doors, each wing to its end before the next."""
+    """Return the cells in the order in which their doors lead to them, finishing each wing before the next."""
     beyond: dict[str, list[str]] = {cell.name: [] for cell in plan.cells}
     for one, other, _ in plan.doors:
         beyond[one].append(other)
@@ -211,6 +211,6 @@ def _order(plan: Plan) -> list[str]:
 
 
 def _check(building: Building, way: Array) -> None:
-    """Raise DataError where rounding the corners of a way leads into something."""
+    """Raise DataError if rounding the corners of a way leads into an obstacle."""
     if blocked_points(building, rounded(way)).any():
         raise DataError("the robot's way is too narrow")

@@ -1,4 +1,4 @@
-"""What is not office furniture: machines, kitchen, toilet, stairs, people, and what hangs on walls."""
+"""Items other than office furniture: machines, kitchen, toilet, stairs, people, and items that hang on walls."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def urinals(b: MeshBuilder, item: Item, _: Rng) -> None:
 
 
 def stairs_up(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A flight that rises from its front to its back."""
+    """A flight of stairs that rises from its front to its back."""
     w, d, h = item.size
     steps = max(2, round(h / 0.17))
     for i in range(steps):
@@ -139,7 +139,7 @@ def stairs_up(b: MeshBuilder, item: Item, _: Rng) -> None:
 
 
 def stairs_down(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """The head of a flight that leads down: dark steps behind a railing, seen as lowered floor."""
+    """The head of a flight of stairs that leads down: dark steps behind a railing, which look like a lowered floor."""
     w, d, h = item.size
     steps = 8
     for i in range(steps):
@@ -250,7 +250,7 @@ def extinguisher(b: MeshBuilder, item: Item, _: Rng) -> None:
 
 
 def blind_door(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A shut door to a room that is not part of the building."""
+    """A closed door to a room that is not part of the building."""
     w, d, h = item.size
     wood = str(item.options.get("wood", "beech"))
     frame = colour_of(item, rng, ((0.10, 0.13, 0.20),))
@@ -263,7 +263,7 @@ def blind_door(b: MeshBuilder, item: Item, rng: Rng) -> None:
 
 
 def elevator(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A lift's steel doors."""
+    """The steel doors of a lift."""
     w, d, h = item.size
     b.box((-w / 2, -d / 2, 0), (-0.005, d / 4, h), "metal", skip=("back", "bottom"))
     b.box((0.005, -d / 2, 0), (w / 2, d / 4, h), "metal", skip=("back", "bottom"))
@@ -283,7 +283,7 @@ def coats(b: MeshBuilder, item: Item, rng: Rng) -> None:
 
 
 def block(texture: str, tint: Point = WHITE, skip: tuple[str, ...] = (), front: str | None = None) -> Builder:
-    """Return the builder of a plain box, with a picture on its front if one is named."""
+    """Return the builder of a plain box, with a picture on its front if one is given."""
 
     def build(b: MeshBuilder, item: Item, _: Rng) -> None:
         w, d, h = item.size
@@ -295,11 +295,11 @@ def block(texture: str, tint: Point = WHITE, skip: tuple[str, ...] = (), front: 
 def hung(
     build: Builder, width: float, height: float, z: float, depth: float = 0.03, options: tuple[str, ...] = ()
 ) -> Kind:
-    """Return a kind of thing that hangs on a wall, out of a robot's way."""
+    """Return a kind of item that hangs on a wall, out of a robot's way."""
     return Kind(build, (width, depth, height), z, blocks=False, options=options)
 
 
-#: The other kinds, with their usual sizes; those that hang do not stop a robot.
+#: The other kinds, with their usual sizes; those that hang do not block a robot.
 FITTINGS: dict[str, Kind] = {
     "copier": Kind(copier, (0.7, 0.7, 1.15)),
     "printer_table": Kind(printer_table, (0.8, 0.6, 0.7)),

@@ -1,4 +1,4 @@
-"""Floor plans of drawn buildings: which rooms there are, where they lie, and which of them are joined by a door."""
+"""Floor plans of drawn buildings: which rooms there are, where they are, and which of them a door joins."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from siamloc.simulate.layout import Interval
 
-#: Distance in metres of a door from the ends of the wall that two cells share, at least.
+#: Smallest distance in metres of a door from the ends of the wall that two cells share.
 _MARGIN = 0.22
 
 
@@ -18,7 +18,7 @@ class Cell:
     """A rectangle of a floor plan.
 
     Attributes:
-        name: unique within the plan.
+        name: unique name within the plan.
         use: key of `furnishing.USES`.
         x: extent in metres.
         y: extent in metres.
@@ -31,11 +31,11 @@ class Cell:
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Area in square metres."""
         return (self.x[1] - self.x[0]) * (self.y[1] - self.y[0])
 
     def shared(self, other: Cell) -> tuple[str, float, Interval] | None:
-        """Return along which axis a wall to another cell runs, its other coordinate and its ends; None without one."""
+        """Return the axis of the wall shared with another cell, its other coordinate and its ends; None without one."""
         for along, across in (("x", "y"), ("y", "x")):
             mine, theirs = getattr(self, across), getattr(other, across)
             for level in (mine[1],) if mine[1] == theirs[0] else (mine[0],) if mine[0] == theirs[1] else ():
@@ -46,7 +46,7 @@ class Cell:
         return None
 
     def outside(self, side: str, others: list[Cell]) -> list[Interval]:
-        """Return the parts of one of its walls behind which no other cell lies."""
+        """Return the parts of one of its walls that have no other cell behind them."""
         along, across = ("x", "y") if side in ("north", "south") else ("y", "x")
         level = getattr(self, across)[1 if side in ("north", "east") else 0]
         parts = [getattr(self, along)]
@@ -64,8 +64,8 @@ class Plan:
     """The cells of a floor, in the order in which a robot may visit them, and their doors.
 
     Attributes:
-        height: of the ceilings in metres.
-        cells: the first is where the robot sets out.
+        height: height of the ceilings in metres.
+        cells: the cells; the robot starts in the first one.
         doors: names of two cells and the kind of the door between them: "leaf", "glass" or "open".
     """
 
@@ -80,7 +80,7 @@ class Plan:
         return cell
 
     def join(self, a: Cell, b: Cell, kind: str) -> bool:
-        """Join two cells by a door, if they share enough of a wall for one."""
+        """Join two cells with a door, if they share enough of a wall for one."""
         found = a.shared(b)
         if found is None or found[2][1] - found[2][0] < 0.95 + 2 * _MARGIN:
             return False
@@ -88,7 +88,7 @@ class Plan:
         return True
 
     def place_doors(self, rng: np.random.Generator) -> list[dict[str, object]]:
-        """Return the doors as a building file has them, each somewhere in the wall that its two cells share."""
+        """Return the doors in the form of a building file, each somewhere in the wall that its two cells share."""
         by_name = {cell.name: cell for cell in self.cells}
         doors: list[dict[str, object]] = []
         for one, other, kind in self.doors:
@@ -117,7 +117,7 @@ def _leaf(rng: np.random.Generator) -> str:
 
 
 def _uses(rng: np.random.Generator, count: int, often: str, others: tuple[str, ...]) -> list[str]:
-    """Draw what rooms are for: about half of them for one thing."""
+    """Draw the uses of rooms: about half of them have the same use."""
     return [often if rng.random() < 0.5 else str(rng.choice(others)) for _ in range(count)]
 
 
@@ -135,7 +135,7 @@ def _row(
     widths: Interval,
     depths: Interval,
 ) -> float:
-    """Add rooms along one side of a corridor, a door to each, and return where the row ends."""
+    """Add rooms along one side of a corridor, each with a door, and return where the row ends."""
     at = start
     depth = float(rng.uniform(*depths))
     for use in uses:
@@ -158,13 +158,13 @@ def _row(
 
 
 def offices(rng: np.random.Generator) -> Plan:
-    """A corridor with rooms on one or two sides, perhaps with a wing at its end."""
+    """Draw a corridor with rooms on one or two sides, perhaps with a wing across its beginning."""
     plan = Plan(float(rng.uniform(2.4, 3.2)))
     often, others = _OFFICE if rng.random() < 0.7 else _SCHOOL
     width = float(rng.uniform(1.6, 3.0))
     both = rng.random() < 0.7
     counts = rng.integers(1 if both else 2, 4 if both else 5, 2)
-    # The corridor is as long as its rows need; they are drawn first, and it is put in front.
+    # The corridor is as long as its rows need: they are drawn first, and it is put before them.
     draft = Plan(plan.height)
     probe = draft.add("corridor", (0.0, 60.0), (-width / 2, width / 2))
     ends = [_row(draft, rng, probe, "north", _uses(rng, int(counts[0]), often, others), 0.0, (2.8, 6.0), (3.2, 6.2))]
@@ -193,13 +193,13 @@ def offices(rng: np.random.Generator) -> Plan:
 
 
 def _trim(plan: Plan) -> None:
-    """Leave out rooms without a door: their corridor ended before they began."""
+    """Leave out rooms without a door: their corridor ends before they begin."""
     kept = {name for door in plan.doors for name in door[:2]}
     plan.cells = [cell for cell in plan.cells if cell.name in kept]
 
 
 def ring(rng: np.random.Generator) -> Plan:
-    """Corridors around a core, rooms on their outer sides."""
+    """Draw corridors around a core, with rooms on their outer sides."""
     plan = Plan(float(rng.uniform(2.5, 3.3)))
     often, others = _OFFICE if rng.random() < 0.6 else _SCHOOL
     wide, long, deep = (float(rng.uniform(*span)) for span in ((1.6, 2.4), (4.5, 9.0), (2.6, 5.5)))
@@ -220,7 +220,7 @@ def ring(rng: np.random.Generator) -> Plan:
 
 
 def home(rng: np.random.Generator) -> Plan:
-    """A flat: a rectangle split into rooms, the most central of which leads to the others."""
+    """Draw a flat: a rectangle split into rooms, the most central of which leads to the others."""
     plan = Plan(float(rng.uniform(2.3, 3.1)))
     size = (float(rng.uniform(7.5, 12.5)), float(rng.uniform(6.5, 10.5)))
     boxes = _split((0.0, size[0]), (0.0, size[1]), float(rng.uniform(9.0, 20.0)), rng)
@@ -275,7 +275,7 @@ def _split(x: Interval, y: Interval, largest: float, rng: np.random.Generator) -
 
 
 def hall(rng: np.random.Generator) -> Plan:
-    """A hall with rooms along one or two of its sides."""
+    """Draw a hall with rooms along one or two of its sides."""
     plan = Plan(float(rng.uniform(2.8, 4.8)))
     use = str(rng.choice(["foyer", "workshop", "canteen", "open_office"]))
     room = plan.add(use, (0.0, float(rng.uniform(8.0, 15.0))), (0.0, float(rng.uniform(6.0, 11.0))))

@@ -1,4 +1,4 @@
-"""Furnishing drawn buildings: what rooms are used for, and what stands and hangs where."""
+"""Furnish drawn buildings: what rooms are used for, and what stands and hangs where."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from siamloc.simulate.layout import HALF_WALL, SIDES, Interval
 Rng = np.random.Generator
 Entry = dict[str, Any]
 _WOODS = ("beech", "wood", "walnut", "plain", "planks")
-#: In front of a door nothing stands so far into the room, in metres.
+#: Depth in metres of the area in front of a door that is kept free.
 _THRESHOLD = 1.05
 _TALL = 1.15
 _HUNG = ("poster", "picture", "poster", "picture", "notice_board", "clock", "room_sign", "shelf_board")
@@ -23,15 +23,15 @@ _HUNG = ("poster", "picture", "poster", "picture", "notice_board", "clock", "roo
 
 @dataclass(frozen=True)
 class Use:
-    """What a room is for.
+    """A use of rooms.
 
     Attributes:
-        code: of the rooms, with the place of their number.
-        floors: floors that suit it.
-        walls: what stands along its walls, the more likely the more often it is named.
-        middle: what stands away from them.
-        hung: what hangs on its walls, besides pictures.
-        density: items along ten metres of wall.
+        code: room code, with a placeholder for the number.
+        floors: suitable floors.
+        walls: items that stand along its walls; more likely the more often they are listed.
+        middle: items that stand away from the walls.
+        hung: items that hang on its walls, in addition to pictures.
+        density: number of items per ten metres of wall.
     """
 
     code: str
@@ -171,7 +171,7 @@ USES: dict[str, Use] = {
 
 
 class Room:
-    """A cell that is being furnished: what stands in it, and where something could still go."""
+    """A cell that is being furnished: what stands in it, and where there is still space."""
 
     def __init__(self, cell: Cell, height: float, doors: list[Entry], windows: list[Entry]) -> None:
         self.cell, self.height, self.windows = cell, height, windows
@@ -196,7 +196,7 @@ class Room:
         return (low, high, *across) if side in ("north", "south") else (*across, low, high)
 
     def span(self, side: str) -> Interval:
-        """Return where a wall begins and ends."""
+        """Return the start and end of a wall."""
         return self.x if side in ("north", "south") else self.y
 
     def stand(self, side: str, at: float, size: tuple[float, float, float], entry: Entry) -> bool:
@@ -248,7 +248,7 @@ class Room:
         return True
 
     def hang(self, side: str, at: float, size: tuple[float, float, float], z: float, entry: Entry) -> bool:
-        """Hang something on a wall, beside doors, windows, furniture, and what hangs there already."""
+        """Hang an item on a wall, if doors, windows, furniture and what already hangs there leave room for it."""
         w, _, h = size
         low, high = self.span(side)
         across = (at - w / 2 - 0.04, at + w / 2 + 0.04)
@@ -287,13 +287,13 @@ class Room:
 
 
 def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
-    """Draw what stands and hangs in a room, as a building file has it.
+    """Draw what stands and hangs in a room, in the form of a building file.
 
     Args:
-        room: where; with its doors and windows.
+        room: the room with its doors and windows.
         style: draws what all of its furniture has in common.
         rng: draws the rest.
-        density: how much, 1 for the usual.
+        density: amount of furniture; 1 is the usual amount.
     """
     use = USES[room.cell.use]
     common: Entry = {"wood": str(style.choice(_WOODS)), "colour": [round(float(v), 2) for v in _colour(style)]}
@@ -303,7 +303,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
             _in_the_middle(room, str(rng.choice(use.middle)), common, rng)
     length = 2 * (room.x[1] - room.x[0] + room.y[1] - room.y[0])
     for number in range(max(1, round(length / 10 * use.density * density))):
-        # What a room is named for comes first.
+        # The most characteristic item of the room comes first.
         kind = use.walls[0] if number == 0 else str(rng.choice(use.walls))
         for _ in range(6):
             side = str(rng.choice(list(SIDES)))
@@ -322,7 +322,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
 
 
 def _colour(rng: Rng) -> tuple[float, float, float]:
-    """Draw a linear colour: often grey, seldom strong."""
+    """Draw a linear colour: often grey, rarely strong."""
     grey = rng.uniform(0.04, 0.7)
     tint = rng.uniform(0.5, 1.5, 3) ** rng.choice([0.2, 1.0, 2.0])
     red, green, blue = np.clip(grey * tint / tint.mean(), 0.01, 0.9)
@@ -341,7 +341,7 @@ def _sized(kind: str, rng: Rng) -> tuple[float, float, float]:
 
 
 def _entry(kind: str, common: Entry, rng: Rng) -> Entry:
-    """Return the entry of an item, with the options that its kind knows."""
+    """Return the entry of an item, with the options that its kind supports."""
     entry: Entry = {"kind": kind}
     known = KINDS[kind].options
     if "wood" in known and rng.random() < 0.8:
@@ -381,7 +381,7 @@ def _along_a_wall(room: Room, kind: str, side: str, at: float, common: Entry, rn
 
 
 def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
-    """Put a group of things away from the walls, with a passage around it."""
+    """Place a group of items away from the walls, with a passage around it."""
     margin = 0.95
     (x0, x1), (y0, y1) = room.x, room.y
     if min(x1 - x0, y1 - y0) < 2 * margin + 0.4:

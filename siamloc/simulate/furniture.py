@@ -1,7 +1,7 @@
-"""Office furniture: one builder for each kind, and at the end of the file the table of kinds.
+"""Office furniture: one builder for each kind, and a table of the kinds at the end of the file.
 
-In an item's frame x runs across, its back is at y = -depth/2 and its front at y = +depth/2, z = 0 is its foot. A new
-kind is a builder and a line in the table.
+In an item's frame, x runs across, its back is at y = -depth/2, its front at y = +depth/2, and its base at z = 0. To
+add a kind, write a builder and add a line to the table.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ CLOTHES: tuple[Colour, ...] = (
 
 @dataclass(frozen=True)
 class Kind:
-    """What all things of one kind have in common.
+    """Properties that all items of a kind have in common.
 
     Attributes:
         build: adds one item to a mesh; the generator draws its details.
         size: usual width, depth and height in metres.
-        z: usual height of the foot above the floor in metres.
-        blocks: a robot has to drive around it.
+        z: usual height of the base above the floor in metres.
+        blocks: whether a robot has to drive around it.
         moves: how far it moves from run to run, in metres.
         turns: how far it turns from run to run, in degrees.
-        options: further keys of the building file.
+        options: further keys that the building file may give.
     """
 
     build: Builder
@@ -57,7 +57,7 @@ class Kind:
 
 
 def colour_of(item: Item, rng: Rng, palette: tuple[Colour, ...]) -> Colour:
-    """Return the item's own colour if the file gives one, else one of the palette."""
+    """Return the item's own colour if the file gives one, else one from the palette."""
     drawn = palette[int(rng.integers(len(palette)))]
     own: Any = item.options.get("colour")
     return (float(own[0]), float(own[1]), float(own[2])) if own is not None else drawn
@@ -97,7 +97,7 @@ def desk(b: MeshBuilder, item: Item, rng: Rng) -> None:
 
 
 def monitor(b: MeshBuilder, rng: Rng) -> None:
-    """A flat screen with its picture on; its front looks along y."""
+    """A flat screen, on or off; its front faces along y."""
     on = rng.random() < 0.75
     b.box((-0.26, -0.02, 0.11), (0.26, 0.02, 0.45), "plastic", BLACKISH)
     face = ((0.25, 0.022, 0.12), (-0.25, 0.022, 0.12), (-0.25, 0.022, 0.44), (0.25, 0.022, 0.44))
@@ -131,7 +131,7 @@ def clutter(b: MeshBuilder, x: float, y: float, z: float, rng: Rng) -> None:
 
 
 def chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A swivel chair; whoever sits on it looks to its front."""
+    """A swivel chair; a person sitting on it faces its front."""
     colour = colour_of(item, rng, SEATS)
     b.box((-0.24, -0.22, 0.43), (0.24, 0.24, 0.51), "fabric", colour)
     b.box((-0.22, -0.28, 0.60), (0.22, -0.22, 1.0), "fabric", colour)
@@ -300,7 +300,7 @@ def carton(b: MeshBuilder, item: Item, rng: Rng) -> None:
 
 
 def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A pot plant."""
+    """A potted plant."""
     w, _, h = item.size
     b.prism(0, 0, (0, 0.32), (w * 0.25, w * 0.33), "plastic", (0.45, 0.16, 0.08))
     b.prism(0, 0, (0.3, h * 0.55), 0.025, "wood", (0.4, 0.4, 0.4), sides=5)
@@ -314,7 +314,7 @@ def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
 
 
 def floor_lamp(b: MeshBuilder, item: Item, _: Rng) -> None:
-    """A standing lamp (not lit)."""
+    """A floor lamp (not lit)."""
     h = item.size[2]
     b.prism(0, 0, (0, 0.03), 0.16, "metal", BLACKISH)
     b.prism(0, 0, (0.03, h - 0.3), 0.015, "metal", BLACKISH, sides=5)
@@ -322,7 +322,7 @@ def floor_lamp(b: MeshBuilder, item: Item, _: Rng) -> None:
 
 
 def bed(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A bed, its head at its back."""
+    """A bed with its head at its back."""
     w, d, h = item.size
     colour = colour_of(item, rng, SEATS)
     wood = str(item.options.get("wood", "beech"))
@@ -359,7 +359,7 @@ def rug(b: MeshBuilder, item: Item, rng: Rng) -> None:
 
 
 def wardrobe(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A wardrobe of wood with its doors."""
+    """A wooden wardrobe with doors."""
     w, d, h = item.size
     wood = str(item.options.get("wood", "beech"))
     b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), wood, skip=("bottom", "back"))

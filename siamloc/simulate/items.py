@@ -1,4 +1,4 @@
-"""The things in a building: all their kinds by name, and how they become quads."""
+"""The items in a building: all kinds by name, and how they become quads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ KINDS = FURNITURE | FITTINGS
 
 
 def add_items(builder: MeshBuilder, building: Building, items: Iterable[Item]) -> None:
-    """Add items to a mesh; an item's details depend on its place in the list and its own look, not on the run."""
+    """Add items to a mesh; an item's details depend on its position in the list and its look, not on the run."""
     for number, item in enumerate(items):
         builder.room = building.room_index(item.room)
         with builder.at(item.x, item.y, item.z, item.facing - 90):

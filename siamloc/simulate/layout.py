@@ -1,4 +1,4 @@
-"""What a building consists of: rooms, openings, items and paths."""
+"""The parts of a building: rooms, openings, items and paths."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ SIDES = {"north": -90.0, "south": 90.0, "east": 180.0, "west": 0.0}
 
 @dataclass(frozen=True)
 class Item:
-    """A thing in a room.
+    """An item in a room.
 
     Attributes:
         kind: key of `items.KINDS`.
-        x: metres, middle of the footprint.
-        y: metres.
-        facing: direction in degrees, counter-clockwise from +x, in which its front looks.
+        x: middle of the footprint in metres.
+        y: middle of the footprint in metres.
+        facing: direction in degrees, counter-clockwise from +x, that its front faces.
         size: width, depth and height in metres.
-        z: height of its foot above the floor in metres.
+        z: height of its base above the floor in metres.
         room: name of the room.
-        options: what else its builder understands.
-        line: line of the building file, 0 where there is none.
+        options: further options of its builder.
+        line: line of the building file, 0 if there is none.
     """
 
     kind: str
@@ -64,7 +64,7 @@ class Item:
     line: int = 0
 
     def footprint(self, margin: float = 0.0) -> Array:
-        """Return the corners (4, 2) of the rectangle that it covers, counter-clockwise."""
+        """Return the corners (4, 2) of the rectangle that it covers, counter-clockwise, enlarged by a margin."""
         half = np.array([self.size[0] / 2 + margin, self.size[1] / 2 + margin])
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
         angle = np.radians(self.facing - 90)
@@ -80,13 +80,13 @@ class Opening:
         kind: "leaf" (a door with a leaf), "glass" (a door with a glazed leaf), "open" (a passage), "window" (to
             the outside), "pane" (fixed glass between two rooms).
         along: "x" if the wall runs along x, else "y".
-        level: the wall's other coordinate in metres (its middle).
+        level: other coordinate of the wall's middle in metres.
         centre: middle of the opening along the wall in metres.
         width: metres.
-        bottom: metres above the floor.
-        top: metres above the floor.
-        rooms: names of the rooms on both sides; the second is "" where it is the outside.
-        hinge: "low" or "high": at which end along the wall the leaf hangs.
+        bottom: lower edge in metres above the floor.
+        top: upper edge in metres above the floor.
+        rooms: names of the rooms on both sides; the second is "" for the outside.
+        hinge: "low" or "high": the end along the wall where the leaf is hinged.
         into: name of the room into which the leaf swings.
         line: line of the building file.
     """
@@ -105,12 +105,12 @@ class Opening:
 
     @property
     def passable(self) -> bool:
-        """True where a robot may drive through."""
+        """Whether a robot may drive through."""
         return self.kind in ("leaf", "glass", "open")
 
     @property
     def interval(self) -> Interval:
-        """Where the opening begins and ends along the wall."""
+        """Start and end of the opening along the wall."""
         return self.centre - self.width / 2, self.centre + self.width / 2
 
     def point(self, along: float, off: float) -> tuple[float, float]:
@@ -123,16 +123,16 @@ class Room:
     """A rectangular room.
 
     Attributes:
-        name: unique within the building.
-        code: the label that its frames carry; several rooms may share one.
+        name: unique name within the building.
+        code: label of its frames; several rooms may share one.
         x: extent in metres, from the middle of one wall to the middle of the other.
         y: extent in metres.
-        height: of the ceiling in metres.
+        height: height of the ceiling in metres.
         floor: texture of the floor.
         walls: texture of the walls.
         ceiling: texture of the ceiling.
         paint: linear colour that multiplies the walls' texture.
-        wainscot: texture and height in metres of the walls' lower part, or None.
+        wainscot: texture and height in metres of the lower part of the walls, or None.
         lamps: kind ("panel", "tube", "round") and counts along x and y.
         line: line of the building file.
     """
@@ -167,7 +167,7 @@ class Path:
 
     Attributes:
         name: "path1", "path2".
-        points: metres (n, 2).
+        points: waypoints in metres (n, 2).
         lines: lines of the building file, one for each point.
     """
 
@@ -178,19 +178,19 @@ class Path:
 
 @dataclass(frozen=True)
 class Building:
-    """A building as its file and its seed describe it.
+    """A building as described by its file and its seed.
 
     Attributes:
-        name: its name, and that of its folder.
-        seed: draws its pictures, colours and small differences.
-        source: the file it came from, for messages.
+        name: name of the building and of its folder.
+        seed: seed of its pictures, colours and small differences.
+        source: file that it was read from, for messages.
         north: direction of north in degrees counter-clockwise from +x.
         rooms: by name.
         openings: doors, windows and panes.
         items: everything in the rooms.
         paths: by name.
         part: COLD's part letter, "a" or "b".
-        materials: "standard", or "drawn": the colours of its floors, walls and woods follow from the seed, too.
+        materials: "standard", or "drawn": the colours of its floors, walls and woods also follow from the seed.
     """
 
     name: str
@@ -217,7 +217,7 @@ class Building:
         return (opening for opening in self.openings if room in opening.rooms)
 
     def neighbours(self, room: str) -> list[str]:
-        """Return the rooms that light can reach directly from a room, itself first."""
+        """Return the rooms that light can reach directly from a room, starting with the room itself."""
         found = [room]
         for opening in self.openings_of(room):
             found += [other for other in opening.rooms if other and other not in found]

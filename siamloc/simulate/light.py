@@ -1,7 +1,7 @@
-"""Baking light: how much light arrives where, once per run.
+"""Light baking: compute once per run how much light arrives where.
 
-Every quad carries a small grid of light values. Lamps and windows are sampled directly with shadow rays; what the
-surfaces throw back is gathered on a coarser grid whose rays are cast once and then serve every bounce.
+Every quad carries a small grid of light values. Lamps and windows are sampled directly with shadow rays; the light that
+surfaces reflect is gathered on a coarser grid, whose rays are cast once and reused for every bounce.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ _FAINT = 0.003
 
 @dataclass(frozen=True)
 class Detail:
-    """How finely light is computed.
+    """Level of detail at which light is computed.
 
     Attributes:
         fine: metres between the nodes that receive light directly; edges shorter than `fine_single` get one node.
         fine_single: metres.
-        coarse: metres between the nodes that gather what surfaces throw back.
+        coarse: metres between the nodes that gather reflected light; edges shorter than `coarse_single` get one node.
         coarse_single: metres.
-        rays: cast from each node that gathers.
-        bounces: how often light is thrown back.
-        sky: rows of the image of what lies outside.
+        rays: number of rays cast from each gathering node.
+        bounces: how often light is reflected.
+        sky: number of rows of the image of the world outside.
     """
 
     fine: float = 0.11
@@ -44,7 +44,7 @@ class Detail:
     sky: int = 512
 
 
-#: For pictures of 512 columns, and for those of 256.
+#: For images with 512 columns, and for those with 256.
 FULL, ROUGH = Detail(), Detail(0.2, 0.2, 0.5, 0.6, 32, 3, 192)
 
 
@@ -53,9 +53,9 @@ class BakedLight:
     """The light of one run.
 
     Attributes:
-        grid: where the values lie.
+        grid: the grid of nodes that the values belong to.
         light: arriving light without the sun (rows, columns, 3).
-        sunny: True where sun may fall, as 0 or 255 (rows, columns) uint8; None if it shines nowhere.
+        sunny: 255 where the sun may shine, else 0 (rows, columns) uint8; None if it shines nowhere.
     """
 
     grid: LightGrid
@@ -65,7 +65,7 @@ class BakedLight:
 
 @dataclass(frozen=True)
 class _Reach:
-    """Where the light of a lamp or of a piece of a window arrives: nodes, its share, and the way towards it."""
+    """Where the light of a lamp or a piece of a window arrives: nodes, share of the light, directions towards it."""
 
     nodes: Array
     share: Array
@@ -73,15 +73,15 @@ class _Reach:
 
 
 class LightTransport:
-    """How light spreads in a building whose things stay where they are, whatever shines.
+    """How light spreads in a building whose items stay in place, independent of the light sources.
 
-    What every lamp, every window and every surface can see is found once; `bake` is then quick for every light.
+    What every lamp, window and surface can see is computed once; `bake` is then quick for any light.
 
     Args:
         building: rooms and windows.
-        mesh: everything in it.
-        caster: rays against that mesh.
-        detail: how finely.
+        mesh: all surfaces of the building.
+        caster: casts rays against that mesh.
+        detail: level of detail.
     """
 
     def __init__(self, building: Building, mesh: QuadMesh, caster: Caster, detail: Detail = FULL) -> None:
@@ -101,9 +101,9 @@ class LightTransport:
 
         Args:
             albedo: mean colour of every quad (Q, 3).
-            lamps: those that are lit.
-            sky: what shines in through the windows.
-            rng: draws the gathering directions, once, and those that look for the sun.
+            lamps: the lamps that are lit.
+            sky: the light that comes in through the windows.
+            rng: draws the gathering directions, once, and the points from which the sun is looked for.
         """
         mesh, fine, coarse = self.mesh, self.fine, self.coarse
         direct = self._direct(lamps, sky)
@@ -149,7 +149,7 @@ class LightTransport:
         return self._lamps[key][1]
 
     def _reach(self, position: Array, axis: Array, area: float, room: str, least: float, ends: bool) -> _Reach:
-        """Find the nodes that see a surface which shines along an axis; `ends` if nothing beyond it counts."""
+        """Find the nodes that see a surface shining along an axis; with `ends`, only obstacles in front of it count."""
         building, caster, points = self.building, self.caster, self._points
         nodes = np.concatenate([self._by_room[building.room_index(name)] for name in building.neighbours(room)])
         towards = position.astype(np.float32) - points[nodes]
@@ -165,7 +165,7 @@ class LightTransport:
         return _Reach(nodes[seen], share[seen], towards[seen])
 
     def _averaged(self, image: Array) -> Array:
-        """Return the means of a fine image around the coarse nodes (N, ...)."""
+        """Return the mean of a fine image around each coarse node (N, ...)."""
         fine, coarse = self.fine, self.coarse
         radius = max(1, round(self.detail.coarse / self.detail.fine / 2))
         total = np.zeros((len(coarse.quad), *image.shape[2:]), dtype=np.float32)
@@ -194,7 +194,7 @@ def _world(mesh: QuadMesh, quad: Array, place: Array, lift: float = _LIFT) -> Ar
 
 
 def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
-    """Split every window into pieces: middle, direction into the room, area and room of each."""
+    """Split every window into pieces; return middle, direction into the room, area and room of each."""
     pieces = []
     for opening in building.openings:
         if opening.kind != "window":
@@ -221,7 +221,7 @@ def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
 def _sun_patches(
     mesh: QuadMesh, caster: Caster, grid: LightGrid, sun: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return where sun may fall (an image, 0 or 255) and the share of each node's surroundings that it reaches."""
+    """Return where the sun may shine (an image, 0 or 255) and the share of each node's surroundings that it reaches."""
     facing = np.flatnonzero((mesh.normals @ sun > 0.01)[grid.quad])
     reach = 1.0 / np.maximum(grid.count[grid.quad[facing]], 1)
     share = np.zeros(len(grid.quad), dtype=np.float32)
@@ -237,7 +237,7 @@ def _sun_patches(
 
 
 def _gathered_from(mesh: QuadMesh, caster: Caster, grid: LightGrid, rays: int, rng: np.random.Generator) -> Array:
-    """Return which node each ray of each node meets (rays, N); N where it leaves the building."""
+    """Return the node that each ray of each node hits (rays, N); N if it leaves the building."""
     n = len(grid.quad)
     points = _world(mesh, grid.quad, grid.place).astype(np.float32)
     normals = mesh.normals
@@ -263,7 +263,7 @@ def _gathered_from(mesh: QuadMesh, caster: Caster, grid: LightGrid, rays: int, r
 
 
 def _indirect(seen: Array, albedo: Array, start: Array, bounces: int) -> Array:
-    """Gather what all surfaces throw back: `seen` (rays, N), `albedo` (N, 3), `start` the light they get directly."""
+    """Gather the reflected light of all surfaces: `seen` (rays, N), `albedo` (N, 3), `start` their direct light."""
     rays, n = seen.shape
     colour = np.concatenate([albedo, np.zeros((1, 3))]).astype(np.float32)
     lit = np.concatenate([start, np.zeros((1, 3))]).astype(np.float32)
@@ -278,7 +278,7 @@ def _indirect(seen: Array, albedo: Array, start: Array, bounces: int) -> Array:
 
 
 def _smoothed(grid: LightGrid, values: Array) -> Array:
-    """Return the image of values, smoothed inside each quad's grid but not across its borders."""
+    """Return the image of the values, smoothed within each quad's grid but not across its borders."""
     image = grid.image(values)
     known = grid.image(np.ones(len(values), dtype=np.float32))
     weight = cv2.blur(known, (3, 3))
@@ -295,7 +295,7 @@ class LightGrid:
         count: nodes along the first and the last edge (Q, 2).
         shape: rows and columns of the image.
         quad: quad of each node (N,).
-        place: s and t of each node (N, 2).
+        place: position s, t of each node on its quad (N, 2).
         pixel: flat index of each node in the image (N,).
     """
 
@@ -322,7 +322,7 @@ class LightGrid:
         return cls(corner, count, shape, quad, place, pixel)
 
     def position(self, quad: Array, s: Array, t: Array) -> tuple[Array, Array]:
-        """Return the columns and rows in the image that belong to positions on quads."""
+        """Return the columns and rows in the image that correspond to positions on quads."""
         steps = (self.count - 1).astype(np.float32)[quad]
         corner = self.corner[quad]
         return corner[:, 0] + s * steps[:, 0], corner[:, 1] + t * steps[:, 1]

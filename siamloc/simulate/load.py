@@ -1,4 +1,4 @@
-"""Finding a building by its name or its file, or drawing one."""
+"""Find a building by its name or its file, or draw one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from siamloc.simulate.plan import check_paths
 
 
 def building_folder() -> Path:
-    """Return the folder of the built-in buildings: of the source tree, or of the installed package."""
+    """Return the folder of the built-in buildings, in the source tree or in the installed package."""
     package = Path(__file__).resolve().parents[1]
     sources = package.parent / "conf" / "building"
     return sources if sources.is_dir() else package / "conf" / "building"
@@ -33,8 +33,8 @@ def load_building(name_or_path: str | Path, seed: int = 0) -> Building:
     """Load and check a building.
 
     Args:
-        name_or_path: a built-in name, "random" for one drawn from the seed, or a YAML file.
-        seed: draws its pictures, colours and small differences; and all of it for "random".
+        name_or_path: a built-in name, "random" for a building drawn from the seed, or a YAML file.
+        seed: seed of its pictures, colours and small differences; for "random", of the whole building.
 
     >>> load_building("mini")
     Building('mini', seed=0: rooms CR-A, 1PO-A, 2PO1-A, KT-A; 37 items; paths path1, path2)

@@ -1,4 +1,4 @@
-"""Textured, planar quadrilaterals: building up a scene from them, and casting rays against it."""
+"""Textured, planar quadrilaterals: building a scene from them, and casting rays against it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Point = Sequence[float]
 WHITE = (1.0, 1.0, 1.0)
 BLACK = (0.0, 0.0, 0.0)
 
-# Corners of the unit cube's faces, counter-clockwise seen from outside, the first one at the lower left.
+# Corners of the unit cube's faces, counter-clockwise seen from outside, starting at the lower left.
 _FACES = {
     "front": ((1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1)),
     "back": ((0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)),
@@ -31,18 +31,18 @@ _CORNERS = {name: np.array(corners, dtype=np.float64) for name, corners in _FACE
 
 @dataclass(frozen=True)
 class QuadMesh:
-    """Q quadrilaterals with what is painted on them.
+    """Q quadrilaterals with their textures, colours and emission.
 
     Attributes:
-        corners: metres (Q, 4, 3), counter-clockwise seen from the side that shows; the first is the texture's lower
-            left corner.
+        corners: metres (Q, 4, 3), counter-clockwise seen from the visible side; the first is the texture's lower left
+            corner.
         texture: index of the texture (Q,).
         repeat: how often the texture repeats along the first and the last edge (Q, 2).
-        phase: where in the texture the first corner lies (Q, 2).
+        phase: position of the first corner in the texture (Q, 2).
         tint: colour that multiplies the texture (Q, 3), linear.
-        emission: radiosity that the quad sends out by itself where its texture is white (Q, 3).
+        emission: radiosity that the quad itself emits where its texture is white (Q, 3).
         room: index of the room that the quad belongs to (Q,).
-        lamp: share of the radiosity of its room's lamps that the quad sends out besides while they are lit (Q,).
+        lamp: share of the radiosity of its room's lamps that the quad emits in addition while they are lit (Q,).
     """
 
     corners: Array
@@ -64,7 +64,7 @@ class QuadMesh:
 
     @property
     def normals(self) -> Array:
-        """Unit normals (Q, 3) on the side that shows."""
+        """Unit normals (Q, 3) on the visible side."""
         a, b, d = self.corners[:, 0], self.corners[:, 1], self.corners[:, 3]
         normal = np.cross(b - a, d - a)
         return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -93,7 +93,7 @@ class MeshBuilder:
 
     @contextmanager
     def at(self, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> Iterator[None]:
-        """Move the local frame: its y axis turns counter-clockwise by `degrees` from the outer frame's."""
+        """Move the local frame, whose y axis is turned counter-clockwise by `degrees` from the outer frame's."""
         origin, axes = self._origin, self._axes
         cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         self._origin = origin + np.array([x, y, z]) @ axes
@@ -117,7 +117,7 @@ class MeshBuilder:
     ) -> None:
         """Add a planar convex quad; the corners run counter-clockwise from the texture's lower left corner.
 
-        It emits light of its own, or the share `lamp` of what the lamps of its room do while they are lit.
+        It can emit light of its own, or the share `lamp` of the light of its room's lamps while they are lit.
         """
         corners = np.array([a, b, c, d], dtype=np.float64)
         index, tile = self.textures[texture]
@@ -140,7 +140,7 @@ class MeshBuilder:
         faces: dict[str, str] | None = None,
         emission: Point = BLACK,
     ) -> None:
-        """Add a box between two corners; `faces` gives single faces another texture, `skip` leaves faces out."""
+        """Add a box between two corners; `faces` gives some faces another texture, `skip` leaves faces out."""
         start, extent = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64) - np.asarray(low)
         for name, unit in _CORNERS.items():
             if name not in skip:
@@ -187,10 +187,10 @@ class MeshBuilder:
 
 
 def embree() -> tuple[Any, Any]:
-    """Return what casts rays: embreex's class of scenes and its class of meshes.
+    """Return the ray caster: embreex's scene class and its mesh class.
 
     Raises:
-        SiamlocError: embreex is not installed; it is the extra "simulate".
+        SiamlocError: embreex is not installed; the extra "simulate" installs it.
     """
     try:
         from embreex.mesh_construction import TriangleMesh
@@ -209,7 +209,7 @@ class Caster:
         triangles(self._scene, np.ascontiguousarray(mesh.triangles, dtype=np.float32))
 
     def first_hit(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the quad hit (n,), -1 for none, the position on it s, t (n,) and the distance (n,)."""
+        """Return the quad hit (n,), -1 for none, the position s, t on it (n,) and the distance (n,)."""
         hit = self._scene.run(origins, directions, output=True)
         triangle = hit["primID"]
         second = (triangle & 1).astype(bool)

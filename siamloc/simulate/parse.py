@@ -1,4 +1,4 @@
-"""Reading a building file: YAML with the line of every entry kept for messages."""
+"""Read a building file: YAML, keeping the line of every entry for messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from siamloc.simulate.rules import FLAG, LIST, MAPPING, TEXT, WORD, Rule, must_b
 from siamloc.simulate.textures import SURFACES
 
 _SURFACE = one_of(SURFACES)
-#: What the entries of a building file may hold. A key without a value counts as absent.
+#: Rules for the entries of a building file. A key without a value counts as absent.
 _BUILDING = {
     "name": WORD,
     "part": one_of(("a", "b")),
@@ -67,7 +67,7 @@ _ITEM = {
     "size": numbers(3, above=0),
     "z": number(),
 }
-#: What the options of a kind may hold.
+#: Rules for the options of a kind.
 OPTIONS = {
     "colour": numbers(3, at_least=0),
     "content": one_of(("mixed", "books", "binders", "empty")),
@@ -104,7 +104,7 @@ def _text(path: FilePath) -> str:
 
 
 def parse_building(content: Any, seed: int, source: str) -> Building:
-    """Return the building that a parsed file describes; `plan.check_paths` still has to look at its paths.
+    """Return the building that a parsed file describes; its paths still have to be checked with `plan.check_paths`.
 
     Raises:
         DataError: an entry that is missing, unknown, or geometrically impossible.
@@ -124,7 +124,7 @@ class _Parser:
         return DataError(f"{self.source}, line {line}: {message}" if line else f"{self.source}: {message}")
 
     def entry(self, entry: Any, rules: Mapping[str, Rule], what: str, needs: tuple[str, ...] = ()) -> dict[str, Any]:
-        """Return what an entry gives, checked against its rules."""
+        """Return the values of an entry, checked against its rules."""
         if broken := MAPPING(entry):
             raise self.error(entry, f"{what} {broken}")
         given = {key: value for key, value in entry.items() if value is not None}
@@ -371,13 +371,13 @@ class _LineList(list[Any]):
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads YAML into mappings and sequences that know their lines; without aliases, which a few lines make endless."""
+    """Reads YAML into mappings and sequences that know their lines; rejects aliases, which can expand without end."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose the next node, unless it stands for another one."""
+        """Compose the next node, unless it is an alias for another one."""
         if self.check_event(yaml.events.AliasEvent):
             mark = self.peek_event().start_mark
-            raise yaml.composer.ComposerError(None, None, "aliases are not read: write the value itself", mark)
+            raise yaml.composer.ComposerError(None, None, "aliases are not supported: write the value itself", mark)
         return super().compose_node(parent, index)
 
 

@@ -1,4 +1,4 @@
-"""The floor plan as a robot sees it: where it may drive and in which room it is."""
+"""The floor plan from the robot's point of view: where it may drive and which room it is in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from siamloc.simulate.layout import HALF_WALL, Array, Building, Item, Room
 
 
 def room_at(building: Building, points: Array) -> Array:
-    """Return the index of the room that each point (n, 2) lies in, -1 outside; walls are halved."""
+    """Return the index of the room that each point (n, 2) is in, -1 outside; a wall belongs half to each room."""
     points = np.asarray(points, dtype=np.float64)
     found = np.full(len(points), -1)
     for index, room in enumerate(building.rooms.values()):
@@ -29,10 +29,10 @@ def room_codes(building: Building, points: Array) -> list[str]:
 
 
 def obstacles(building: Building, items: Iterable[Item] | None = None) -> tuple[Array, list[str]]:
-    """Return what stops a robot as segments (n, 2, 2) in metres, and what each one is.
+    """Return the obstacles of a robot as segments (n, 2, 2) in metres, and a description of each one.
 
     Args:
-        building: walls and openings; and its items, unless others are given.
+        building: the building with its walls and openings, and with its items unless others are given.
         items: the items of a run.
     """
     segments: list[Array] = []
@@ -92,7 +92,7 @@ def blocked_points(building: Building, points: Array, items: Iterable[Item] | No
 
 
 def inside_item(item: Item, points: Array, margin: float = 0.0) -> Array:
-    """Return True for points (n, 2) over an item's footprint grown by a margin."""
+    """Return True for points (n, 2) inside an item's footprint, enlarged by a margin."""
     angle = np.radians(item.facing - 90)
     cosine, sine = np.cos(angle), np.sin(angle)
     local = (points - (item.x, item.y)) @ np.array([[cosine, -sine], [sine, cosine]])
@@ -117,7 +117,7 @@ def clearance(points: Array, segments: Array) -> Array:
 
 
 def crossings(moves: Array, segments: Array) -> Array:
-    """Return True where a move (n, 2, 2) crosses a segment (m, 2, 2), as (n, m)."""
+    """Return True (n, m) where a move (n, 2, 2) crosses a segment (m, 2, 2)."""
     a, b = moves[:, None, 0], moves[:, None, 1]
     c, d = segments[None, :, 0], segments[None, :, 1]
 

@@ -1,4 +1,4 @@
-"""A contact sheet and a floor plan, to see what a simulation will look like."""
+"""A contact sheet and a floor plan, which preview what a simulation will look like."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def write_preview(building: Building, config: SimulateConfig, folder: Path) -> t
 
 
 def viewpoints(building: Building, track: Track) -> Array:
-    """Return one row of the track for each room code: well inside the room, away from walls."""
+    """Return the row of one frame of the track for each room code: well inside the room, away from walls."""
     segments, _ = obstacles(building)
     rows = []
     for code in building.codes:
@@ -56,7 +56,7 @@ def viewpoints(building: Building, track: Track) -> Array:
 
 @typed
 def panoramas(count: Thousand = 6, building: str = "freiburg_like") -> NDArray[np.uint8]:
-    """Render a few panoramas of a building's rooms, to show something on: (B, 3, 128, 512), uint8, RGB."""
+    """Render a few panoramas of a building's rooms, for demonstrations: (B, 3, 128, 512), uint8, RGB."""
     loaded, run = load_building(building, 0), Run()
     track = draw_run(loaded, run).track
     poses = track.poses[viewpoints(loaded, track)[:count]]

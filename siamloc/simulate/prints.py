@@ -1,4 +1,4 @@
-"""Things with a picture of their own: posters, screens, rows of books, keyboards, signs."""
+"""Textures of items with a picture of their own: posters, screens, rows of books, keyboards, signs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _BRIGHT = np.array(
 
 
 def print_textures(rng: np.random.Generator) -> dict[str, Texture]:
-    """Return the pictures of one building; each name ends with its number."""
+    """Return the pictures of one building; where there are several of a kind, the name ends with a number."""
     drawn: dict[str, Array] = {}
     drawn |= {f"poster{i}": _poster(rng, i) for i in range(POSTERS)}
     drawn |= {f"books{i}": _books(rng, empty=0.06 + 0.05 * (i % 4)) for i in range(BOOK_ROWS)}
@@ -62,7 +62,7 @@ def _pick(rng: np.random.Generator) -> tuple[float, float, float]:
 
 
 def _rectangle(image: Array, x0: float, y0: float, x1: float, y1: float, colour: object) -> None:
-    """Fill a rectangle given in shares of the image."""
+    """Fill a rectangle given in fractions of the image size."""
     a, b, c, d = (round(v * SIZE) for v in (x0, y0, x1, y1))
     image[max(b, 0) : max(d, b + 1), max(a, 0) : max(c, a + 1)] = colour
 
@@ -228,7 +228,7 @@ def _exit_sign() -> Array:
 
 
 def _fronts(rng: np.random.Generator, rows: int, columns: int, split: float | None = None) -> Array:
-    """Doors or drawers of a cabinet with their gaps and handles."""
+    """Draw the doors or drawers of a cabinet with their gaps and handles."""
     image = _blank((0.86, 0.86, 0.85)) + 0.01 * noise(rng, 8)[..., None]
     edges_y = [0.0, split, 1.0] if split else [i / rows for i in range(rows + 1)]
     edges_x = [i / columns for i in range(columns + 1)]

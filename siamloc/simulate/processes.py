@@ -1,4 +1,4 @@
-"""Processes that render: how many, and how they end with the one that started them."""
+"""Rendering processes: how many there are, and how they end together with the process that started them."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ def processors() -> int:
 
 
 def rendering_processes(count: int) -> ProcessPoolExecutor:
-    """Start processes that render; they are spawned, so that a script needs `if __name__ == "__main__":`."""
+    """Start rendering processes; they are spawned, so a script needs `if __name__ == "__main__":`."""
     return ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_prepare)
 
 
 def _prepare() -> None:
-    """Leave one thread to every process; they share the processors, and the first one answers an interruption."""
+    """Limit the process to one thread, since all share the processors; the parent process handles interrupts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
 
 
 def _end_with_parent() -> None:
-    """Stop this process when the first one was killed: nobody would collect its work."""
+    """Stop this process when its parent is killed: nobody would collect its work."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""Writing a simulated data set in COLD's layout with several processes, and resuming an interrupted one."""
+"""Write a simulated data set in COLD's layout with several processes, or resume an interrupted one."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ _BATCH = 16
 
 @dataclass(frozen=True)
 class Summary:
-    """What was written; it prints as a short report.
+    """What was written; prints as a short report.
 
     Attributes:
-        folder: of the building.
-        sequences: frames by run folder.
-        rooms: frames by room code.
-        rendered: frames rendered now, the others were there already.
+        folder: folder of the building.
+        sequences: number of frames by run folder.
+        rooms: number of frames by room code.
+        rendered: number of frames rendered by this call; the others were already there.
         seconds: time taken.
         files: further files, such as the contact sheet.
 
@@ -83,17 +83,17 @@ class Summary:
 def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summary:
     """Render a data set, or resume an interrupted one.
 
-    With several workers, processes are spawned: a script calls this under `if __name__ == "__main__":`.
+    With several workers, processes are spawned: call this under `if __name__ == "__main__":` in a script.
 
     Args:
         config: all settings at once; by default those of the standard benchmark.
-        settings: the fields of `SimulateConfig` by name; they replace those of `config`.
+        settings: the fields of `SimulateConfig` by name; they override those of `config`.
 
     Raises:
-        ConfigError: a setting that does not exist, or a value without a meaning.
-        DataError: an impossible building, a pose inside a wall, or a folder that holds other images.
+        ConfigError: a setting that does not exist, or an invalid value.
+        DataError: an impossible building, a pose inside a wall, or a folder that contains other images.
         SiamlocError: embreex is not installed.
-        StorageError: the disk refuses.
+        StorageError: the disk cannot be written to.
 
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as out:
@@ -127,7 +127,7 @@ def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summar
     return Summary(folder, counts, rooms, total, time.monotonic() - begin)
 
 
-# So that help and tab completion show every setting with its type and default.
+# Lets help and tab completion show every setting with its type and default.
 simulate.__signature__ = Signature(  # type: ignore[attr-defined]
     [signature(simulate).parameters["config"], *signature(SimulateConfig).parameters.values()],
     return_annotation=Summary,
@@ -174,7 +174,7 @@ def _without_lines(value: Any) -> Any:
 
 
 def _remove_leftovers(folder: Path) -> None:
-    """Remove what killed commands left behind."""
+    """Remove files left behind by killed commands."""
     written = {"camera.json", "places.lst", *PICTURES}
     for path in folder.rglob(".*.tmp.*"):
         name = temporary_of(path)
@@ -183,7 +183,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _is_whole(path: Path) -> bool:
-    """Tell a JPEG file with beginning and end from one that was cut short."""
+    """Whether a JPEG file is complete, from start marker to end marker."""
     with path.open("rb") as file:
         head = file.read(2)
         file.seek(0, os.SEEK_END)
@@ -202,7 +202,7 @@ def _missing(
     wanted = _description(config, building, run)
     note = sequence / "camera.json"
     present: set[str] = set()
-    # Whatever else lies in the folder is somebody's own.
+    # Any other files in the folder are the user's own.
     pictures = [file for file in images.glob("*.jp*g") if parse_name(file.name)] if images.is_dir() else []
     if pictures:
         if not note.is_file():
@@ -223,10 +223,10 @@ def _missing(
             present = {file.name for file in pictures if _is_whole(file)}
         with storage_errors(images):
             if any(name not in present for name in drive.names):
-                # First, so that no list ever names an image that is gone.
+                # Done first, so that no list ever names a missing image.
                 (sequence / "localization" / "places.lst").unlink(missing_ok=True)
             for file in pictures:
-                # Cut short, or of another simulation.
+                # Cut short, or from another simulation.
                 if file.name not in present:
                     file.unlink(missing_ok=True)
     write_json(note, wanted)
@@ -235,7 +235,7 @@ def _missing(
 
 
 def _finish(sequence: Path, drive: Track) -> None:
-    """Write the list of a sequence whose images are all there."""
+    """Write the list of a sequence once all of its images are there."""
     lines = [f"{name} {code}\n" for name, code in zip(drive.names, drive.codes, strict=True)]
     write_text(sequence / "localization" / "places.lst", "".join(lines))
 
@@ -246,7 +246,7 @@ def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iter
     workers = min(workers, len(work))
     if workers <= 1:
         global _stage
-        _stage = None  # a file of the same name may hold another building than in an earlier call
+        _stage = None  # a file of the same name may describe a different building than in an earlier call
         try:
             for run, rows in work:
                 for _ in range(_batch(config, run, rows)):
@@ -263,7 +263,7 @@ def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iter
         except BrokenProcessPool as error:
             raise DataError(
                 "a rendering process died, perhaps for lack of memory: run again with fewer workers, finished images "
-                "are kept; in a script of your own, call simulate under `if __name__ == '__main__':`"
+                "are kept; in a script, call simulate under `if __name__ == '__main__':`"
             ) from error
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
@@ -299,6 +299,6 @@ def _batch(config: SimulateConfig, run: Run, rows: list[int]) -> int:
 def _write(path: Path, picture: Array, quality: int) -> None:
     done, coded = cv2.imencode(".jpeg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
-        raise ConfigError(f"OpenCV cannot code {path.name} as JPEG: its build lacks the codec")
+        raise ConfigError(f"OpenCV cannot encode {path.name} as JPEG: its build lacks the codec")
     with atomic_path(path) as temporary:
         temporary.write_bytes(coded.tobytes())

@@ -1,4 +1,4 @@
-"""Rendering the frames of a run."""
+"""Render the frames of a run."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from siamloc.simulate.trajectory import Track
 _PROBE = PanoramaView(height=8, width=40)
 _CHUNK = 100
 _BLURRED = 0.35
-#: Mean and deviation of the exposure compensation in stops; in the sun the meter is misled most.
+#: Mean and standard deviation of the exposure compensation in stops; sunshine misleads the meter most.
 _COMPENSATION = {"cloudy": (0.0, 0.1), "night": (0.0, 0.15), "sunny": (0.4, 0.3)}
 
 
 @typed
 def render(scene: Scene, poses: Array | Track, camera: Camera | str = "panorama") -> Array:
-    """Render pictures from poses.
+    """Render images from poses.
 
     Args:
         scene: building, run and light.
-        poses: x, y in metres and heading in rad (n, 3), standing still; or a `Track`, whose frames are blurred by
-            its speeds.
+        poses: x, y in metres and heading in rad (n, 3), of a robot standing still; or a `Track`, whose frames are
+            blurred according to its speeds.
         camera: "panorama" (128 x 512), "omnidirectional" (480 x 640), or a camera.
 
     Returns:
@@ -46,7 +46,7 @@ def render(scene: Scene, poses: Array | Track, camera: Camera | str = "panorama"
 
 
 def standing(poses: Array) -> Track:
-    """Return a track that stands still at poses (n, 3), a minute apart."""
+    """Return a track of a robot that stands still at poses (n, 3), a minute apart."""
     poses = np.atleast_2d(np.asarray(poses, dtype=np.float64))
     still = np.zeros(len(poses))
     blank = ("",) * len(poses)
@@ -73,7 +73,7 @@ def meter(scene: Scene, track: Track) -> Exposure:
 
 
 def frames(scene: Scene, track: Track, camera: Camera, exposure: Exposure, rows: Iterable[int]) -> Iterator[Array]:
-    """Yield the pictures (rows, columns, 3) uint8 of some frames; each depends on its own row only."""
+    """Yield the images (rows, columns, 3) uint8 of some frames; each depends only on its own row."""
     pixels = camera.pixels()
     quiet = 0.75 if isinstance(camera, PanoramaCamera) else 1.0
     for row in rows:
@@ -94,7 +94,7 @@ def _turned(directions: Array, theta: float) -> Array:
 
 
 def _look(scene: Scene, camera: Camera, x: float, y: float, theta: float, time: float) -> tuple[Array, Array]:
-    """Return the light (n, 3) and the distance (n,) of a camera's pixels, edges smoothed."""
+    """Return the light (n, 3) and the distance (n,) of a camera's pixels, with smoothed edges."""
     pixels = camera.pixels()
     eye = np.array([x, y, HEIGHT], dtype=np.float32)
     main = _turned(pixels.directions[0], theta)
@@ -103,14 +103,14 @@ def _look(scene: Scene, camera: Camera, x: float, y: float, theta: float, time: 
     if len(edge):
         extra = [_turned(direction[edge], theta) for direction in pixels.directions[1:]]
         more, _, _ = _cast(scene, eye, np.concatenate(extra), np.tile(pixels.spread[edge], len(OFFSETS) - 1), time)
-        # Clipping first keeps bright windows from eating the bars between their panes.
+        # Clipping first keeps bright windows from swallowing the bars between their panes.
         total = np.minimum(light[edge], 12.0) + np.minimum(more.reshape(len(OFFSETS) - 1, -1, 3), 12.0).sum(axis=0)
         light[edge] = total / len(OFFSETS)
     return light, distance
 
 
 def _edges(camera: Camera, quad: Array) -> Array:
-    """Return True for the pixels (n,) that see another quad than a neighbour."""
+    """Return True for the pixels (n,) that see a different quad from a neighbour."""
     pixels = camera.pixels()
     image = np.full(camera.shape, -2, dtype=np.int64)
     image[pixels.rows, pixels.columns] = quad
@@ -125,7 +125,7 @@ def _edges(camera: Camera, quad: Array) -> Array:
 
 
 def _cast(scene: Scene, eye: Array, directions: Array, spread: Array, time: float) -> tuple[Array, Array, Array]:
-    """Trace rays from one point, people who walk included."""
+    """Trace rays from one point, including people who walk."""
     light, distance, quad = scene.trace(np.broadcast_to(eye, directions.shape).copy(), directions, spread)
     for number, walker in enumerate(scene.state.walkers):
         place = walker.place(time)
@@ -147,7 +147,7 @@ def _add_person(
     quad: Array,
     number: int,
 ) -> None:
-    """Draw a walking person over what the rays met, in place."""
+    """Draw a walking person over what the rays hit, in place."""
     x, y, degrees = place
     offset = np.array([x - eye[0], y - eye[1]])
     away = float(np.hypot(*offset))
@@ -175,7 +175,7 @@ def _add_person(
 
 
 def _motion(image: Array, camera: Camera, distance: Array, speed: float, turn_rate: float, seconds: float) -> Array:
-    """Blur a picture by the robot's motion while the shutter is open."""
+    """Blur an image by the robot's motion while the shutter is open."""
     if abs(turn_rate) * seconds < 0.002 and abs(speed) * seconds < 0.002:
         return image
     pixels = camera.pixels()

@@ -1,4 +1,4 @@
-"""Finding ways for a robot through a furnished building: into its rooms and back, around what stands there."""
+"""Find ways for a robot through a furnished building: into its rooms and back, around the furniture."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import HALF_WALL, Array, Building
 
 _CELL = 0.1
-#: What the robot's middle keeps from walls and furniture, in metres; smoothing may take a little of it.
+#: Distance in metres of the robot's middle from walls and furniture; smoothing may reduce it a little.
 _CLEARANCE = 0.38
 _SMOOTHED = 0.31
 _SPACING = 0.45
 
 
 class FreeSpace:
-    """Where a robot can be in a building, as a grid of 10 cm.
+    """Where a robot can be in a building, as a grid of 10 cm cells.
 
     Args:
-        building: its walls, doors and items.
+        building: the building with its walls, doors and items.
 
     Raises:
-        DataError: nothing is free.
+        DataError: there is no free space.
     """
 
     def __init__(self, building: Building) -> None:
         (x0, x1), (y0, y1) = building.bounds
         self._origin = np.array([x0 - 0.5, y0 - 0.5])
-        fine = 2  # the distance to the next obstacle is measured at half the cells' size
+        fine = 2  # the distance to the nearest obstacle is measured at half the cell size
         shape = [round((high - low + 1.0) / _CELL) * fine for low, high in ((y0, y1), (x0, x1))]
         free = np.zeros(shape, np.uint8)
 
@@ -62,7 +62,7 @@ class FreeSpace:
         self.clearance = distance
         rows, columns = np.nonzero(distance >= _CLEARANCE)
         if not len(rows):
-            raise DataError("a robot fits nowhere into this building")
+            raise DataError("a robot does not fit anywhere in this building")
         self._number: Array = np.full(distance.shape, -1)
         self._number[rows, columns] = np.arange(len(rows))
         self.points = np.column_stack([columns, rows]) * _CELL + self._origin + _CELL / 4
@@ -70,7 +70,7 @@ class FreeSpace:
         self._graph = self._edges(rows, columns)
 
     def _edges(self, rows: Array, columns: Array) -> csr_array:
-        """Join neighbours (n, n); a step costs the more the nearer an obstacle is."""
+        """Join neighbouring cells (n, n); a step costs more the nearer an obstacle is."""
         starts, ends, costs = [], [], []
         dear = 1 + 0.35 / self.margin**2
         for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -87,7 +87,7 @@ class FreeSpace:
         return coo_array(joined, shape=(count, count)).tocsr()
 
     def inside(self, x: tuple[float, float], y: tuple[float, float]) -> Array:
-        """Return the numbers of the cells within a rectangle."""
+        """Return the numbers of the cells inside a rectangle."""
         points = self.points
         return np.flatnonzero(
             (points[:, 0] > x[0]) & (points[:, 0] < x[1]) & (points[:, 1] > y[0]) & (points[:, 1] < y[1])
@@ -98,10 +98,10 @@ class FreeSpace:
         return np.isfinite(dijkstra(self._graph, directed=False, indices=start))
 
     def way(self, stops: list[int]) -> Array:
-        """Return a way (n, 2) in metres past some cells, smooth where there is room.
+        """Return a way (n, 2) in metres through some cells, smooth where there is room.
 
         Raises:
-            DataError: one of them cannot be reached from the one before.
+            DataError: a cell cannot be reached from the one before.
         """
         cells = [stops[0]]
         for start, end in pairwise(stops):
@@ -132,14 +132,14 @@ class FreeSpace:
 def visits(
     space: FreeSpace, x: tuple[float, float], y: tuple[float, float], seen: Array, rng: np.random.Generator
 ) -> list[int]:
-    """Choose where a robot goes in a room: well away from obstacles, and from one another; the more in larger rooms.
+    """Choose the spots that a robot visits in a room: well away from obstacles and each other; more in larger rooms.
 
     Args:
-        space: of the building.
+        space: free space of the building.
         x: extent of the room.
         y: extent of the room.
-        seen: cells that can be reached (n,).
-        rng: draws among equals.
+        seen: whether each cell can be reached (n,).
+        rng: draws among equally good spots.
     """
     cells = space.inside((x[0] + 0.3, x[1] - 0.3), (y[0] + 0.3, y[1] - 0.3))
     cells = cells[seen[cells]]

@@ -1,4 +1,4 @@
-"""What a setting or an entry of a building file may hold: rules that say in one sentence what is wrong."""
+"""Rules for the values of settings and building file entries; a broken rule says in one sentence what is wrong."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def number(above: float | None = None, at_least: float | None = None) -> Rule:
 
 
 def numbers(count: int, above: float | None = None, at_least: float | None = None) -> Rule:
-    """Allow a list of so many numbers.
+    """Allow a list of a given number of numbers.
 
     >>> numbers(2)([1, "two"])
     "must be a list of 2 numbers, got [1, 'two']"
@@ -103,7 +103,7 @@ FLAG = must_be("true or false", lambda value: isinstance(value, bool))
 LIST = must_be("a list", lambda value: isinstance(value, (list, tuple)))
 MAPPING = must_be("a mapping", lambda value: isinstance(value, dict))
 TEXT = must_be("a name", lambda value: isinstance(value, (str, int)) and not isinstance(value, bool) and value != "")
-#: For what becomes part of a file's name or of a list whose columns are separated by blanks.
+#: For text that becomes part of a file name or of a list whose columns are separated by spaces.
 WORD = must_be(
     "a word of letters, digits, '.', '-' and '_'",
     lambda value: not TEXT(value) and re.fullmatch(r"\w[\w.-]*", str(value)) is not None,

@@ -1,4 +1,4 @@
-"""What is particular to one drive: the hour, lamps, doors, chairs and people."""
+"""The state that differs from drive to drive: the hour, lamps, doors, chairs and people."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _LAMP = {"panel": 30.0, "tube": 42.0, "round": 48.0}
 
 @dataclass(frozen=True)
 class Run:
-    """Which drive: its name is COLD's, such as seq2_cloudy1.
+    """Selects one drive; its name follows COLD, such as seq2_cloudy1.
 
     Attributes:
         lighting: "cloudy", "night" or "sunny".
-        number: 1, 2, ... within the lighting; every number is another hour and another day.
+        number: 1, 2, ... within the lighting; each number is a different hour and a different day.
         path: name of one of the building's paths.
         spacing: metres between frames.
-        trajectory: a `places.lst` whose poses are taken instead of the path.
+        trajectory: a `places.lst` whose poses are used instead of the path.
     """
 
     lighting: str = "cloudy"
@@ -54,7 +54,7 @@ class Run:
 
     @classmethod
     def parse(cls, name: str, path: str = "path2", spacing: float = 0.15, trajectory: FilePath | None = None) -> Run:
-        """Return the run of a name such as "cloudy1".
+        """Return the run with a name such as "cloudy1".
 
         >>> Run.parse("night2").name
         'seq2_night2'
@@ -73,14 +73,14 @@ class Run:
 
 @dataclass(frozen=True)
 class Walker:
-    """A person who walks along a line: plan positions (2, 2), and times in seconds of its two ends."""
+    """A person who walks along a line, given by plan positions (2, 2) and times in seconds of its two ends."""
 
     line: Array
     times: tuple[float, float]
     look: int
 
     def place(self, time: float) -> tuple[float, float, float] | None:
-        """Return x, y and walking direction in degrees at a time, None while away."""
+        """Return x, y and walking direction in degrees at a given time; None while away."""
         begin, end = self.times
         if not begin <= time <= end:
             return None
@@ -91,14 +91,14 @@ class Walker:
 
 @dataclass(frozen=True)
 class Light:
-    """What shines.
+    """The light sources of one drive.
 
     Attributes:
         lighting: "cloudy", "night" or "sunny".
         hour: solar time.
-        declination: of the sun in degrees.
-        lamps_on: radiosity of the lit lamps by room name; absent where they are off.
-        number: draws the clouds and their brightness.
+        declination: declination of the sun in degrees.
+        lamps_on: radiosity of the lit lamps by room name; rooms whose lamps are off are absent.
+        number: seeds the clouds and their brightness.
     """
 
     lighting: str
@@ -110,14 +110,14 @@ class Light:
 
 @dataclass(frozen=True)
 class RunState:
-    """Everything that was drawn for one run.
+    """Everything that is drawn for one run.
 
     Attributes:
         track: the drive.
         items: everything in its place, people included.
         fixtures: doors and blinds.
         walkers: people who walk.
-        light: what shines.
+        light: the light sources.
     """
 
     track: Track
@@ -145,9 +145,9 @@ def draw_run(building: Building, run: Run) -> RunState:
 
 
 def draw_light(building: Building, lighting: str, rng: np.random.Generator) -> Light:
-    """Draw any hour of any day, and which lamps are lit: a lighting more varied than those of the runs.
+    """Draw any hour of any day, and which lamps are lit: the light varies more than in the runs.
 
-    The sun, where it shines, stands above the horizon.
+    If the sun shines, it is above the horizon.
     """
     hour, declination = float(rng.uniform(8.0, 18.0)), float(rng.uniform(-23.0, 23.0))
     while lighting == "sunny" and sun_direction(hour, building.north, declination)[2] < 0.08:
@@ -167,7 +167,7 @@ def _has_window(building: Building, room: Room) -> bool:
 
 
 def _lamp_light(room: Room, level: float, warmth: float) -> tuple[float, float, float]:
-    """Return the radiosity of a room's lamps: red, green and blue, of which the last two fade with the warmth."""
+    """Return the radiosity of a room's lamps in red, green and blue; the last two fade with the warmth."""
     red = _LAMP[room.lamps[0]] * level
     return red, red * (0.86 - 0.05 * warmth), red * (0.66 - 0.12 * warmth)
 

@@ -1,4 +1,4 @@
-"""A building in one run: geometry, textures and baked light, ready for casting rays."""
+"""A building in one run: geometry, textures and baked light, ready for ray casting."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOOKS = 6
 
 @dataclass(frozen=True)
 class Surfaces:
-    """A quad mesh with what a hit needs to know, in single precision."""
+    """A quad mesh with everything needed to shade a hit, in single precision."""
 
     mesh: QuadMesh
     texture: Array
@@ -39,7 +39,7 @@ class Surfaces:
 
     @classmethod
     def of(cls, mesh: QuadMesh, atlas: TextureAtlas) -> Surfaces:
-        """Prepare a mesh; `texels` is how many texels of the largest texture copy one metre holds (Q,)."""
+        """Prepare a mesh; `texels` is the number of texels per metre in the largest copy of the texture (Q,)."""
         stretched = 256 / np.sqrt(np.maximum(mesh.size[:, 0] * mesh.size[:, 1], 1e-8))
         texel = atlas.texel[mesh.texture]
         texels = np.where(np.isnan(texel), stretched, 1 / np.where(np.isnan(texel), 1, texel))
@@ -56,7 +56,7 @@ class Surfaces:
         )
 
     def lit(self, lamps: Array) -> Surfaces:
-        """Return the same surfaces with lamps of some radiosity in each of the R rooms (R, 3)."""
+        """Return the same surfaces with the lamps of the R rooms lit at the given radiosities (R, 3)."""
         emission = self.mesh.emission + self.mesh.lamp[:, None] * lamps[self.mesh.room]
         return replace(self, emission=emission.astype(np.float32), glows=emission.max(axis=1) > 0)
 
@@ -73,18 +73,18 @@ class Surfaces:
 
 @dataclass(frozen=True)
 class Hits:
-    """What n rays meet, whatever the light.
+    """What n rays hit, independent of the light.
 
     Attributes:
         origins: metres (n, 3).
         directions: unit vectors (n, 3).
-        quad: what they hit (n,); -1 for nothing.
-        distance: metres (n,); 1 for nothing.
-        missed: the rays that hit nothing.
+        quad: index of the quad hit (n,); -1 for none.
+        distance: metres (n,); 1 for rays that hit nothing.
+        missed: indices of the rays that hit nothing.
         colour: linear colour of the texture (n, 3).
-        albedo: with the tint (n, 3).
+        albedo: that colour multiplied by the tint (n, 3).
         x: column in the image of the baked light (n,).
-        y: row in it (n,).
+        y: row in the image of the baked light (n,).
     """
 
     origins: Array
@@ -104,15 +104,15 @@ class Scene:
 
     Attributes:
         building: the floor plan.
-        run: which drive.
-        state: what was drawn for it.
+        run: the drive.
+        state: everything drawn for the drive.
         atlas: all textures.
         surfaces: all quads.
-        caster: rays against them.
-        transport: how light spreads in it.
-        lamps: all of them, as of radiosity 1.
-        light: what was baked.
-        sky: what lies outside.
+        caster: casts rays against the surfaces.
+        transport: how light spreads in the building.
+        lamps: all lamps, with radiosity 1.
+        light: the baked light.
+        sky: the world outside.
     """
 
     building: Building
@@ -128,22 +128,22 @@ class Scene:
 
     @cached_property
     def people(self) -> tuple[tuple[Surfaces, Caster], ...]:
-        """What the walkers look like, each standing at the origin and facing +x."""
+        """Surfaces of the walkers, each standing at the origin and facing +x."""
         return _people(self.building, self.atlas)
 
     def __repr__(self) -> str:
         return f"Scene({self.building.name!r}, {self.run.name}: {len(self.state.track)} frames)"
 
     def trace(self, origins: Array, directions: Array, spread: Array) -> tuple[Array, Array, Array]:
-        """Return the radiosity (n, 3) that rays meet, their lengths in metres (n,), and what they hit (n,).
+        """Return the radiosity (n, 3) seen along rays, their lengths in metres (n,), and what they hit (n,).
 
-        Rays that leave the building have the length infinity and hit -1. What they hit is the number of the quad, plus
-        the count of quads where the sun falls on it: pixels with equal numbers show no edge between them.
+        Rays that leave the building have infinite length and hit -1. Other rays hit the number of the quad, plus the
+        number of quads if the sun shines on that point: there is no edge between pixels with equal numbers.
 
         Args:
             origins: metres (n, 3), float32.
             directions: unit vectors (n, 3), float32.
-            spread: angle that a pixel covers in rad (n,).
+            spread: angle in rad that a pixel covers (n,).
         """
         hits = self.hits(origins, directions, spread)
         radiosity, lit = self.shine(hits)
@@ -152,7 +152,7 @@ class Scene:
         return radiosity, distance, hits.quad
 
     def hits(self, origins: Array, directions: Array, spread: Array, smooth: bool = True) -> Hits:
-        """Return what rays meet, whatever the light; see `trace`. Textures are smoothed, or single texels taken."""
+        """Return what rays hit, independent of the light; see `trace`. Without `smooth`, single texels are used."""
         quad, s, t, distance = self.caster.first_hit(origins, directions)
         missed = np.flatnonzero(quad < 0)
         distance[missed] = 1.0
@@ -164,7 +164,7 @@ class Scene:
         return Hits(origins, directions, quad, distance, missed, colour, colour * surfaces.tint[quad], x, y)
 
     def shine(self, hits: Hits) -> tuple[Array, Array]:
-        """Return the radiosity (n, 3) of what rays meet, and the rays that meet the sun's light."""
+        """Return the radiosity (n, 3) of the points that rays hit, and the rays whose points are sunlit."""
         arriving = sample(self.light.light, hits.x, hits.y)
         lit = hits.missed[:0]
         if self.light.sunny is not None:
@@ -178,7 +178,7 @@ class Scene:
     def _add_sun(
         self, arriving: Array, origins: Array, directions: Array, quad: Array, distance: Array, x: Array, y: Array
     ) -> Array:
-        """Add the sun where a shadow ray finds it, only near places that the baking found sunny; return the rays."""
+        """Add the sun where a shadow ray reaches it, only near spots that baking found sunny; return those rays."""
         assert self.sky.sun is not None
         assert self.light.sunny is not None
         near = self.light.sunny[np.rint(y).astype(np.int64), np.rint(x).astype(np.int64)] > 0
@@ -195,7 +195,7 @@ class Scene:
         return rows[seen]
 
     def light_at(self, x: float, y: float) -> Array:
-        """Return the light (3,) that the floor receives at a place, without the sun."""
+        """Return the light (3,) that the floor receives at a point, without the sun."""
         origin = np.array([[x, y, 0.3]], dtype=np.float32)
         quad, s, t, _ = self.caster.first_hit(origin, np.array([[0, 0, -1]], dtype=np.float32))
         return sample(self.light.light, *self.light.grid.position(quad, s, t))[0]
@@ -203,7 +203,7 @@ class Scene:
 
 @typed
 def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Light | None = None) -> Scene:
-    """Put a building into the state of one run and bake its light, finely or roughly; another light if one is given.
+    """Put a building into the state of one run and bake its light, or the given light, at a level of detail.
 
     >>> from siamloc.simulate import load_building
     >>> build_scene(load_building("mini"), Run("night", 1, spacing=1.0))
@@ -231,7 +231,7 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
 
 @typed
 def relit(scene: Scene, light: Light) -> Scene:
-    """Return a scene with everything in its place under another light; quick, since what sees what is known."""
+    """Return a scene with everything in its place under another light; quick, since visibility is already known."""
     building = scene.building
     rng = seeded(building.seed, building.name, "light", light.lighting, light.number)
     surfaces, baked, sky = _lit(building, scene.surfaces, scene.atlas, scene.transport, scene.lamps, light, rng)
@@ -247,7 +247,7 @@ def _lit(
     light: Light,
     rng: np.random.Generator,
 ) -> tuple[Surfaces, BakedLight, Sky]:
-    """Switch on what shines."""
+    """Switch on the light sources and bake their light."""
     sky = make_sky(
         light.lighting,
         seeded(building.seed, building.name, "sky", light.lighting, light.number),

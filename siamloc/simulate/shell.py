@@ -1,4 +1,4 @@
-"""Walls, floors, ceilings, doors, windows and lamps of a building as quads."""
+"""Walls, floors, ceilings, doors, windows and lamps of a building, as quads."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Fixtures:
 
 @dataclass(frozen=True)
 class Style:
-    """Colours of a building's woodwork, linear; the leaves of its doors take turns."""
+    """Linear colours of a building's woodwork; the doors take the leaves in turn."""
 
     frame: tuple[float, float, float]
     leaves: tuple[tuple[str, tuple[float, float, float]], ...]
@@ -38,7 +38,7 @@ class Style:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A luminaire: the middle of its shining face, its area in square metres, its radiosity if lit, and its room."""
+    """A lamp: the middle of its luminous face, its area in square metres, its radiosity if lit, and its room."""
 
     x: float
     y: float
@@ -49,7 +49,7 @@ class Lamp:
 
 
 def draw_style(rng: np.random.Generator, materials: str = "standard") -> Style:
-    """Draw the woodwork of a building, in one of a few colours or in any."""
+    """Draw the woodwork of a building, in one of a few colours or, for drawn materials, in any colour."""
     frames = ((0.10, 0.13, 0.20), (0.30, 0.08, 0.07), (0.08, 0.20, 0.14), (0.22, 0.22, 0.24), (0.75, 0.74, 0.70))
     leaves = ("beech", "wood", "walnut", "plain")
     frame = frames[rng.integers(len(frames))]
@@ -67,7 +67,7 @@ def draw_style(rng: np.random.Generator, materials: str = "standard") -> Style:
 
 
 def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, style: Style) -> list[Lamp]:
-    """Add a building's walls, floors, ceilings, doors, windows and lamps, and return all lamps, as of radiosity 1."""
+    """Add a building's walls, floors, ceilings, doors, windows and lamps; return all lamps, with radiosity 1."""
     lamps: list[Lamp] = []
     for index, room in enumerate(building.rooms.values()):
         builder.room = index
@@ -81,7 +81,7 @@ def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, styl
 def wall_frame(room: Room, side: str) -> tuple[float, float, float, float, float]:
     """Return x, y, turn in degrees, half length and sign of a wall seen from inside the room.
 
-    In the wall's frame y points into the room and x = sign * (coordinate along the wall - its middle).
+    In the wall's frame, y points into the room and x = sign * (coordinate along the wall - its middle).
     """
     (x0, x1), (y0, y1) = room.inner()
     cx, cy = room.centre
@@ -170,7 +170,7 @@ def _reveal(
     tint: Point,
     floor: str | None = None,
 ) -> None:
-    """Line the sides of a hole that goes `depth` into the wall; where it reaches the ground, with the floor."""
+    """Line the sides of a hole that goes `depth` into the wall; its lower side with `floor` if it is at floor level."""
     (x0, x1), (z0, z1), y = x, z, -depth
     b.quad((x0, y, z0), (x0, 0, z0), (x0, 0, z1), (x0, y, z1), texture, tint)
     b.quad((x1, 0, z0), (x1, y, z0), (x1, y, z1), (x1, 0, z1), texture, tint)

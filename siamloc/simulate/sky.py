@@ -1,4 +1,4 @@
-"""What lies outside the windows: sky, sun, and a far view."""
+"""The world outside the windows: sky, sun, and a distant view."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Sky:
 
     Attributes:
         image: radiosity by elevation (+90 to -90 degrees) and azimuth (0 to 2 pi), (rows, columns, 3).
-        sun: unit vector towards the sun (3,), or None where it does not shine.
-        sun_radiosity: of a surface that faces the sun (3,).
+        sun: unit vector towards the sun (3,), or None if it does not shine.
+        sun_radiosity: radiosity of a surface that faces the sun (3,).
     """
 
     image: Array
@@ -36,7 +36,7 @@ class Sky:
         return sample(self.image, np.clip(column, 0, None), row)
 
     def softened(self) -> Sky:
-        """Return the same sky without detail: what lights a room, free of speckles."""
+        """Return the same sky without detail, to light rooms without speckles."""
         small = cv2.resize(self.image, (64, 16), interpolation=cv2.INTER_AREA)
         wrapped = np.concatenate([small[:, -2:], small, small[:, :2]], axis=1)
         return Sky(cv2.GaussianBlur(wrapped, (0, 0), 1.0)[:, 2:-2], self.sun, self.sun_radiosity)
@@ -48,7 +48,7 @@ def sun_direction(hour: float, north: float, declination: float) -> Array:
     Args:
         hour: solar time in hours.
         north: direction of north in degrees counter-clockwise from +x.
-        declination: of the sun in degrees, -23.4 (winter) to 23.4 (summer).
+        declination: declination of the sun in degrees, -23.4 (winter) to 23.4 (summer).
     """
     angle = np.radians(15 * (hour - 12))
     latitude, tilt = np.radians(_LATITUDE), np.radians(declination)
@@ -72,12 +72,12 @@ def make_sky(
 
     Args:
         lighting: "cloudy", "night" or "sunny".
-        rng: draws clouds and brightness, another for every run.
-        view: draws trees and houses, the same for every run of a building.
+        rng: draws clouds and brightness, different in every run.
+        view: draws trees and houses, the same in every run of a building.
         hour: solar time.
         north: direction of north in degrees.
-        declination: of the sun in degrees.
-        rows: of the image; it has four times as many columns.
+        declination: declination of the sun in degrees.
+        rows: number of rows of the image; it has four times as many columns.
     """
     columns = 4 * rows
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
@@ -128,7 +128,7 @@ def _clouds(rng: np.random.Generator, rows: int) -> Array:
 def _paint_view(sky: Array, rng: np.random.Generator, light: Array, lit_windows: bool) -> None:
     """Paint ground, trees and houses into the image; `light` is the radiosity of a white surface out there."""
     rows, columns = sky.shape[:2]
-    pixel = rows / 512  # sizes below are those of an image of 512 rows
+    pixel = rows / 512  # the sizes below are for an image with 512 rows
 
     def row_of(degrees: float) -> int:
         return round((0.5 - degrees / 180) * rows)

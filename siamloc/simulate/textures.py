@@ -1,4 +1,4 @@
-"""Procedural textures: small images of surfaces, and the atlas that holds them all for lookups without flicker."""
+"""Procedural textures: small images of surfaces, and an atlas of all of them for lookups without flicker."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Texture:
     """An image of a surface.
 
     Attributes:
-        image: (SIZE, SIZE, 3) uint8, RGB, gamma coded; the first row is the top.
+        image: (SIZE, SIZE, 3) uint8, RGB, gamma-encoded; the first row is the top.
         tile: metres that one copy covers in width and height; None stretches one copy over the whole quad.
     """
 
@@ -29,7 +29,7 @@ class Texture:
 
 
 def noise(rng: np.random.Generator, cells: int, octaves: int = 3) -> Array:
-    """Return tileable smooth noise (SIZE, SIZE) in about [-1, 1]; `cells` is the coarsest octave's count."""
+    """Return tileable smooth noise (SIZE, SIZE) in about [-1, 1]; the coarsest octave has `cells` x `cells` cells."""
     total = np.zeros((SIZE, SIZE), dtype=np.float32)
     for octave in range(octaves):
         n = min(cells << octave, SIZE)
@@ -42,7 +42,7 @@ def noise(rng: np.random.Generator, cells: int, octaves: int = 3) -> Array:
 
 
 def base_textures(rng: np.random.Generator) -> dict[str, Texture]:
-    """Return the surfaces that every building has: plain ones, woods, floors, tiles."""
+    """Return the surfaces of every building: plain ones, woods, floors, tiles."""
     textures: dict[str, Texture] = {}
 
     def add(name: str, image: Array, tile: tuple[float, float] | None) -> None:
@@ -74,7 +74,7 @@ def base_textures(rng: np.random.Generator) -> dict[str, Texture]:
 
 
 def pattern_textures(rng: np.random.Generator) -> dict[str, Texture]:
-    """Return further surfaces, whose colours are drawn: bricks, wallpaper, panelling, stone, planks."""
+    """Return further surfaces with drawn colours: bricks, wallpaper, panelling, stone, planks."""
     drawn = {
         "brick": (_bricks(rng), (1.6, 1.6)),
         "stripes": (_stripes(rng), (float(rng.uniform(0.5, 1.6)),) * 2),
@@ -91,7 +91,7 @@ def pattern_textures(rng: np.random.Generator) -> dict[str, Texture]:
 
 
 def recoloured(textures: dict[str, Texture], rng: np.random.Generator) -> dict[str, Texture]:
-    """Return surfaces in other colours: the channels of all that are not near white times drawn numbers."""
+    """Return surfaces in other colours: the channels of all that are not nearly white are scaled by drawn factors."""
     changed = {}
     for name, texture in textures.items():
         shade, tint = rng.uniform(0.6, 1.15), rng.uniform(0.75, 1.25, 3)
@@ -174,7 +174,7 @@ def _tinted(colour: Colour, change: Array) -> Array:
 
 
 def _brushed(field: Array) -> Array:
-    """Stretch tileable noise along the rows eightfold so that it still tiles."""
+    """Stretch tileable noise along the rows eightfold, keeping it tileable."""
     return 3 * cv2.blur(np.tile(field, (1, 3)), (65, 1))[:, SIZE : 2 * SIZE]
 
 
@@ -187,7 +187,7 @@ def _speckled(rng: np.random.Generator, colour: Colour) -> Array:
 
 
 def _wood(rng: np.random.Generator, colour: Colour, contrast: float) -> Array:
-    """Upright grain: slow bands, fine fibres."""
+    """Draw upright grain: slow bands and fine fibres."""
     x = np.arange(SIZE, dtype=np.float32)[None, :] / SIZE
     bend = np.roll(noise(rng, 2, 2), 31, axis=1)
     bands = 0.35 * np.sin(2 * np.pi * (6 * x + 0.12 * bend)) + 0.2 * np.sin(2 * np.pi * (17 * x + 0.2 * bend))
@@ -259,7 +259,7 @@ def sample(image: Array, x: Array, y: Array) -> Array:
 
 
 class TextureAtlas:
-    """Textures side by side, each at LEVELS sizes.
+    """Textures side by side, each in LEVELS sizes.
 
     Attributes:
         texel: metres that one texel of the largest copy covers, by texture (T,); NaN for stretched textures.
@@ -295,9 +295,9 @@ class TextureAtlas:
 
         Args:
             texture: indices (n,).
-            u: to the right (n,); whole parts are dropped.
-            v: upwards (n,).
-            level: wanted size as the binary logarithm of the reduction (n,), between two copies too.
+            u: position to the right (n,); integer parts are dropped.
+            v: position upwards (n,); integer parts are dropped.
+            level: requested size, as the binary logarithm of the reduction (n,); may lie between two copies.
         """
         u = u - np.floor(u)
         v = 1 - (v - np.floor(v))
@@ -310,7 +310,7 @@ class TextureAtlas:
         return np.power(mixed * np.float32(1 / 255), np.float32(2.2))
 
     def nearest(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
-        """Return linear colours (n, 3) of single texels, of the copy whose size is nearest; see `lookup`."""
+        """Return linear colours (n, 3) of single texels from the copy of the nearest size; see `lookup`."""
         level = np.clip(np.rint(level), 0, LEVELS - 1).astype(np.int32)
         corner = self._corner[level, texture]
         size = np.ldexp(np.float32(SIZE), -level)

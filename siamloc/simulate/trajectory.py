@@ -1,4 +1,4 @@
-"""Where the robot is in every frame: built-in paths, driven a little differently in each run, or a list of poses."""
+"""Poses of the robot in every frame: built-in paths, driven a little differently in each run, or a list of poses."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ class Track:
 
 
 def drive(building: Building, path: str, spacing: float, rng: np.random.Generator, start: float) -> Track:
-    """Drive a path of the building as one run does: shifted sideways by up to 0.3 m, with an unsteady heading.
+    """Drive a path of the building for one run: shifted sideways by up to 0.3 m, with an unsteady heading.
 
     Args:
-        building: its paths and obstacles.
+        building: the building with its paths and obstacles.
         path: name of the path.
-        spacing: metres between frames; the robot also takes one every 20 degrees of a turn.
+        spacing: metres between frames; when turning, the robot also takes one every 20 degrees.
         rng: draws the shift and the heading.
         start: time of the first frame in seconds.
 
@@ -98,7 +98,7 @@ def listed(building: Building, file: FilePath) -> Track:
     """Return the poses of a `places.lst`; the image names stay as they are, the rooms come from the floor plan.
 
     Raises:
-        DataError: the file cannot be read, or a line is no COLD image name.
+        DataError: the file cannot be read, or a line does not start with a COLD image name.
     """
     try:
         lines = read_text(file).splitlines()
@@ -150,7 +150,7 @@ def _track(
 
 
 def rounded(points: Array) -> Array:
-    """Cut the corners of a polygon of waypoints (n, 2) three times, and walk along it in even steps."""
+    """Cut the corners of a polygon of waypoints (n, 2) three times, and resample it in even steps."""
     for _ in range(3):
         inner = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
         points = np.concatenate([points[:1], inner.reshape(-1, 2), points[-1:]])
@@ -178,7 +178,7 @@ def _even(points: Array) -> Array:
 
 
 def _wander(rng: np.random.Generator, count: int, metres: float) -> Array:
-    """Return smooth random numbers (count,) of about unit size that change within some metres."""
+    """Return smooth random numbers (count,) of about unit size that change over about `metres`."""
     knots = max(4, int(count * _STEP / metres) + 3)
     values = rng.standard_normal(knots)
     at = np.linspace(0, knots - 1, count)

@@ -1,4 +1,4 @@
-"""Cameras of the pictures to learn from: where the ray of each pixel goes, for panoramas and for ordinary cameras."""
+"""Cameras of the training images: where the ray of each pixel goes, for panoramas and for ordinary cameras."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from siamloc.simulate.camera import HEIGHT
 from siamloc.simulate.layout import Array
 
 Cameras = Literal["any", "panoramas", "built_in"]
-"""Which cameras are drawn from: those of panoramas and ordinary ones, those of panoramas only, or the built-in one."""
+"""Which cameras are drawn from: panorama and ordinary cameras, only panorama cameras, or only the built-in one."""
 _SHARE = {"any": 1.0, "panoramas": 0.75, "built_in": 0.25}
 
 
 @dataclass(frozen=True)
 class ViewCamera:
-    """A camera.
+    """A camera that takes training images.
 
     Attributes:
-        rows: of its pictures.
-        columns: of its pictures.
-        directions: (fractions of a column, of a row) -> unit viewing directions (rows, columns, 3) in the robot's
-            frame, through points so far off the middles of the pixels.
-        spread: angle in rad that the columns of each pixel are apart (rows * columns,), float32.
-        wraps: whether the left rim continues at the right one.
-        shown: False for what the lens leaves dark (rows, columns); None if it leaves nothing.
+        rows: number of rows of its images.
+        columns: number of columns of its images.
+        directions: (fraction of a column, of a row) -> unit viewing directions (rows, columns, 3) in the robot's
+            frame, through points that far from the middles of the pixels.
+        spread: angle in rad between the columns at each pixel (rows * columns,), float32.
+        wraps: whether the left edge continues at the right one.
+        shown: False where the lens leaves the image dark (rows, columns); None if it does so nowhere.
     """
 
     rows: int
@@ -42,7 +42,7 @@ class ViewCamera:
 def draw_camera(
     rng: np.random.Generator, image_size: Sequence[int], cameras: Cameras = "any"
 ) -> tuple[ViewCamera, float]:
-    """Draw a camera and its height in metres: now and then those of the built-in one."""
+    """Draw a camera and its height in metres: sometimes those of the built-in one."""
     rows, columns = image_size
     kind = rng.random() * _SHARE[cameras]
     if kind < 0.25:
@@ -59,12 +59,12 @@ def draw_camera(
 
 
 def panorama(view: PanoramaView, bend: float = 1.0) -> ViewCamera:
-    """Make the camera of panoramas.
+    """Make a panorama camera.
 
     Args:
-        view: what they show.
-        bend: 1 where rows are even in the tangent of the elevation; else the exponent of the share of the way from the
-            upper rim to the lower one, as mirrors of other shapes have it.
+        view: size and elevations of the panoramas.
+        bend: 1 if rows are evenly spaced in the tangent of the elevation; otherwise the exponent of the share of the
+            way from the upper edge to the lower one, as for mirrors of other shapes.
     """
     rows, columns = view.height, view.width
     high, low = np.tan(np.radians([view.top, view.bottom]))
@@ -84,13 +84,13 @@ def panorama(view: PanoramaView, bend: float = 1.0) -> ViewCamera:
 
 
 def photograph(image_size: Sequence[int], width: float, aspect: float, pitch: float = 0.0) -> ViewCamera:
-    """Make an ordinary camera, whose pictures are stretched to a size.
+    """Make an ordinary camera whose images are stretched to a size.
 
     Args:
         image_size: rows and columns.
         width: horizontal angle of view in rad.
-        aspect: width of its pictures over their height before they are stretched.
-        pitch: rad by which it looks up.
+        aspect: ratio of width to height of its images before they are stretched.
+        pitch: angle in rad by which it looks up.
     """
     rows, columns = image_size
     half = float(np.tan(width / 2))
@@ -105,14 +105,14 @@ def photograph(image_size: Sequence[int], width: float, aspect: float, pitch: fl
 
 
 def fisheye(image_size: Sequence[int], radius: float, angle: float, aspect: float, pitch: float = 0.0) -> ViewCamera:
-    """Make a camera with an equidistant fisheye lens, whose pictures are stretched to a size.
+    """Make a camera with an equidistant fisheye lens whose images are stretched to a size.
 
     Args:
         image_size: rows and columns.
-        radius: of the bright circle, in halves of the height of a picture.
-        angle: between the axis and what lies on that circle, in rad.
-        aspect: width of its pictures over their height before they are stretched.
-        pitch: rad by which it looks up.
+        radius: radius of the bright circle, in units of half the image height.
+        angle: angle in rad between the axis and the directions seen on that circle.
+        aspect: ratio of width to height of its images before they are stretched.
+        pitch: angle in rad by which it looks up.
     """
     rows, columns = image_size
 
@@ -129,7 +129,7 @@ def fisheye(image_size: Sequence[int], radius: float, angle: float, aspect: floa
 
 
 def _grid(rows: int, columns: int, across: float, down: float) -> tuple[Array, Array]:
-    """Return how far right and how far up the points of the pixels lie, from -1 to 1 (rows, columns)."""
+    """Return how far right and how far up the points in the pixels are, from -1 to 1 (rows, columns)."""
     right = (np.arange(columns) + across + 0.5) / columns * 2 - 1
     up = 1 - (np.arange(rows) + down + 0.5) / rows * 2
     across_all, up_all = np.meshgrid(right, up)
@@ -137,6 +137,6 @@ def _grid(rows: int, columns: int, across: float, down: float) -> tuple[Array, A
 
 
 def _tilted(directions: Array, pitch: float) -> Array:
-    """Return directions (..., 3) of a camera that looks up."""
+    """Return the directions (..., 3) of a camera tilted upwards by `pitch`."""
     cosine, sine = np.cos(pitch), np.sin(pitch)
     return directions @ np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])

@@ -1,8 +1,8 @@
-"""Pictures to learn from: random buildings under several lights, rendered several times faster than a data set.
+"""Training images: random buildings under several lights, rendered several times faster than a data set.
 
-A data set shows one drive under one light after the other. Here the things in a building stay where they are while the
-light changes: what a ray meets, what a lamp lights and what surfaces throw at each other is found once for all lights.
-One ray per pixel is cast, and textures are not smoothed; that is enough for small pictures.
+A data set shows one drive after another, each under its own light. Here, the items in a building stay in place while
+the light changes: what a ray hits, what a lamp lights and how surfaces light each other is computed once for all
+lights. One ray is cast per pixel, and textures are not smoothed; that is enough for small images.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from siamloc.simulate.scene import Scene, build_scene, relit
 from siamloc.simulate.view_cameras import Cameras, ViewCamera, draw_camera
 
 Exposures = Literal["drawn", "metered"]
-"""Whether cameras expose and balance their pictures this way and that, and are noisy, or as well as can be."""
+"""Whether exposure and white balance of the images vary and noise is added, or exposure and balance are optimal."""
 
-#: Seeds of buildings to learn from begin here, so that none is one that a user or a test names.
+#: Seeds of training buildings start here, so that none coincides with a seed that a user or a test gives.
 FIRST_SEED = 1 << 28
-_DRIVEN = 0.05  # metres between the poses that are chosen from
-_YAW = 0.07  # rad by which an ordinary camera misses its direction
+_DRIVEN = 0.05  # metres between the candidate poses
+_YAW = 0.07  # rad by which an ordinary camera deviates from its direction
 
 
 @dataclass(frozen=True)
 class Views:
-    """Pictures of one building, N together.
+    """N images of one building.
 
     Attributes:
         images: (N, 3, H, W) uint8, RGB.
         xy: metres (N, 2).
         heading: rad (N,).
         room: index of the room (N,).
-        light: index of the light (N,); each drive has its own ones, and things moved between the drives.
+        light: index of the light (N,); each drive has its own lights, and items move between the drives.
         lighting: "cloudy", "night" or "sunny", for each light.
-        wraps: whether the pictures are panoramas, whose columns are a full turn.
+        wraps: whether the images are panoramas, whose columns cover a full turn.
     """
 
     images: Array
@@ -74,19 +74,19 @@ def draw_views(
     cameras: Cameras = "any",
     exposure: Exposures = "drawn",
 ) -> Views:
-    """Draw a building, a camera and lights from a seed, and render pictures of a part of it.
+    """Draw a building, a camera and lights from a seed, and render images of a part of the building.
 
-    The camera, its height, its exposure and white balance are drawn, too: most buildings are seen by an omnidirectional
+    The camera's height, exposure and white balance are also drawn: most buildings are seen by an omnidirectional
     camera, others by an ordinary one or through a fisheye lens, which keeps looking in one direction.
 
     Args:
-        seed: any whole number, not negative; equal seeds give equal pictures.
+        seed: any non-negative whole number; equal seeds give equal images.
         image_size: rows and columns.
-        drives: how often the robot drives by; between two drives doors, chairs and people move.
-        lights: of each drive.
-        poses: of each drive, at most.
-        spacing: metres between them.
-        cameras: which ones are drawn from: "any", "panoramas", or the "built_in" one only.
+        drives: how often the robot drives past; doors, chairs and people move between two drives.
+        lights: number of lights per drive.
+        poses: largest number of poses per drive.
+        spacing: metres between poses.
+        cameras: cameras to draw from: "any", "panoramas", or only the "built_in" one.
         exposure: "drawn", or "metered" for the best exposure and white balance, without noise.
 
     Raises:
@@ -112,7 +112,7 @@ def draw_views(
         chosen = track[begin : begin + poses]
         scenes = [scene, *(relit(scene, one) for one in shining[1:])]
         heights = height + rng.normal(0, 0.01, len(chosen))
-        if not camera.wraps:  # what an ordinary camera sees is the same place in one direction only
+        if not camera.wraps:  # an ordinary camera sees the same place only if it looks in the same direction
             ahead = float(chosen[rng.integers(len(chosen)), 2]) if ahead is None else ahead
             chosen[:, 2] = ahead + rng.normal(0, _YAW, len(chosen))
         images = look_around(scenes, np.column_stack([chosen[:, :2], heights, chosen[:, 2]]), camera, rng, exposure)
@@ -146,13 +146,13 @@ def look_around(
     rng: np.random.Generator,
     exposure: Exposures = "drawn",
 ) -> Array:
-    """Render pictures from poses under several lights.
+    """Render images from poses under several lights.
 
     Args:
-        scenes: one scene, and others that `relit` made of it (L).
+        scenes: one scene, and others that `relit` made from it (L).
         poses: x, y, height in metres and heading in rad (P, 4).
-        camera: what the pictures show.
-        rng: draws where in their pixels the rays of a picture pass, exposure, white balance and noise.
+        camera: the camera that takes the images.
+        rng: draws where within their pixels the rays of an image pass, exposure, white balance and noise.
         exposure: as for `draw_views`.
 
     Returns:
@@ -163,7 +163,7 @@ def look_around(
     balances: list[Array] = []
     strength, stops = rng.uniform(0.3, 1.0, len(scenes)), rng.normal(0.0, 0.3, len(scenes))
     quiet = 0.75
-    if exposure == "metered":  # what is drawn is left unused, so that all else stays the same
+    if exposure == "metered":  # the drawn values are not used, so that everything else stays the same
         strength[:], stops[:], quiet = 1.0, 0.0, 0.0
     rim = rng.integers(0, 12, (rows, columns, 1), dtype=np.uint8)
     for row, (x, y, z, heading) in enumerate(poses):
@@ -188,14 +188,14 @@ def look_around(
 
 
 def _turned(directions: Array, heading: float) -> Array:
-    """Return directions in the robot's frame (..., 3) as directions in the building, float32."""
+    """Rotate directions from the robot's frame (..., 3) to the building's, float32."""
     cosine, sine = np.cos(heading), np.sin(heading)
     turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
     return np.ascontiguousarray((directions @ turn).astype(np.float32))
 
 
 def _draw_lights(building: Building, count: int, rng: np.random.Generator) -> list[Light]:
-    """Draw lights, each lighting in its turn, in any order."""
+    """Draw lights: the three lightings once each in random order, then any lighting."""
     order = [LIGHTINGS[i % 3] for i in rng.permutation(3)]
     names = [order[i] if i < 3 else str(rng.choice(LIGHTINGS)) for i in range(count)]
     return [draw_light(building, name, rng) for name in names]

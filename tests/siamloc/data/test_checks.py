@@ -101,5 +101,5 @@ def test_shapes_of_images_are_compared_with_each_other_and_with_the_panoramas(tm
     images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32))
     mixed, squeezed = check(frames, images)
     assert "images have different shapes, among those looked at 64 x 48 px (2), 64 x 16 px (1)" in mixed
-    assert "images of 64 x 48 px (columns x rows) are brought to 32 x 8 without unwrapping" in squeezed
+    assert "images of 64 x 48 px (columns x rows) are resized to 32 x 8 without unwrapping" in squeezed
     assert check(frames.take([2]), images) == []

@@ -56,7 +56,7 @@ def test_grey_images_get_three_equal_channels(tmp_path, camera):
 
 
 def damaged(path: Path) -> dict[str, tuple[Path, str]]:
-    """Make files that are no whole images, each with the reason to be given."""
+    """Make files that are not whole images, each with the expected reason."""
     jpeg = cv2.imencode(".jpg", picture())[1].tobytes()
     png = cv2.imencode(".png", picture())[1].tobytes()
     thumbnail = jpeg[:2] + b"\xff\xe1\x00\x08" + b"\xff\xda\xff\xd9\x00\x00" + jpeg[2 : len(jpeg) // 2]
@@ -66,8 +66,8 @@ def damaged(path: Path) -> dict[str, tuple[Path, str]]:
         "last byte.jpg": (jpeg[:-1], "cut short"),
         "thumbnail.jpg": (thumbnail, "cut short"),
         "half.png": (png[: len(png) // 2], "cut short"),
-        "text.jpg": (b"no image at all", "no image"),
-        "head.jpg": (jpeg[:20] + b"\xff\xd9", "no image|cannot be decoded"),
+        "text.jpg": (b"no image at all", "not an image"),
+        "head.jpg": (jpeg[:20] + b"\xff\xd9", "not an image|cannot be decoded"),
     }
     for name, (data, _) in contents.items():
         (path / name).write_bytes(data)

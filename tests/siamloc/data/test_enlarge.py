@@ -1,4 +1,4 @@
-"""Expanding a data set from Python: it is read back like any other, and goes on where it was killed."""
+"""Expanding a data set from Python: it is read back like any other, and resumes where it was killed."""
 
 import pytest
 
@@ -39,5 +39,5 @@ def test_what_a_killed_run_left_of_the_list_goes_and_foreign_files_stay(frames, 
 
 
 def test_frames_that_no_reader_gave_have_no_layout(tmp_path):
-    with pytest.raises(ConfigError, match=r"give frames that siamloc\.data\.read gave"):
+    with pytest.raises(ConfigError, match=r"give frames from siamloc\.data\.read"):
         data.expand(data.example(frames=2).frames, tmp_path / "out")

@@ -87,7 +87,7 @@ def test_a_selection_is_decoded_alone(frames, tmp_path):
     np.testing.assert_array_equal(library.batch([0, 1, 2, 3]), expected(6, 4, 3, 0))
     with pytest.raises(DataError, match=r"1 of 2 frames are not among those .*1\.png of sequence 'tuesday'"):
         library.rows(frames.take([0, 1]))
-    with pytest.raises(DataError, match="not among those that the library was made of"):
+    with pytest.raises(DataError, match="not among those that the library was made from"):
         library.readable(frames.take([1]))
 
 

@@ -105,7 +105,7 @@ def test_absolute_image_names(folder):
         ("image,x\na.jpg,1,2\n", r"frames\.csv, line 2: 3 cells under 2 columns; quote"),
         ("image\na.jpg\nb.jpg\n./a.jpg\n", "line 4: image './a.jpg' is already in line 2 with the same sequence"),
         ('image\n"a.jpg\n', r"frames\.csv, line \d: not a CSV row"),
-        ("image\na\0.jpg\n", r"frames\.csv, line 2: (the row holds a NUL|not a CSV row)"),
+        ("image\na\0.jpg\n", r"frames\.csv, line 2: (the row has a NUL|not a CSV row)"),
         (b"image\n\xff.jpg\n", "is not a CSV table in UTF-8"),
     ],
 )

@@ -24,7 +24,7 @@ from siamloc.errors import DataError, FormatError, StorageError
 IMAGES = 24
 SIZE = (4, 8)
 
-# A build that says when it has come to the 20th image and goes on when it is told to.
+# A build that reports when it has reached the 20th image and goes on when it is told to.
 BUILD = """
 import sys
 from pathlib import Path
@@ -51,7 +51,7 @@ print(store.folder.name, len(store.panoramas), count)
 
 @pytest.fixture
 def paths(tmp_path) -> list[str]:
-    """Images of one grey level each, their number."""
+    """Images of a single grey level, which is their number."""
     (tmp_path / "images").mkdir()
     for i in range(IMAGES):
         cv2.imwrite(str(tmp_path / "images" / f"{i:02}.png"), np.full((*SIZE, 3), i, np.uint8))
@@ -71,7 +71,7 @@ def start(tmp_path: Path, mode: str) -> subprocess.Popen[str]:
 
 
 def names(folder: Path) -> list[str]:
-    """What a folder holds, without the lock files, which stay."""
+    """Return the contents of a folder, without the lock files, which stay."""
     return sorted(path.name for path in folder.iterdir() if path.suffix != ".lock")
 
 
@@ -130,7 +130,7 @@ def test_unreadable_images_are_left_out_and_reported_once(paths, tmp_path, caplo
 def test_the_strict_stop_at_an_unreadable_image(paths, tmp_path):
     Path(paths[3]).write_bytes(b"no image")
     for _ in range(2):
-        with pytest.raises(DataError, match=r"03\.png cannot be read: .* no image"):
+        with pytest.raises(DataError, match=r"03\.png cannot be read: .* not an image"):
             build(paths, tmp_path, on_error="raise")
         assert names(tmp_path / "cache") == []
     build(paths, tmp_path)

@@ -1,4 +1,4 @@
-"""Building files: what is read, and what each mistake is told."""
+"""Building files: what is read, and the message for each mistake."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cameras of the pictures to learn from, against the formulas of their lenses, one pixel after the other."""
+"""Cameras of the training images, against the formulas of their lenses, pixel by pixel."""
 
 from __future__ import annotations
 

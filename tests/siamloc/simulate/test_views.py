@@ -1,4 +1,4 @@
-"""Pictures to learn from: the quick way of rendering shows what the plain one shows."""
+"""Training images: the fast way of rendering shows the same as the plain one."""
 
 from __future__ import annotations
 
