@@ -1,13 +1,12 @@
-"""Time every effect and policy beside kornia's and torchvision's equal ones.
+"""Time every effect and policy next to its equivalents in kornia and torchvision.
 
     OMP_NUM_THREADS=2 python -m benchmarks.augment [--out FOLDER] [--quick]
 
-Batches of 32 panoramas, 128 x 512, uint8. torchvision gets the same bytes and, as its functions do, one parameter
-for the whole batch, but goes frame by frame where it only moves or fills bytes (occlude, and torch.roll for rotate),
-since a place of its own is all that a frame gets there; kornia gets the same pictures as float32, the conversion
-left out of its time, and draws for every frame as we do. Drawing is part of our times and of kornia's. kornia is left
-out where it is not installed. The three are measured in turn, round by round, so that a busy machine slows all of
-them down.
+Batches of 32 panoramas, 128 x 512, uint8. torchvision gets the same bytes and, as its functions require, one parameter
+for the whole batch. Where it only moves or fills bytes (occlude, and torch.roll for rotate), it goes frame by frame,
+since only the place differs from frame to frame there. kornia gets the same images as float32, with the conversion not
+timed, and draws parameters for every frame as we do. Drawing is part of our times and of kornia's. kornia is left out
+if it is not installed. The three are timed in turn, round by round, so that a busy machine slows all of them down.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ BATCH = (32, 3, 128, 512)
 def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--repeats", type=int, default=15)
-    arguments.add_argument("--quick", action="store_true", help="three repeats, to see that it runs")
+    arguments.add_argument("--quick", action="store_true", help="three repeats, as a trial")
     options = arguments.parse_args()
     warnings.simplefilter("ignore")
     repeats = 3 if options.quick else options.repeats
@@ -61,7 +60,7 @@ def main() -> None:
 
 
 def measured(name: str, batch: Tensor, repeats: int) -> dict[str, Any]:
-    """Return panoramas per second of ours and the others', their ratios, and our peak memory in copies of the batch."""
+    """Return panoramas per second for us and the others, the ratios, and our peak memory in copies of the batch."""
     effect = augment.effect(name) if name in augment.EFFECTS else augment.policy(name)
     generator = torch.Generator().manual_seed(0)
     works = {"ours": lambda: effect(batch, generator), **others(name, batch)}
@@ -77,7 +76,7 @@ def measured(name: str, batch: Tensor, repeats: int) -> dict[str, Any]:
 
 
 def others(name: str, batch: Tensor) -> dict[str, Work]:
-    """Return the equal work of other libraries, where they have it."""
+    """Return the equivalent work of other libraries, if they have it."""
     works: dict[str, Work] = {}
     bar = torch.zeros(3, 1, 1, dtype=torch.uint8)
     for_bytes: dict[str, Work] = {
@@ -134,11 +133,11 @@ def runs(work: Work) -> bool:
 
 
 def peak_copies(work: Work, batch: Tensor) -> float | None:
-    """Return the peak of the resident memory during the work, in sizes of the batch, the batch itself counted."""
+    """Return the peak resident memory during the work, in multiples of the batch's size, including the batch itself."""
     reset, status = Path("/proc/self/clear_refs"), Path("/proc/self/status")
     try:
         work()
-        ctypes.CDLL(None).malloc_trim(0)  # what was freed before must not hide what is needed now
+        ctypes.CDLL(None).malloc_trim(0)  # memory freed before must not hide what the work needs
         reset.write_text("5")
         before = kilobytes(status, "VmRSS")
         work()
@@ -153,7 +152,7 @@ def kilobytes(status: Path, key: str) -> int:
 
 
 def gpu(batch: Tensor, repeats: int) -> list[dict[str, Any]]:
-    """Return panoramas per second and the share of the memory bandwidth: one read and one write of every byte."""
+    """Return panoramas per second and the share of memory bandwidth, for one read and one write of every byte."""
     there = batch.repeat(8, 1, 1, 1).cuda()
     big = torch.empty(1 << 30, dtype=torch.uint8, device="cuda")
     copied = torch.empty_like(big)
@@ -177,7 +176,7 @@ def cuda_seconds(work: Work, repeats: int) -> float:
 
 
 def pictures() -> Tensor:
-    """Return panoramas of smooth and rough parts."""
+    """Return panoramas with smooth and rough parts."""
     generator = torch.Generator().manual_seed(0)
     count, _, height, width = BATCH
     coarse = torch.rand(count, 3, height // 16, width // 16, generator=generator)

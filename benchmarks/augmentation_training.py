@@ -1,8 +1,8 @@
-"""What augmentation does for a network that has seen one lighting only, on the simulated building.
+"""Measure how much augmentation helps a network that has seen only one lighting, on the simulated building.
 
 Trains the network of `experiment=freiburg_sim` on the cloudy run alone, with and without the policy `thesis`: the same
-network, the same number of steps, the same pairs, several seeds. The map is made of the training run, the queries are
-other runs under the three lightings. For one seed, these commands do the same:
+network, the same number of steps, the same pairs, several seeds. The map is made from the training run, the queries
+are other runs under the three lightings. For one seed, these commands do the same:
 
     siamloc train experiment=freiburg_sim protocol=freiburg_sim_cloudy augment=thesis run=runs/thesis seed=0
     siamloc map run=runs/thesis

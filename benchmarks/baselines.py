@@ -1,6 +1,6 @@
 """Every analytic descriptor on the standard benchmark: error by lighting, heading, size and time.
 
-A map of every fifth frame of one cloudy run, and all frames of three other runs as queries. This command gives a row:
+A map of every fifth frame of one cloudy run, and all frames of three other runs as queries. For one row, run:
 
     siamloc evaluate descriptor=NAME data=freiburg_sim task=absolute
 
@@ -18,7 +18,7 @@ from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
 from benchmarks.building import LIGHTINGS, MAP, QUERIES, Building, by_lighting
 from benchmarks.report import Report, medians, parser
 
-# The configurations of the mapping experiments ([I] 6.1, [T] 4.5.1), as conf/descriptor has them.
+# The configurations of the mapping experiments ([I] 6.1, [T] 4.5.1), as in conf/descriptor.
 MAPPING: dict[str, dict[str, Any]] = {
     "hog_mapping": {"name": "hog", "rows": 16, "bins": 16, "step": 2, "orientation_bins": 16},
     "gist_mapping": {
@@ -73,7 +73,7 @@ def row(name: str, building: Building) -> dict[str, Any]:
 
 
 def cost(name: str, building: Building) -> dict[str, float]:
-    """Return bytes of a description and milliseconds for one panorama."""
+    """Return the bytes of a description and the milliseconds for one panorama."""
     made, panorama = named(name), building.images.batch([0])[0]
     found = made.describe(panorama)
     size = found.position.nbytes

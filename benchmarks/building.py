@@ -1,4 +1,4 @@
-"""The standard benchmark from Python: the drives of the simulated building freiburg_like, and who does what.
+"""The standard benchmark in Python: the drives of the simulated building freiburg_like and their roles.
 
 The roles are those of the protocol `freiburg_sim`: map and queries from different drives, three lightings.
 """
@@ -27,7 +27,7 @@ class Building:
     """The rendered building with its panoramas at one size.
 
     Args:
-        folder: what `siamloc simulate camera=panorama` rendered.
+        folder: output of `siamloc simulate camera=panorama`.
         image_size: rows and columns.
     """
 
@@ -41,18 +41,18 @@ class Building:
 
 
 def report_name(name: str, folder: Path) -> str:
-    """Return the name of a benchmark's file: with the building in it where that is not the usual one."""
+    """Return the name of a benchmark's file, which includes the building unless it is the usual one."""
     building = folder.resolve().name
     return name if building == USUAL else f"{name}_{building}"
 
 
 def begun(run: Path) -> bool:
-    """Say whether there is a run to go on with."""
+    """Whether there is a run to resume."""
     return siamloc.training.Run(run).record.is_file()
 
 
 def mean_and_range(values: Sequence[float], digits: int = 2) -> str:
-    """Return the mean over seeds with the lowest and the highest, as text."""
+    """Return the mean over seeds with the lowest and highest value, as text."""
     mean = f"{statistics.mean(values):.{digits}f}"
     return mean if len(values) == 1 else f"{mean} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
@@ -66,14 +66,14 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
     """Describe map and queries once, and return mean error, excess, floor and 95 % error in m under each lighting.
 
     Args:
-        building: the building, at the size that the descriptor takes.
-        descriptor: a network, or what `siamloc.maps.build` takes otherwise.
-        every: parts of the map: every k-th frame of its drive.
+        building: the building, at the image size that the descriptor expects.
+        descriptor: a network, or anything else that `siamloc.maps.build` accepts.
+        every: for each k, a map of every k-th frame of its drive.
 
     Returns:
         {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ...}, ...}, "1": ...}.
     """
-    # Frames of the map that no part has need no description.
+    # Map frames that are in no part need no description.
     common = math.gcd(*every)
     known = siamloc.maps.build(descriptor, building.images, building.drives(MAP, common), progress=False)
     asked = siamloc.maps.build(descriptor, building.images, building.drives(QUERIES), progress=False)

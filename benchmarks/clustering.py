@@ -3,10 +3,10 @@
     OMP_NUM_THREADS=2 python -m benchmarks.clustering [--out FOLDER] [--quick]
 
 Targets: normalized spectral clustering of 5,000 descriptors of 512 numbers into 40 clusters, from the descriptors to
-the labels, between nearest neighbours, in less than 10 s; and, on the same full affinity, at most a quarter more time
-than scikit-learn's `SpectralClustering` (its default solver, k-means from 10 starts), measured in turn with it.
-Descriptors are of three kinds: blocks about 40 centres, a drive along which they change steadily, and noise, on which
-no clustering is easy.
+the labels, with affinities between nearest neighbours only, in less than 10 s; and, on the same full affinity, at most
+a quarter more time than scikit-learn's `SpectralClustering` (its default solver, k-means from 10 starts), timed in turn
+with it. There are three kinds of descriptors: blocks around 40 centres, a drive along which they change steadily, and
+noise, which no method clusters easily.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from benchmarks.report import Report, parser, seconds
 
 CLUSTERS, LENGTH, NEIGHBOURS = 40, 512, 10
 TARGET_S = 10.0
-LIMIT = 1.25  # of scikit-learn's time, whose solvers these are
+LIMIT = 1.25  # relative to scikit-learn, whose solvers are used
 KINDS = ("blocks", "drive", "noise")
 
 
 def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--repeats", type=int, default=7)
-    arguments.add_argument("--quick", action="store_true", help="a fifth of the frames, to see that it runs")
+    arguments.add_argument("--quick", action="store_true", help="a fifth of the frames, as a trial")
     options = arguments.parse_args()
     report = Report("clustering", options.out, packages=("scipy", "scikit-learn"))
     shrink = 5 if options.quick else 1
@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def descriptors(kind: str, frames: int) -> tuple[NDArray[np.float64], NDArray[np.int64] | None]:
-    """Descriptors (frames, LENGTH), and the planted labels of blocks."""
+    """Return descriptors (frames, LENGTH), and the planted labels of blocks."""
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(frames, LENGTH))
     if kind == "blocks":
@@ -72,7 +72,7 @@ def descriptors(kind: str, frames: int) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def between_neighbours(kind: str, frames: int, repeats: int) -> dict[str, Any]:
-    """From the descriptors to the labels, between nearest neighbours."""
+    """Time clustering between nearest neighbours, from the descriptors to the labels."""
     x, planted = descriptors(kind, frames)
     times = seconds({"ours": lambda: clustering.spectral(x, CLUSTERS, neighbours=NEIGHBOURS)}, repeats)["ours"]
     labels = clustering.spectral(x, CLUSTERS, neighbours=NEIGHBOURS)
@@ -90,7 +90,7 @@ def between_neighbours(kind: str, frames: int, repeats: int) -> dict[str, Any]:
 
 
 def same_affinity(kind: str, frames: int, repeats: int) -> dict[str, Any]:
-    """One full affinity, clustered by both; the ratio is the median of those of the single rounds."""
+    """Time both on the same full affinity; the ratio is the median of the ratios of the single rounds."""
     x, planted = descriptors(kind, frames)
     similarity = clustering.affinity(x)
     theirs = SpectralClustering(CLUSTERS, affinity="precomputed", assign_labels="kmeans", n_init=10, random_state=0)
@@ -114,7 +114,7 @@ def same_affinity(kind: str, frames: int, repeats: int) -> dict[str, Any]:
 
 
 def other_methods(frames: int, repeats: int) -> list[dict[str, Any]]:
-    """The self-organizing map of descriptors, and on the rows of spectral clustering."""
+    """Time the self-organizing map on descriptors, and on the rows of spectral clustering."""
     x, _ = descriptors("drive", frames)
     works = {
         "som 8 x 5": lambda: clustering.som(x, (8, 5)),
@@ -125,7 +125,7 @@ def other_methods(frames: int, repeats: int) -> list[dict[str, Any]]:
 
 
 def silhouettes(frames: int) -> dict[str, Any]:
-    """Silhouette of positions, compared with scikit-learn's."""
+    """Time the silhouette of positions, compared with scikit-learn's."""
     rng = np.random.default_rng(0)
     x, labels = rng.uniform(0, 30, (frames, 2)), rng.integers(0, CLUSTERS, frames)
     works = {

@@ -1,15 +1,15 @@
-"""The main job on real photographs: trained on one drive through a corridor, tested on another.
+"""The main task on real photographs: trained on one drive through a corridor, tested on another.
 
 `ours` is `siamloc.training.recipe("photographs")`, with the nearest frame and with the sequence filter. The published
-way is AlexNet on pairs with metric labels, in the two settings that were tried. Beside them the analytic descriptors
-with the project's settings, raw thumbnails and the untrained network, by the same evaluator. Several seeds show the
-spread; positions count frames. For one seed of ours, these commands do the same:
+way is AlexNet trained on pairs with metric labels, in the two settings that were tried. The analytic descriptors with
+the project's settings, raw thumbnails and the untrained network are evaluated in the same way. Several seeds show the
+spread; positions are counted in frames. For one seed of `ours`, these commands do the same:
 
     siamloc train experiment=corridor data.manifest=corridor/manifest.csv run=runs/corridor seed=0
     siamloc map run=runs/corridor
     siamloc evaluate run=runs/corridor task.filter=true
 
-Targets for ours, of the mean over the seeds: 75 % of the queries within 3 frames, 95 % with the sequence filter, and
+Targets for the mean of `ours` over the seeds: 75 % of the queries within 3 frames, 95 % with the sequence filter, and
 more than every other row.
 
     python -m benchmarks.corridor --manifest corridor/manifest.csv
@@ -34,7 +34,7 @@ OURS = "ours"
 FILTERED = "ours, sequence filter"
 BETWEEN_FRAMES, FOLLOWED = ", between frames", ", followed between frames"
 BETWEEN = {"refine": "interpolate", "neighbours": 5, "place_radius": 3.0}
-"""Settings of positions between frames."""
+"""Settings for positions between frames."""
 ANALYTIC = ("fs", "hog", "gist", "wisurf", "briefgist", "radon_fourier", "radon_poc", "hsv")
 RADIUS = 3  # frames
 LEAST_RECALL, LEAST_FILTERED = 0.75, 0.95
@@ -74,7 +74,7 @@ def main() -> None:
 
 
 def library(frames: FrameTable, size: tuple[int, int]) -> PanoramaLibrary:
-    """Return the pictures at a size."""
+    """Return the images at a size."""
     return PanoramaLibrary(frames, image_size=size, circular=False)
 
 
@@ -92,7 +92,7 @@ def trained(frames: FrameTable, seed: int, folder: Path, ways: Sequence[str]) ->
 
 
 def ours(frames: FrameTable, ref: FrameTable, seed: int, folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Train by our recipe, and yield how well the second drive is located before, after, and with the filter."""
+    """Train with our recipe, and yield how well the second drive is located before, after, and with the filter."""
     recipe = siamloc.training.recipe("photographs")
     images = library(frames, recipe.image_size)
     network = recipe.build(seed=seed)

@@ -1,4 +1,4 @@
-"""The demo's network with several seeds: how far a trained figure moves from draw to draw, on this CPU.
+"""Train the demo's network with several seeds: how much the figures vary from seed to seed, on this CPU.
 
 Trains as `siamloc demo` does (conf/experiment/demo.yaml, conf/protocol/demo.yaml) on the building that it rendered, and
 measures HOG, raw thumbnails and the untrained networks on the same frames.
@@ -20,7 +20,7 @@ from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.evaluation import Result
 
 RECIPE = siamloc.training.recipe("modern")
-SHORT = {"epochs": 5, "pairs": {"epoch_batches": 50}}  # as conf/experiment/demo.yaml has it
+SHORT = {"epochs": 5, "pairs": {"epoch_batches": 50}}  # as in conf/experiment/demo.yaml
 TRAIN = ("*cloudy1", "*night1", "*sunny1")
 VALIDATION, MAP = ("*cloudy3",), ("*cloudy1",)
 QUERIES = ("*cloudy2", "*night2", "*sunny2")

@@ -1,11 +1,11 @@
-"""Time the descriptors: describing, comparing with a map, batches, and next to scikit-image.
+"""Time the descriptors: describing, comparing with a map, batches, and compared with scikit-image.
 
     OMP_NUM_THREADS=2 python -m benchmarks.descriptors [--out FOLDER] [--quick]
 
-Panoramas of 128 x 512. The comparison is one query against 872 map frames, over all headings where the descriptor is
-aligned first: what localizing one image costs besides describing it. The map is described and transformed once, before.
-scikit-image is left out where it is not installed; it gets one grey float image, and its time stands beside ours in the
-same run, measured in turn. On a GPU (`--device cuda`) batches alone are timed.
+Panoramas of 128 x 512. The comparison is one query against 872 map frames, over all headings if the descriptor is
+aligned first: the cost of localizing an image in addition to describing it. The map is described and transformed once,
+in advance. scikit-image is left out if it is not installed; it gets one grey float image, and is timed in turn with
+ours in the same run. On a GPU (`--device cuda`) only batches are timed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--repeats", type=int, default=30)
     arguments.add_argument("--device", default="cpu")
-    arguments.add_argument("--quick", action="store_true", help="few repeats and a small map, to see that it runs")
+    arguments.add_argument("--quick", action="store_true", help="few repeats and a small map, as a trial")
     options = arguments.parse_args()
     repeats = 3 if options.quick else options.repeats
     report = Report("descriptors" if options.device == "cpu" else "descriptors_gpu", options.out, ("scikit-image",))
@@ -81,7 +81,7 @@ def smooth(rng: np.random.Generator, count: int) -> np.ndarray[Any, np.dtype[np.
 
 
 def rates(descriptor: analytic.ImageDescriptor, images: np.ndarray, repeats: int, device: str) -> dict[str, Any]:
-    """Return milliseconds of one image alone and of one in a batch, and the sizes."""
+    """Return milliseconds for an image alone and for one in a batch, and the sizes."""
     few = images[:ROW]  # one after the other, as a robot's images come
     one_by_one, batch = timed(
         lambda: [descriptor.describe(image) for image in few], lambda: descriptor.describe(images), repeats, device
@@ -100,7 +100,7 @@ def rates(descriptor: analytic.ImageDescriptor, images: np.ndarray, repeats: int
 
 
 def comparison(descriptor: analytic.ImageDescriptor, images: np.ndarray, size: int, repeats: int) -> dict[str, float]:
-    """Return milliseconds of one query against a map over all headings: nearest frame with its heading, and all."""
+    """Return milliseconds for a query against a map over all headings: nearest frame with its heading, and all."""
     known = descriptor.describe(images)
     rng = np.random.default_rng(1)
     rows = rng.integers(0, len(images), size)
@@ -124,7 +124,7 @@ def fresh(query: analytic.Description) -> analytic.Description:
 
 
 def timed(first: Callable[[], Any], second: Callable[[], Any], repeats: int, device: str) -> tuple[float, float]:
-    """Return the median seconds of two works measured in turn."""
+    """Return the median seconds of two workloads timed in turn."""
     if device != "cpu":
         import torch
 
@@ -137,7 +137,7 @@ def timed(first: Callable[[], Any], second: Callable[[], Any], repeats: int, dev
 
 
 def beside_skimage(image: np.ndarray, repeats: int) -> dict[str, float]:
-    """Return how many times as fast as scikit-image's the same work is; nothing without scikit-image."""
+    """Return how many times as fast as scikit-image we do the same work; nothing without scikit-image."""
     if skimage_hog is None:
         print("scikit-image is not installed: no comparison with it")
         return {}
@@ -171,7 +171,7 @@ def beside_skimage(image: np.ndarray, repeats: int) -> dict[str, float]:
 
 
 def targets(report: Report, rows: list[dict[str, Any]], ratio: dict[str, float]) -> None:
-    """Say which targets were met."""
+    """Report which targets were met."""
     for row in rows:
         limit = SETTINGS[row["name"]][2]
         if np.isfinite(limit):

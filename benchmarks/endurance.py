@@ -1,8 +1,8 @@
-"""Whether a long drive leaves the robot's memory as it was.
+"""Check that a long drive does not increase the robot's memory.
 
-A drive of the simulated building is played over and over at full speed, as many images as a camera with five a second
-takes in eight hours, through the page that shows it, with a browser that listens and with the robot followed from image
-to image. The memory is looked at 100 times.
+A drive through the simulated building is repeated at full speed, for as many images as a camera with five a second
+takes in eight hours. It is played through the live page, with a browser that listens and the robot followed from image
+to image. The memory is read 100 times.
 
     siamloc simulate building=mini camera=panorama runs=[cloudy1,cloudy2,night1] spacing=0.3 out=data
     python -m benchmarks.endurance --data data/mini
@@ -26,7 +26,7 @@ from siamloc.runtime import Live, Localizer, export
 
 HOURS, FPS, LOOKS = 8, 5, 100
 GROWTH = 0.02
-"""Share by which the second half of the drive may need more memory than the first."""
+"""Largest allowed share by which the second half of the drive needs more memory than the second quarter."""
 
 
 def held() -> float:
@@ -37,7 +37,7 @@ def held() -> float:
 
 
 def listen(port: int) -> None:
-    """Read what a browser would hear, to its end."""
+    """Read the events that a browser would receive, until they end."""
     connection = http.client.HTTPConnection("127.0.0.1", port)
     connection.request("GET", "/events")
     answer = connection.getresponse()

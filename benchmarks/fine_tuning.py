@@ -1,11 +1,11 @@
-"""A minute of training from the weights that come with siamloc: on one cloudy drive, and on three drives.
+"""Fine-tune the shipped network for a minute: on one cloudy drive, and on three drives.
 
-`siamloc.training.recipe("fine_tuning")`. Headings are not given; the map is one drive, every fifth frame of it and all
-of them. Several seeds show the spread.
+The recipe is `siamloc.training.recipe("fine_tuning")`. Headings are not given; the map is one drive, with every fifth
+frame and with all frames. Several seeds show the spread.
 
-Targets, of the mean over the seeds: from the cloudy drive alone an excess over the floor, with every fifth frame, of at
-most 0.03, 0.05 and 0.08 m under clouds, at night and in the sun; from three drives what `benchmarks.recipes` asks of
-`modern`; and at most 60 seconds of training on two cores.
+Targets for the mean over the seeds: from the cloudy drive alone an excess over the floor, with every fifth frame, of at
+most 0.03, 0.05 and 0.08 m under clouds, at night and in the sun; from three drives the targets of `benchmarks.recipes`
+for `modern`; and at most 60 seconds of training on two cores.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.fine_tuning --data data/freiburg_like
@@ -29,7 +29,7 @@ DRIVES = {
     "one cloudy drive": (("*seq2_cloudy3",), ("*seq2_cloudy1",)),
     "three drives": (TRAIN, VALIDATION),
 }
-"""What is trained on, and validated on."""
+"""Drives for training, and for validation."""
 MOST = dict(zip(LIGHTINGS, (0.03, 0.05, 0.08), strict=True))
 MOST_SECONDS = 60.0
 
@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def trained(building: Building, name: str, seed: int) -> dict[str, Any]:
-    """Train a network, and return where it finds the queries, and the seconds that its training took."""
+    """Train a network, and return its errors on the queries and the seconds its training took."""
     train, validation = (building.drives(drives) for drives in DRIVES[name])
     begin = time.monotonic()
     network = RECIPE.build(seed=seed)

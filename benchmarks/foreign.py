@@ -1,10 +1,11 @@
-r"""Whether pictures of other buildings and by other cameras are lost, and pictures of the mapped building are not.
+r"""Check that images of other buildings and from other cameras are lost, and images of the mapped building are not.
 
-The map is a drive under clouds through one building, of every and of every fifth frame, 0.3 m apart; what a robot may
-trust is learned from a second drive. Then its other drives, drives through other buildings, and the real corridor's
-photographs by a fisheye camera are located. Nothing of those is used before.
+The map is a cloudy drive through one building, with every frame or every fifth, 0.3 m apart; what a robot may trust is
+learned from a second drive. Then the building's other drives, drives through other buildings, and photographs of a real
+corridor by a fisheye camera are located. None of these is used before.
 
-Lost are at most 2 % of the right answers in the drive with the most, and refused at least 95 % of all foreign pictures.
+Targets: at most 2 % of the right answers lost in the drive with the most, and at least 95 % of all foreign images
+refused.
 
     siamloc simulate building=freiburg_like camera=panorama runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 out=data
     siamloc simulate building=annex camera=panorama runs=[cloudy1,night1] spacing=0.3 out=data
@@ -39,7 +40,7 @@ EVERY = (1, 5)
 def lost_of(
     queries: list[Description], known: siamloc.maps.VisualMap, model: siamloc.maps.ErrorModel
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Return which queries are lost, and where they are said to be."""
+    """Return which queries are lost, and their estimated positions."""
     finer = siamloc.maps.Refinement("relative")
     lost, xy = list[Any](), list[Any]()
     for query in queries:
@@ -51,7 +52,7 @@ def lost_of(
 
 
 def main() -> None:
-    """Locate all drives in the map of each building, print what came of it, and write the file."""
+    """Locate all drives in the map of each building, print the results, and write the file."""
     arguments = parser(__doc__)
     arguments.add_argument("--data", type=Path, required=True, help="folder with the buildings' folders")
     arguments.add_argument(

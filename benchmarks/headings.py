@@ -1,13 +1,13 @@
-"""Headings by a network alone, beside those of the analytic descriptors, under three lightings.
+"""Compare the headings found by a network alone with those of the analytic descriptors, under three lightings.
 
 `ours` is `siamloc.training.recipe("modern")`, trained on three drives, and `untrained` the same network with random
-weights; both find headings by their own features. The others are the analytic descriptors that can do the same in a map
-of a network (`heading=hog`). Each query is compared with the map frame that is truly nearest, so that wrong places do
-not count as wrong headings. The map is one drive, all frames of it and every fifth. All see the same panoramas.
+weights; both find headings with their own features. The others are the analytic descriptors that can do the same in a
+network's map (`heading=hog`). Each query is compared with the map frame that is truly nearest, so that wrong places do
+not count as wrong headings. The map is one drive, with all frames and with every fifth. All see the same panoramas.
 
-The analytic ones answer in whole columns of the panorama, 1.4 degrees; ours looks between its columns.
+The analytic descriptors answer in whole columns of the panorama, 1.4 degrees; ours looks between its columns.
 
-Target: median and 95 % of the errors of ours, the mean over the seeds, below those of HOG under every light.
+Target: median and 95 % error of `ours`, averaged over the seeds, below those of HOG under every lighting.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.recipes --data data/freiburg_like --recipes ours --runs runs/recipes
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def trained(building: Building, seed: int, run: Path) -> Any:
-    """Return the network of a run, which is trained where there is none yet."""
+    """Return the network of a run, training it if there is none yet."""
     if run.is_dir():
         finished, asked = len(siamloc.training.Run(run).curves()["epoch"]), RECIPE.training["epochs"]
         if finished != asked:

@@ -1,15 +1,15 @@
-"""What comes of killed commands: each is killed 100 times, started again, and ends in what it ends in undisturbed.
+"""Check that killed commands recover: each is killed 100 times, restarted, and ends up like an undisturbed run.
 
-A process is killed (SIGKILL) at a random moment, or right before a random change of the files: when it opens one to
-write, renames, removes, or makes a folder. Then the command is started again as one would type it, with resume=true
-where that goes on, and killed again; after some kills in a row it may end. The files that are there by then are
-compared with those of an undisturbed run, and no temporary file may be left.
+A process is killed (SIGKILL) at a random moment, or right before a random file change: when it opens a file for
+writing, renames or removes one, or makes a folder. Then the command is started again as one would type it, with
+resume=true if that resumes it, and killed again; after some kills in a row it may finish. The files that exist by then
+are compared with those of an undisturbed run, and no temporary file may be left.
 
-Then each is interrupted at random moments, as by Ctrl-C once or twice: it must stop within seconds and without a
-traceback, and go on to the same end.
+Then each is interrupted at random moments, as with Ctrl-C once or twice: it must stop within seconds and without a
+traceback, and reach the same end when it is run again.
 
-Files are compared by their bytes; JSON, tables and checkpoints by their values. What already differs between two
-undisturbed runs (times, dates) is left out, and the file of figures names it.
+Files are compared by their bytes; JSON, tables and checkpoints by their values. Anything that already differs between
+two undisturbed runs (times, dates) is left out, and is listed in the benchmark's file.
 
     python -m benchmarks.kills
     python -m benchmarks.kills --only train map --kills 20
@@ -40,13 +40,13 @@ from benchmarks.report import Report, parser
 from siamloc.cli import main as siamloc
 from siamloc.cli.compose import composed
 from siamloc.models import build
-from siamloc.training import fitting  # noqa: F401 (a child takes over what is loaded, which would take it seconds)
+from siamloc.training import fitting  # noqa: F401 (a child inherits what is loaded, which would take it seconds)
 
 IN_A_ROW = 5
-"""Kills after which a command may end."""
+"""Kills in a row after which a command may finish."""
 _CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
 _STARTED = 0.2
-"""Seconds after which Python itself has started, which answers Ctrl-C by a traceback until then."""
+"""Seconds until Python itself has started; until then it answers Ctrl-C with a traceback."""
 _WRITES = os.O_WRONLY | os.O_RDWR
 
 
@@ -55,10 +55,10 @@ class Work:
     """A long command.
 
     Attributes:
-        words: of the command; {out} is its own folder, {data} the building, {run} a copy of a trained run.
-        resume: the word that goes on where it was killed, and the file that says whether there is something to go on
-            with; None where the same words do.
-        needs: what lies in its folder before, of `Stage`.
+        words: words of the command; {out} is its own folder, {data} the building.
+        resume: the word that resumes a killed command, and the file that shows whether there is something to resume;
+            None if the same words resume it.
+        needs: what its folder contains at the start; see `stages`.
     """
 
     words: tuple[str, ...]
@@ -117,7 +117,7 @@ WORKS: dict[str, Work] = {
 
 @dataclass(frozen=True)
 class Moment:
-    """When to kill: after so many seconds, or right before so many changes of files."""
+    """When to kill: after this many seconds, or right before this file change, counted from 1."""
 
     seconds: float | None = None
     changes: int | None = None
@@ -127,9 +127,9 @@ class Case:
     """A command in its own folder.
 
     Args:
-        name: of the work.
-        folder: where it works.
-        stage: folders `data`, `trained` and `mapped`, of which copies are taken.
+        name: name of the work.
+        folder: folder in which it works.
+        stage: folder with `data`, `trained` and `mapped`, from which copies are made.
     """
 
     def __init__(self, name: str, folder: Path, stage: Path) -> None:
@@ -137,24 +137,21 @@ class Case:
         self.log = folder.with_suffix(".log")
 
     def begin(self) -> None:
-        """Make the folder as it is before the command."""
+        """Make the folder as it should be before the command."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
         if self.work.needs:
             shutil.copytree(self._stage / self.work.needs, self.folder / "run")
 
     def words(self) -> list[str]:
-        """Return what one would type now."""
+        """Return the words that one would type now."""
         words = [word.format(out=self.folder, data=self._stage / "data") for word in self.work.words]
         if self.work.resume is not None and (self.folder / self.work.resume[1]).is_file():
             words.append(self.work.resume[0])
         return words
 
     def run(self, moment: Moment | None = None) -> tuple[int | None, float]:
-        """Run the command in a child process; return its exit status, None if it was killed, and its seconds.
-
-        The seconds of an undisturbed run are followed in the log by the number of its changes.
-        """
+        """Run the command in a child process; return its exit status, None if it was killed, and its seconds."""
         words = self.words()
         begin = time.monotonic()
         child = os.fork()
@@ -173,19 +170,19 @@ class Case:
         return (None if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)), seconds
 
     def changes(self) -> int:
-        """Return how many changes of files the last run made that came to its end."""
+        """Return the number of file changes made by the last run that finished."""
         return int(self.log.with_suffix(".changes").read_text())
 
     def contents(self) -> dict[str, str]:
-        """Return what lies in the folder now."""
+        """Return the current contents of the folder."""
         return contents(self.folder)
 
     def last_line(self) -> str:
-        """Return what was printed last."""
+        """Return the last line that was printed."""
         return self.log.read_text().strip().rpartition("\n")[2]
 
     def _as_child(self, words: list[str], moment: Moment | None) -> None:
-        """Run the command in this process, and leave it."""
+        """Run the command in this process, then exit."""
         status = 99
         try:
             log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
@@ -202,7 +199,7 @@ class Case:
 
 
 def _count_changes(folder: Path, last: int | None) -> Callable[[], int]:
-    """Count from now on what this process changes among the files of a folder, and kill it right before a change."""
+    """Count this process's file changes in a folder from now on, and kill it right before a given change."""
     inside, done = str(folder), 0
 
     def watch(event: str, arguments: tuple[Any, ...]) -> None:
@@ -218,13 +215,13 @@ def _count_changes(folder: Path, last: int | None) -> Callable[[], int]:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return what lies in a folder: for each file a hash of its bytes, or of each of its values."""
+    """Return the contents of a folder: for each file a hash of its bytes, or of each of its values."""
     found: dict[str, str] = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         name = path.relative_to(folder).as_posix()
         if path.suffix == ".json":
             values = json.loads(path.read_text())
-            if path.name == "run.json":  # a training that goes on opens another file of events
+            if path.name == "run.json":  # a resumed training opens another event file
                 values["written"] = [item for item in values["written"] if "/events." not in item]
             found.update({f"{name}:{key}": value for key, value in _leaves(values)})
         elif path.suffix == ".csv":
@@ -285,7 +282,7 @@ def _done(words: Sequence[str]) -> None:
 
 
 def killed(case: Case, kills: int, draw: random.Random) -> dict[str, Any]:
-    """Kill a command so many times, and return what came of it."""
+    """Kill a command this many times, and return the outcome."""
     undisturbed = []
     for _ in range(2):
         case.begin()
@@ -297,7 +294,7 @@ def killed(case: Case, kills: int, draw: random.Random) -> dict[str, Any]:
     wanted, other = undisturbed
     varying = sorted(key for key in wanted.keys() | other.keys() if wanted.get(key) != other.get(key))
     if any(wanted.keys() ^ other.keys()):
-        raise SystemExit(f"two runs leave other files: {sorted(wanted.keys() ^ other.keys())}")
+        raise SystemExit(f"two runs leave different files: {sorted(wanted.keys() ^ other.keys())}")
     done, ended, wrong = 0, 0, list[str]()
     while done < kills:
         case.begin()
@@ -325,7 +322,7 @@ def killed(case: Case, kills: int, draw: random.Random) -> dict[str, Any]:
 
 
 def interrupted(case: Case, times: int, draw: random.Random) -> dict[str, Any]:
-    """Interrupt a command so many times, every other time twice, and return what came of it."""
+    """Interrupt a command this many times, every other time twice, and return the outcome."""
     case.begin()
     begin = time.monotonic()
     command = [sys.executable, "-m", "siamloc"]
@@ -356,10 +353,10 @@ def interrupted(case: Case, times: int, draw: random.Random) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Kill each command, print what came of it, and write the file."""
+    """Kill each command, print the outcome, and write the file."""
     arguments = parser(__doc__, keeps=True)
-    arguments.add_argument("--kills", type=int, default=100, help="of each command")
-    arguments.add_argument("--interrupts", type=int, default=20, help="of each command")
+    arguments.add_argument("--kills", type=int, default=100, help="kills of each command")
+    arguments.add_argument("--interrupts", type=int, default=20, help="interrupts of each command")
     arguments.add_argument("--only", nargs="+", choices=WORKS, default=list(WORKS), help="commands")
     arguments.add_argument("--seed", type=int, default=0)
     options = arguments.parse_args()

@@ -1,11 +1,11 @@
-"""Trained in one light, asked in another: one cloudy drive, queries by night and in the sun, and what helps how much.
+"""Train on one cloudy drive, query at night and in the sun, and measure how much each part of the recipe helps.
 
 `ours` is `siamloc.training.recipe("modern")`, trained on the cloudy drive alone, with several seeds. The other rows
-leave one part of it out, or take the published one, in two epochs instead of five. Headings are not given, and the map
-is every fifth frame of the cloudy drive. Beside them the analytic descriptors.
+leave out one part of it, or use the published one instead, and train for two epochs instead of five. Headings are not
+given, and the map is every fifth frame of the cloudy drive. The analytic descriptors are evaluated for comparison.
 
-Targets, of the mean over the seeds: better than every analytic descriptor under every light, and an excess over the
-floor of at most 0.05 m under clouds, 0.10 m by night and 0.15 m in the sun.
+Targets for the mean over the seeds: better than every analytic descriptor under every lighting, and an excess over the
+floor of at most 0.05 m under clouds, 0.10 m at night and 0.15 m in the sun.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.light_gap --data data/freiburg_like
@@ -51,7 +51,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "without relight and doorway": _own(_WINDOWS),
     "each image normalized, policy lighting": _changed("lighting", "image"),
 }
-"""What the rows of the ablation change."""
+"""The changes in the rows of the ablation."""
 DRAWN = {
     **{"fs": "Fourier signature", "hog": "HOG", "wisurf": "WI-SURF", "briefgist": "BRIEF-gist"},
     **{"radon_fourier": "Radon, Fourier", "hsv": "HSV histograms"},
@@ -64,8 +64,8 @@ def main() -> None:
     arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--picture", type=Path, help="where to draw the ablation (PNG)")
-    arguments.add_argument("--changes", nargs="*", default=list(CHANGES), choices=list(CHANGES), help="rows to ablate")
-    arguments.add_argument("--analytic", nargs="+", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
+    arguments.add_argument("--changes", nargs="*", default=list(CHANGES), choices=list(CHANGES), help="ablation rows")
+    arguments.add_argument("--analytic", nargs="+", default=ANALYTIC, choices=ANALYTIC, help="descriptors to compare")
     options = arguments.parse_args()
     report = Report("light_gap", options.out)
     small, large = Building(options.data, RECIPE.image_size), Building(options.data)
@@ -87,7 +87,7 @@ def main() -> None:
 
 
 def trained(building: Building, seed: int, run: Path, **changes: Any) -> dict[str, Any]:
-    """Train on the cloudy drive, and return where the network finds the queries, and the minutes it took."""
+    """Train on the cloudy drive, and return the errors on the queries and the minutes the training took."""
     network = RECIPE.build(seed=seed, normalize=changes.pop("normalize", RECIPE.model["normalize"]))
     drives = {"frames": building.drives(MAP), "validation": building.drives(VALIDATION)}
     begin = time.monotonic()

@@ -1,7 +1,7 @@
-"""How fast batches of panoramas come: from the memory-mapped library, and from JPEG files decoded one by one.
+"""Measure how fast batches of panoramas load: from the memory-mapped library, and from JPEG files decoded one by one.
 
-Both sides serve random rows in the same run, in one thread. The files are drawn here, in a temporary folder. Targets:
-3,000 panoramas/s of 3 x 128 x 512 in batches of 32 from the library, and 10 times the loader that opens, decodes and
+Both serve random rows in the same run, in one thread. The files are drawn in a temporary folder. Targets: 3,000
+panoramas/s of 3 x 128 x 512 in batches of 32 from the library, and 10 times as many as a loader that opens, decodes and
 resizes each item with PIL.
 
     python -m benchmarks.loader [--out FOLDER]
@@ -51,10 +51,10 @@ def main() -> None:
 
 def _options() -> argparse.Namespace:
     arguments = parser(__doc__)
-    arguments.add_argument("--images", type=int, default=1024, help="how many JPEG files to draw (default 1024)")
-    arguments.add_argument("--batch", type=int, default=32, help="panoramas in a batch (default 32)")
-    arguments.add_argument("--batches", type=int, default=100, help="batches in a measurement (default 100)")
-    arguments.add_argument("--repeats", type=int, default=7, help="measurements; their median counts (default 7)")
+    arguments.add_argument("--images", type=int, default=1024, help="number of JPEG files to draw (default 1024)")
+    arguments.add_argument("--batch", type=int, default=32, help="panoramas per batch (default 32)")
+    arguments.add_argument("--batches", type=int, default=100, help="batches per measurement (default 100)")
+    arguments.add_argument("--repeats", type=int, default=7, help="measurements to take the median of (default 7)")
     arguments.add_argument("--threads", type=int, default=1, help="threads of torch (default 1)")
     arguments.add_argument(
         "--sizes",
@@ -110,7 +110,7 @@ def _measure(folder: Path, rows: int, columns: int, options: argparse.Namespace)
 
 
 def _draw(folder: Path, count: int, rows: int, columns: int) -> list[str]:
-    """Draw pictures as smooth as an indoor scene, so that decoding costs what it costs there."""
+    """Draw images as smooth as an indoor scene, so that decoding takes as long as for real ones."""
     folder.mkdir()
     rng = np.random.default_rng(1)
     paths = [str(folder / f"{number:06}.jpeg") for number in range(count)]

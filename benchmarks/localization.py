@@ -1,13 +1,13 @@
 """Localization on the simulated building: absolute and hierarchical, single frames and sequences, three lightings.
 
-HOG, gist and a trained network, each by the same protocol (`freiburg_sim`, map and queries from different drives). The
-network is `siamloc.training.recipe("modern")`, trained on three drives; a second one has `loss.room=0.5`, so that it
-tells rooms apart as well. They are trained into the folder of `--runs` unless they are there. The filter's settings are
-chosen on the validation drives.
+HOG, gist and a trained network are evaluated with the same protocol (`freiburg_sim`, map and queries from different
+drives). The network is `siamloc.training.recipe("modern")`, trained on three drives; a second one has `loss.room=0.5`,
+so that it distinguishes rooms as well. Both are trained into the folder given by `--runs` unless they are already
+there. The filter's settings are chosen on the validation drives.
 
-Targets: hierarchical search over nodes loses at most 10 % in mean error while it compares at most 25 % of the
-descriptors, and nothing with at most 10 % where the network ranks the nodes as well; the sequence filter reduces the
-95 % error at night and in the sun.
+Targets: hierarchical search over nodes increases the mean error by at most 10 % while comparing at most 25 % of the
+descriptors; where the network ranks the nodes as well, it loses nothing while comparing at most 10 %; the sequence
+filter reduces the 95 % error at night and in the sun.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.localization --data data/freiburg_like --runs runs/localization
@@ -42,9 +42,9 @@ SPARSE = {
     "changes_window": 10,
     "window": 12,
 }
-"""The incremental mapper for frames 15 cm apart, as conf/build/incremental_sparse.yaml has it."""
+"""Settings of the incremental mapper for frames 15 cm apart, as in conf/build/incremental_sparse.yaml."""
 OWN = "30 clusters of the network"
-# What is searched first, by its name in the table: how nodes are built, by which descriptor, and how they are ranked.
+# The layers searched first, by name in the table: how nodes are built, with which descriptor, and how they are ranked.
 LAYERS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "40 clusters of HOG": ({"way": "spectral", "nodes": 40}, "hog_mapping", {"candidates": 3}),
     "nodes of HOG": ({"way": "incremental", **SPARSE}, "hog_mapping", {"candidates": 3}),
@@ -54,14 +54,14 @@ LAYERS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "the room network's vote": ({"way": "rooms"}, "rooms", {"candidates": 1, "coarse": {"by": "vote"}}),
 }
 MOST = {OWN: (0.0, 0.10)}
-"""How much the mean error may grow, and the share that may be compared, where these are not a tenth and a quarter."""
+"""Allowed growth of the mean error and allowed share of comparisons, if other than a tenth and a quarter."""
 RECIPE = siamloc.training.recipe("modern")
 TRAINED: dict[str, dict[str, Any]] = {"network": {}, "rooms": {"room": 0.5}}
-"""The networks, and what the loss of each has that the recipe's has not."""
+"""The networks, and the loss settings in which each differs from the recipe."""
 
 
 def main() -> None:
-    """Train what is not there, evaluate, print tables and write the file."""
+    """Train missing networks, evaluate, print tables and write the file."""
     arguments = parser(__doc__)
     arguments.add_argument("--data", type=Path, required=True, help="folder of the rendered building, freiburg_like")
     arguments.add_argument("--runs", type=Path, required=True, help="folder of the runs")
@@ -77,7 +77,7 @@ def main() -> None:
 
 
 def fits(method: str, layer: str) -> bool:
-    """Return whether both layers read panoramas of one size; those of the networks are half as large as the others."""
+    """Whether both layers read panoramas of the same size; those of the networks are half as large as the others."""
     return method == "network" or LAYERS[layer][1] not in TRAINED
 
 
@@ -96,7 +96,7 @@ class Bench:
         self._maps: dict[tuple[str, int, bool], VisualMap] = {}
 
     def absolute(self, method: str, every: int) -> dict[str, Any]:
-        """Return the figures of a search in the whole map, of single frames and filtered."""
+        """Return the figures of a search in the whole map, for single frames and filtered."""
         building = self._building(method == "network")
         result = siamloc.evaluation.localization(
             self._map(METHODS[method], every, method == "network"),
@@ -144,7 +144,7 @@ class Bench:
         return self._small if small else self._large
 
     def _trained(self, name: str) -> Any:
-        """Return a trained network; where its run is there, it goes on from it."""
+        """Return a trained network, resuming its run if there is one."""
         network, building = RECIPE.build(seed=0), self._small
         train, validation = building.drives(TRAIN), building.drives(VALIDATION)
         loss = make_loss(**{**(RECIPE.loss or {}), **TRAINED[name]})

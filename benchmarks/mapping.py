@@ -1,18 +1,18 @@
-"""Measure compact maps: the incremental mapper in both versions beside clustering and plain sampling.
+"""Measure compact maps: both versions of the incremental mapper next to clustering and plain sampling.
 
     python -m benchmarks.mapping --data FOLDER [--out FOLDER] [--pictures FOLDER] [--spacing METRES] [--quick] [--scale]
 
-FOLDER holds what `siamloc simulate camera=panorama building=freiburg_like` renders; the map is path 2, cloudy1, at all
-its frames or one every `--spacing` metres, described by HOG as [I] 6.1 takes it. Version 2 has the y and omega of [T]
-4.6.1; spectral clustering and sampling get its number of nodes. Spectral clustering ends elsewhere from other starts of
-its k-means: the table shows the median of 21 seeds by silhouette, with the lowest and the highest. Silhouettes are of
-the capture points, "pooled" as in [I] eq. 12-13 and "nearest" as in [C] 8-9; `kept` is the pooled one times the share
-of frames that are in a node, since a map that leaves out what is difficult looks good otherwise. With `--pictures`, the
-sweeps of y and omega ([I] figure 9) and of the number of clusters ([I] figures 11, 12) are drawn. `--scale` adds 20,000
-frames in one run.
+FOLDER is the output of `siamloc simulate camera=panorama building=freiburg_like`. The map is path 2, cloudy1, with all
+its frames or one every `--spacing` metres, described by HOG with the settings of [I] 6.1. Version 2 uses the y and
+omega of [T] 4.6.1; spectral clustering and sampling get its number of nodes. The result of spectral clustering depends
+on where its k-means starts: the table shows the median of 21 seeds by silhouette, with the lowest and the highest.
+Silhouettes are those of the capture points, "pooled" as in [I] eq. 12-13 and "nearest" as in [C] 8-9; `kept` is the
+pooled one times the share of frames that are in a node, because otherwise a map that leaves out the difficult frames
+would look good. With `--pictures`, the sweeps of y and omega ([I] figure 9) and of the number of clusters ([I] figures
+11, 12) are drawn. `--scale` adds 20,000 frames in one run.
 
 Targets: the pooled silhouette of version 2 is at least that of version 1, and that of spectral clustering with as many
-nodes; at most 5 % of the frames are in no node of version 2.
+nodes; version 2 leaves at most 5 % of the frames out of its nodes.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ MOST_UNASSIGNED = 5.0
 def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--data", type=Path, help="folder of the rendered building; not needed with --only-scale")
-    arguments.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw the sweeps into it")
+    arguments.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw the sweeps into this folder")
     arguments.add_argument("--spacing", type=float, default=0.0, help="metres between map frames; all frames if 0")
     arguments.add_argument("--quick", action="store_true", help="every third value of the sweeps, short drives")
     arguments.add_argument("--scale", action="store_true", help="also 20,000 frames in one run")
-    arguments.add_argument("--only-scale", action="store_true", help="nothing else")
-    arguments.add_argument("--places", type=Path, default=Path("../shared/data/cold_places"), help="of --scale")
+    arguments.add_argument("--only-scale", action="store_true", help="run nothing but --scale")
+    arguments.add_argument("--places", type=Path, default=Path("../shared/data/cold_places"), help="poses for --scale")
     options = arguments.parse_args()
     if options.data is None and not options.only_scale:
         arguments.error("--data is needed: the folder that `siamloc simulate camera=panorama` rendered")
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def compare(options: Any, report: Report) -> dict[str, Any]:
-    """Both versions and their rivals on one drive, with the sweeps."""
+    """Compare both versions with the other methods on one drive, and run the sweeps."""
     known, descriptor = described(options.data, options.spacing)
     print(f"{len(known)} frames of {known.frames.sequence[0]}")
     table = [measured(known, descriptor, f"incremental, version {v}", incremental(v, 1.5, 1.85)) for v in (2, 1)]
@@ -106,7 +106,7 @@ def compare(options: Any, report: Report) -> dict[str, Any]:
 
 
 def described(data: Path, spacing: float) -> tuple[VisualMap, Descriptor]:
-    """The map frames with their descriptors."""
+    """Return the map frames, described, and their descriptor."""
     frames = read("cold", root=data).select(sequence=SEQUENCE)
     if spacing > 0:
         frames = frames.spaced(spacing)
@@ -120,10 +120,10 @@ def described(data: Path, spacing: float) -> tuple[VisualMap, Descriptor]:
 
 
 def picture(path: str) -> NDArray[np.uint8]:
-    """An image (3, H, W) in the order red, green, blue."""
+    """Return an image (3, H, W) with channels in the order red, green, blue."""
     image = cv2.imread(path)
     if image is None:
-        raise SystemExit(f"{path} cannot be read: render the building anew")
+        raise SystemExit(f"{path} cannot be read: render the building again")
     return np.ascontiguousarray(image[..., ::-1].transpose(2, 0, 1))
 
 
@@ -137,7 +137,7 @@ def batch(name: str, nodes: int) -> dict[str, Any]:
 
 
 def typical(known: VisualMap, descriptor: Descriptor, nodes: int) -> dict[str, Any]:
-    """Spectral clustering with the median silhouette over seeds, and the range of all."""
+    """Return the measures of the spectral clustering with the median silhouette over seeds, and the range."""
     every = [measured(known, descriptor, f"spectral, {nodes}", batch("spectral", nodes), seed) for seed in range(SEEDS)]
     every.sort(key=lambda row: row["silhouette"])
     return {**every[SEEDS // 2], "lowest": every[0]["silhouette"], "highest": every[-1]["silhouette"]}

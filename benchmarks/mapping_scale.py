@@ -1,14 +1,14 @@
-"""20,000 frames in one run of the incremental mapper: time, memory, and what bounded exemplars cost.
+"""20,000 frames in one run of the incremental mapper: time, memory, and the cost of bounded exemplars.
 
-Part of `python -m benchmarks.mapping --scale`. The poses are the real ones of COLD's lists; the descriptors are drawn:
-smooth random functions of position (256 numbers) and of position and azimuth (256 steps of 16 bins), with noise of
-their own in every frame, as long as those of HOG. First the robot repeats its rounds in one building, so that the
-number of nodes does not grow, and then it drives through all buildings. Times are those of the processor.
+Part of `python -m benchmarks.mapping --scale`. The poses are the real ones from COLD's lists; the descriptors are
+drawn: smooth random functions of position (256 numbers) and of position and azimuth (256 steps of 16 bins), with
+independent noise in every frame, as long as those of HOG. First the robot repeats its rounds in one building, so that
+the number of nodes does not grow; then it drives through all buildings. Times are CPU times.
 
-Targets: the last frames of the rounds take at most twice as long as the frames up to 2,000 that had as many nodes; at
-most 10 ms per frame; memory at most three times what the descriptors of all frames take. `growth_per_node` divides both
-times by the number of nodes instead, although much of a frame's time does not depend on it: where nodes merge, as in
-the rounds, it makes the growth look larger.
+Targets: the last frames of the rounds take at most twice as long as those of the frames up to 2,000 that had as many
+nodes; at most 10 ms per frame; memory at most three times that of the descriptors of all frames. `growth_per_node`
+divides both times by the number of nodes instead, although much of a frame's time does not depend on it: where nodes
+merge, as in the rounds, it makes the growth look larger.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ PART = 3_000
 LONGEST_MS, MOST_GROWTH, MOST_MEMORY = 10.0, 2.0, 3.0
 WIDTH, STEPS, BINS, HARMONICS = 256, 256, 16, 12
 LENGTH_SCALE = 1.5  # metres over which appearance changes
-NOISE = 0.15  # of the descriptors' own standard deviation
+NOISE = 0.15  # relative to the descriptors' own standard deviation
 ROUNDS = ("freiburg_seq2_cloudy1", "freiburg_seq2_night1", "freiburg_seq2_sunny1")
 
 
 class Drawn(Descriptor):
-    """Names the descriptors that are drawn; compares as every descriptor does."""
+    """Stands for the drawn descriptors; compares them as any descriptor does."""
 
     name = "drawn"
 
@@ -55,10 +55,10 @@ class Drawn(Descriptor):
 
 
 class World:
-    """What a robot sees at a pose: smooth random functions, different ones for each building.
+    """What a robot sees at a pose: smooth random functions, different for each building.
 
     Args:
-        seed: of the functions.
+        seed: seed of the functions.
     """
 
     def __init__(self, seed: int) -> None:
@@ -115,19 +115,19 @@ def run(places: Path, out: Path, quick: bool = False) -> None:
 
 
 def alone(what: str, frames: FrameTable, early: int) -> dict[str, Any]:
-    """One run in a process of its own: what an earlier one has freed would be taken again without being counted."""
+    """Run a drive in its own process: memory freed by an earlier drive would be reused without being counted."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(driven, what, frames, early).result()
 
 
 def cycled(tables: list[FrameTable], frames: int) -> FrameTable:
-    """The tables one after the other, again and again, until there are so many frames."""
+    """Repeat the tables, one after the other, until there are as many frames as requested."""
     whole = concatenate(tables)
     return whole.take(np.arange(frames) % len(whole))
 
 
 def described(frames: FrameTable, seed: int = 0) -> Iterator[Description]:
-    """Descriptions of frames, drawn one by one: what is measured is the mapper's memory, not theirs."""
+    """Draw descriptions of frames one by one, so that the mapper's memory is measured and not theirs."""
     worlds: dict[str, World] = {}
     for row, (x, y, theta) in enumerate(zip(frames.x, frames.y, frames.theta, strict=True)):
         building = str(frames.building[row])
@@ -136,10 +136,10 @@ def described(frames: FrameTable, seed: int = 0) -> Iterator[Description]:
 
 
 def driven(what: str, frames: FrameTable, early: int) -> dict[str, Any]:
-    """One run with bounded exemplars: time and nodes early and late, and memory."""
+    """Run a drive with bounded exemplars; return time and nodes, early and late, and memory."""
     warm = IncrementalMapper(Drawn(), 2, exemplars=EXEMPLARS)
     for one in described(frames.take(np.arange(WARM))):
-        warm.add(one)  # what is loaded once is not the map's memory
+        warm.add(one)  # what is loaded only once does not count as memory of the map
     del warm
     gc.collect()
     before = resident()
@@ -180,7 +180,7 @@ def driven(what: str, frames: FrameTable, early: int) -> dict[str, Any]:
 
 
 def with_as_many(nodes: NDArray[np.int64], count: float, early: int) -> slice:
-    """The window of early frames whose mean number of nodes is nearest to a count; of equals the latest."""
+    """Return the window of early frames whose mean number of nodes is nearest to a count; the latest of equal ones."""
     sums = np.concatenate([[0], np.cumsum(nodes[: early + WINDOW // 2])])
     apart = np.abs((sums[WINDOW:] - sums[:-WINDOW]) / WINDOW - count)
     start = int(np.flatnonzero(apart == apart.min())[-1])
@@ -188,7 +188,7 @@ def with_as_many(nodes: NDArray[np.int64], count: float, early: int) -> slice:
 
 
 def cost_of_bound(frames: FrameTable, limit: int | None) -> dict[str, Any]:
-    """The same part of a drive with a bound on the exemplars, or without."""
+    """Map the same part of a drive with a bound on the exemplars, or without."""
     mapper = IncrementalMapper(Drawn(), 2, exemplars=limit)
     descriptions = list(described(frames))
     start = time.process_time()
@@ -206,7 +206,7 @@ def cost_of_bound(frames: FrameTable, limit: int | None) -> dict[str, Any]:
 
 
 def quality(frames: FrameTable, labels: NDArray[np.int64]) -> dict[str, float]:
-    """Pooled silhouette of the points, buildings far apart, and purity by room."""
+    """Return the pooled silhouette of the points, with buildings far apart, and the purity by room."""
     buildings = np.unique(frames.building, return_inverse=True)[1]
     xy = frames.xy + 200.0 * buildings[:, None]
     several = len(np.unique(labels[labels >= 0])) > 1
@@ -215,6 +215,6 @@ def quality(frames: FrameTable, labels: NDArray[np.int64]) -> dict[str, float]:
 
 
 def resident() -> int:
-    """Bytes of the process that are in memory."""
+    """Return the resident memory of this process in bytes."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * 4096

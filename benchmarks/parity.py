@@ -1,8 +1,8 @@
-"""Whether each branch with each head says on the robot what it says in torch.
+"""Check that each branch with each head gives the same results on the robot as in torch.
 
-Networks with random weights describe a map of 48 panoramas and 24 others, in torch and through the bundle, in
-onnxruntime. "apart" is the largest distance between the two descriptors of an image, over the length of torch's; the
-targets are 1e-4, and the same nearest map frame for each.
+Networks with random weights describe a map of 48 panoramas and 24 others, in torch and, with the bundle, in
+onnxruntime. "apart" is the largest distance between the two descriptors of an image, divided by the length of torch's.
+Targets: at most 1e-4, and the same nearest map frame for each image.
 
     siamloc simulate building=mini camera=panorama runs=[cloudy1,night1] spacing=0.3 out=data
     python -m benchmarks.parity --data data/mini
@@ -28,7 +28,7 @@ WRAPPED = ("fourier", "magnitudes")
 
 
 def measured(branch: str, head: str, images: PanoramaLibrary, drives: list[Any]) -> dict[str, Any]:
-    """Export a network, and compare what both say."""
+    """Export a network, and compare the results of both."""
     module = siamloc.models.build(branch, head, SIZE, circular=head in WRAPPED)
     network = siamloc.models.as_descriptor(module)
     known = siamloc.maps.build(network, images, drives[0], progress=False)
@@ -44,7 +44,7 @@ def measured(branch: str, head: str, images: PanoramaLibrary, drives: list[Any])
 
 
 def main() -> None:
-    """Compare every pair of branch and head, print a row of each branch, and write the file."""
+    """Compare every pair of branch and head, print a row for each branch, and write the file."""
     arguments = parser(__doc__)
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--branches", nargs="+", default=list(BRANCHES), choices=list(BRANCHES))

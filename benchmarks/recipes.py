@@ -1,11 +1,11 @@
-"""The published way of training and ours on the simulated building: localization under three lightings, several seeds.
+"""Compare the published training with ours on the simulated building, under three lightings and with several seeds.
 
 `published`: AlexNet with the head 500-500-5, pairs with metric labels and the contrastive loss, trained on three
 drives (`experiment=freiburg_sim`); `augmented`: the same with the policy of the thesis; `ours`:
-`siamloc.training.recipe("modern")`. Headings are not given. Beside them the
-analytic descriptors that need no training. The map is one drive, every fifth frame of it and all of them.
+`siamloc.training.recipe("modern")`. Headings are not given. The analytic descriptors, which need no training, are
+evaluated for comparison. The map is one drive, with every fifth frame and with all frames.
 
-Targets for ours, of the mean over the seeds: with every fifth frame an excess over the floor of at most 0.02 m, and
+Targets for the mean of `ours` over the seeds: with every fifth frame an excess over the floor of at most 0.02 m, and
 95 % of the errors at most 0.48 m; with all frames a mean error of at most 0.13 m; at most 6 minutes of training on two
 cores.
 
@@ -13,7 +13,7 @@ cores.
     python -m benchmarks.recipes --data data/freiburg_like
 
 Another building, `building=annex out=data` with `--data data/annex` or `building=random seed=11 out=data` with
-`--data data/random_11`, gives a file of its own, named after it.
+`--data data/random_11`, gets its own file, named after it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def main() -> None:
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--runs", type=Path, help="where to keep the networks, for benchmarks.headings")
     arguments.add_argument("--recipes", nargs="*", default=RECIPES, choices=RECIPES)
-    arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
+    arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors to compare")
     options = arguments.parse_args()
     report = Report(report_name("recipes", options.data), options.out)
     small, large = Building(options.data, RECIPE.image_size), Building(options.data)
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def trained(building: Building, name: str, seed: int, run: Path) -> dict[str, Any]:
-    """Train a network, and return where it finds the queries, and the minutes that its training took."""
+    """Train a network, and return its errors on the queries and the minutes its training took."""
     train, validation = building.drives(TRAIN), building.drives(VALIDATION)
     begin = time.monotonic()
     if name == "ours":

@@ -1,21 +1,21 @@
-"""Poses finer than the map: each query compared with the map frames that it resembles, by map spacing.
+"""Measure poses finer than the map, by map spacing: each query is compared with the map frames that it resembles.
 
 The map is every frame of one drive, or every 2nd, 5th, 10th or 20th; the queries are other drives under three
-lightings, and nobody knows headings. A query is compared with 3 map frames, and with 8 where the map holds every 10th
-or 20th. The network that comes with siamloc is taken as it is, and fine-tuned by the
-recipe `fine_tuning` with relative=True on three drives, one of which is the map; `--run` takes another one. Beside it
-stands the analytic way: between the three nearest map frames by HOG.
+lightings, with unknown headings. A query is compared with 3 map frames, or with 8 if the map holds every 10th or 20th.
+The shipped network is used as it is, and fine-tuned with the recipe `fine_tuning` and relative=True on three drives,
+one of which is the map; `--run` adds another network. The analytic way, between the three nearest map frames by HOG, is
+evaluated for comparison.
 
-Targets of the fine-tuned networks, of the mean over the seeds, under every lighting: with every fifth frame a mean
+Targets for the mean of the fine-tuned networks over the seeds, under every lighting: with every fifth frame a mean
 error of at most 0.06 m, 95 % below 0.15 m, and a median heading error of at most 0.5 degrees; with every twentieth a
 mean of at most 0.25 m; and 87 to 93 % of the positions inside their 90 % ellipses, which are learned from the drives
-that chose the checkpoint. Without training: less than the nearest frame's error. What it costs is measured with the
-usual building: at most 3 ms for a query and 3 map frames on one core, and at most 8 kB in the map for a frame.
+that the checkpoint was chosen on. Without training: less than the nearest frame's error. The cost is measured with the
+usual building: at most 3 ms for a query and 3 map frames on one core, and at most 8 kB per frame in the map.
 
     siamloc simulate camera=panorama out=data
     OMP_NUM_THREADS=1 python -m benchmarks.refinement --data data/freiburg_like
 
-Buildings that nobody chose anything by, such as `siamloc simulate camera=panorama building=random seed=101 out=data`:
+For buildings on which nothing was chosen, such as `siamloc simulate camera=panorama building=random seed=101 out=data`:
 
     OMP_NUM_THREADS=1 python -m benchmarks.refinement --data data/annex --ways "without training"
 """
@@ -46,10 +46,10 @@ COMPARING: dict[str, Any] = {
     "pairs": {"near": 0.75, "reach": 4.0, "epoch_batches": 80},
     "optimizer": {"frozen_stages": 4, "learning_rate": 0.002},
 }
-"""Changes of the recipe that train what compares alone, with pairs of places a map's spacing apart."""
+"""Changes to the recipe that train only the comparing part, with pairs of places a map's spacing apart."""
 EVERY = (1, 2, 5, 10, 20)
 COMPARED = {1: 3, 2: 3, 5: 3, 10: 8, 20: 8}
-"""Map frames that a query is compared with: where they lie farther apart, the right ones are less often the nearest."""
+"""Map frames that a query is compared with: the farther apart they are, the less often the right ones are nearest."""
 AS_IT_IS, TUNED, ANALYTIC = "without training", "fine-tuned on three drives", "between frames by HOG"
 WAYS = (AS_IT_IS, TUNED, ANALYTIC)
 MOST_MEAN, MOST_P95, MOST_TURN, MOST_SPARSE = 0.06, 0.15, 0.5, 0.25
@@ -64,8 +64,8 @@ def main() -> None:
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, default=3)
     arguments.add_argument("--ways", nargs="*", default=WAYS, choices=WAYS)
-    arguments.add_argument("--run", type=Path, help="of a network to take besides")
-    arguments.add_argument("--picture", type=Path, help="PNG of the errors against the spacing")
+    arguments.add_argument("--run", type=Path, help="run of another network to evaluate")
+    arguments.add_argument("--picture", type=Path, help="PNG of the errors against the map spacing")
     options = arguments.parse_args()
     report = Report(report_name("refinement", options.data), options.out)
     building = Building(options.data, RECIPE.image_size)
@@ -98,7 +98,7 @@ def main() -> None:
 
 
 def trained(building: Building, seed: int) -> siamloc.models.Network:
-    """Fine-tune a network that compares."""
+    """Fine-tune a network that compares images."""
     network = RECIPE.build(seed=seed, relative=True)
     train, validation = building.drives(TRAIN), building.drives(VALIDATION)
     with tempfile.TemporaryDirectory() as folder:
@@ -180,14 +180,14 @@ def by_light(
 
 
 def description(known: siamloc.maps.VisualMap) -> Description:
-    """Return what a map holds of its frames, as descriptions of queries."""
+    """Return the descriptions of a map's frames, to use them as queries."""
     return known.turning(np.arange(len(known)))
 
 
 def costs(building: Building, network: siamloc.models.Network) -> dict[str, float]:
-    """Return the median times that the pose of one query takes on one core, as the robot makes it: by onnxruntime.
+    """Return bytes, and the median times for the pose of one query on one core, with onnxruntime as on the robot.
 
-    Description and search are not in it.
+    Description and search are not included.
     """
     import onnxruntime
 

@@ -1,4 +1,4 @@
-"""Errors of refined poses against the spacing of the map, a panel for each lighting."""
+"""Plot the errors of refined poses against the spacing of the map, with a panel for each lighting."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def draw(rows: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> Path:
     """Draw mean errors over the seeds, on logarithmic axes, and return the file.
 
     Args:
-        rows: of each way, by seed: figures by map spacing and lighting.
-        path: of the PNG.
+        rows: figures by map spacing and lighting, for each way and seed.
+        path: path of the PNG.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullLocator, StrMethodFormatter

@@ -1,7 +1,7 @@
-"""What every benchmark hands over: the machine, the versions, the figures, and whether the targets were met.
+"""Write the report of a benchmark: the machine, the versions, the figures, and whether the targets were met.
 
 Run a benchmark as a module from the project's root, such as `python -m benchmarks.search`. Each writes
-`<name>.json` into the folder of `--out`; the date stands inside.
+`<name>.json`, which contains the date, into the folder given by `--out`.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ Work = Callable[[], Any]
 
 
 class Report:
-    """Gathers the targets of one benchmark and writes its file.
+    """Collects the targets of a benchmark and writes its file.
 
     Args:
-        name: of the benchmark, and of its file.
-        folder: of the file.
-        packages: whose versions matter besides those that siamloc always reports.
+        name: name of the benchmark and of its file.
+        folder: folder of the file.
+        packages: packages whose versions are reported in addition to those that siamloc always reports.
     """
 
     def __init__(self, name: str, folder: Path, packages: Sequence[str] = ()) -> None:
         self.name = name
         self.path = folder / f"{name}.json"
-        self._hardware = hardware()  # here, since the load is of interest before the work begins
+        self._hardware = hardware()  # here, because the load is of interest before the work begins
         self._packages = packages
         self._targets: list[dict[str, Any]] = []
         self._kept: dict[str, Any] = {}
 
     def target(self, text: str, met: bool) -> None:
-        """Say whether a target was met, and take it down."""
+        """Print and record whether a target was met."""
         self._targets.append({"target": text, "met": bool(met)})
         print(f"target {text}: {'met' if met else 'NOT met'}")
 
     def kept(self, rows: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
-        """Return the rows of the file as it stands, with those of this run in place of theirs, in the order given.
+        """Return the rows of the existing file, updated with those of this run, in the given order.
 
-        The new file says from which day, and from which processor, each row is that this run did not measure.
+        For each row that this run did not measure, the new file gives the date and the processor it comes from.
         """
         former = read_json(self.path) if self.path.is_file() else {"rows": {}}
         old = {name: row for name, row in former["rows"].items() if name not in rows}
@@ -60,7 +60,7 @@ class Report:
         return {name: merged[name] for name in order if name in merged}
 
     def former(self, key: str) -> dict[str, Any]:
-        """Return a table of the file as it stands, which this run did not measure."""
+        """Return a table of the existing file that this run did not measure."""
         former = read_json(self.path) if self.path.is_file() else {}
         if former.get(key):
             whence = {"date": former.get("date"), "cpu": former.get("hardware", {}).get("cpu")}
@@ -68,7 +68,7 @@ class Report:
         return dict(former.get(key, {}))
 
     def write(self, figures: Mapping[str, Any]) -> None:
-        """Write the figures with all that they rest on."""
+        """Write the figures with the date, the hardware, the versions and the targets."""
         about = {
             "benchmark": self.name,
             "schema": 1,
@@ -82,16 +82,16 @@ class Report:
 
 
 def parser(doc: str | None, keeps: bool = False) -> argparse.ArgumentParser:
-    """Return a parser that shows the module's text and knows `--out`, and `--keep` where rows can be kept."""
+    """Return a parser that shows the module's docstring and accepts `--out`, and `--keep` if rows can be kept."""
     made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--out", type=Path, default=RESULTS, metavar="FOLDER", help="folder of the JSON file")
     if keeps:
-        made.add_argument("--keep", action="store_true", help="keep the rows of the file that this run leaves out")
+        made.add_argument("--keep", action="store_true", help="keep rows of the existing file that this run leaves out")
     return made
 
 
 def hardware() -> dict[str, Any]:
-    """Return the processor, the cores that may be used, the threads asked for, the load, and the system."""
+    """Return the processor, the usable cores, the requested threads, the load, and the system."""
     return {
         "cpu": _cpu(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -102,7 +102,7 @@ def hardware() -> dict[str, Any]:
 
 
 def seconds(works: Mapping[str, Work], repeats: int) -> dict[str, list[float]]:
-    """Return the seconds of each work, measured in turn after a warm-up, so that a busy machine slows all alike."""
+    """Return the seconds of each workload, timed in turn after a warm-up, so that a busy machine slows all alike."""
     for work in works.values():
         work()
     times: dict[str, list[float]] = {name: [] for name in works}
@@ -115,12 +115,12 @@ def seconds(works: Mapping[str, Work], repeats: int) -> dict[str, list[float]]:
 
 
 def medians(works: Mapping[str, Work], repeats: int) -> dict[str, float]:
-    """Return the median seconds of each work, measured as `seconds`."""
+    """Return the median seconds of each workload, measured as in `seconds`."""
     return {name: statistics.median(values) for name, values in seconds(works, repeats).items()}
 
 
 def milliseconds(work: Work, repeats: int) -> dict[str, float]:
-    """Return medians after a warm-up: by the clock, and what the processors spent on it (less sensitive to others)."""
+    """Return median wall-clock and CPU times after a warm-up; CPU time is less sensitive to other programs."""
     work()
     clock, processor = [], []
     for _ in range(repeats):

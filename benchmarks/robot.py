@@ -1,17 +1,18 @@
-"""What the robot's side costs, and what fewer digits cost: start, image, memory, size, and localization error.
+"""Measure what localization costs on the robot, and the effect of lower precision: start, image, memory, size, error.
 
-The first table: a map of 2,778 frames, panoramas of 128 x 512 pixels, networks with random weights, which cost what
-trained ones do. An image of 640 x 480 pixels is unwrapped, described and looked for; reading it from a file is not
-counted. "beside" is all of that but onnxruntime's own run. A start is a fresh process, from its begin to the first
-answer, with the files in the system's cache. Its memory is the most that it held, and what it holds after some images,
-less what Python holds with the same packages and no bundle. A part of it is pages of the packages' own files, mostly
-onnxruntime's code, which are read when they are first needed: the system has them once for all processes, and drops
-them when memory is short. The rest is the bundle's own, and counts against its length. Times are of one thread.
-"smallest" is a network of 60 kB with two map frames: what that takes, any bundle takes.
+The first table: a map of 2,778 frames, panoramas of 128 x 512 pixels, networks with random weights, which cost as much
+as trained ones. An image of 640 x 480 pixels is unwrapped, described and searched for; reading it from a file is not
+counted. "beside" is all of that except onnxruntime's own run. A start is a fresh process, from its beginning to the
+first answer, with the files in the system's cache. Its memory is the most that it held, and what it holds after some
+images, less what Python holds with the same packages and no bundle; scipy and torch, which a robot does not need, are
+hidden from it. Part of it is pages of the packages' own files, mostly onnxruntime's code, which are read when they are
+first needed: the system holds them once for all processes, and drops them when memory is short. The rest is the
+bundle's own, and is compared with the bundle's size. Times are for one thread. "smallest" is a network of 60 kB with
+two map frames: any bundle takes at least as much.
 
-The second table, with --data: bundles of a drive under clouds, of networks that work, in each precision, located with a
-drive at night and one in the sun. `pretrained` comes with siamloc; `alexnet` and `vgg16`, with the head `gem`, are
-trained on another drive under clouds by the recipe `modern`, for a few minutes.
+The second table, with --data: bundles of a cloudy drive in each precision, queried with another cloudy drive, one at
+night and one in the sun. `pretrained` ships with siamloc; `alexnet` and `vgg16`, with the head `gem`, are trained on a
+third cloudy drive with the recipe `modern`, for a few minutes; `hog` and `wisurf` learn nothing.
 
     siamloc simulate camera=panorama spacing=0.3 runs=[cloudy1,cloudy2,cloudy3,night1,sunny1] out=data
     python -m benchmarks.robot --data data/freiburg_like
@@ -57,6 +58,7 @@ TRAINED: dict[str, dict[str, Any]] = {
 _START = r"""
 import re, sys, time
 from pathlib import Path
+sys.modules.update(dict.fromkeys(["scipy", "torch"]))  # what a robot lacks must not be loaded, even if it is installed
 import numpy as np, cv2, onnxruntime
 from siamloc.runtime import Localizer
 from siamloc.runtime.stream import locate_all
@@ -74,7 +76,7 @@ _OWN = re.compile(r"RssAnon:\s+(\d+)")
 
 
 def drive(folder: Path) -> PanoramaLibrary:
-    """Return as many images as the map has frames, a few pictures under many names."""
+    """Return as many images as the map has frames, a few files under many names."""
     generator = np.random.default_rng(0)
     names = [f"t{row:04}.000000_x{row * 0.01:.6f}_y0.000000_a0.000000.jpeg" for row in range(FRAMES)]
     (folder / "pictures").mkdir()
@@ -92,9 +94,9 @@ def drive(folder: Path) -> PanoramaLibrary:
 
 
 def fresh_start(bundle: Bundle, image: Path) -> tuple[float, float, float, float]:
-    """Return the seconds to the first answer, the most memory, what is held later, and the most of the bundle's own.
+    """Return the seconds to the first answer, the peak memory, the memory held later, and the peak of the bundle's own.
 
-    The last is watched from here, about a thousand times a second: a peak of less than a millisecond may be missed, and
+    The last is read from here, about a thousand times a second: a peak of less than a millisecond may be missed, and
     one while packages are loaded counts too.
     """
     command = [sys.executable, "-c", _START, str(bundle.path), str(image), str(time.time())]
@@ -114,7 +116,7 @@ def fresh_start(bundle: Bundle, image: Path) -> tuple[float, float, float, float
 
 
 def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | None) -> dict[str, Any]:
-    """Measure a bundle with an image, its memory alone if there are former figures of its times."""
+    """Measure a bundle with an image, but only its memory if former figures of its times are given."""
     starts = [fresh_start(bundle, image) for _ in range(max(3, repeats // 20))]
     start, memory, held, own = (statistics.median(values) for values in zip(*starts, strict=True))
     needs = {
@@ -154,7 +156,7 @@ def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | No
 
 
 def first_table(repeats: int, former: dict[str, Any] | None) -> dict[str, Any]:
-    """Return what each bundle with a large map costs; its memory alone if former rows are given."""
+    """Return what each bundle with a large map costs, but measure only its memory if former rows are given."""
     rows, generator = dict[str, Any](), np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -185,12 +187,12 @@ def first_table(repeats: int, former: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def network(branch: str, head: str, circular: bool, size: tuple[int, int]) -> Any:
-    """Return a network with random weights, as what describes."""
+    """Return a network with random weights, as a descriptor."""
     return siamloc.models.as_descriptor(siamloc.models.build(branch, head, size, circular=circular))
 
 
 def second_table(data: Path) -> dict[str, Any]:
-    """Return what bundles of networks that work give in each precision."""
+    """Return the memory, times and errors of bundles with working networks, in each precision."""
     rows, recipe = dict[str, Any](), siamloc.training.recipe("modern")
     frames = siamloc.data.read("cold", root=data)
     drives = {
@@ -226,8 +228,14 @@ def second_table(data: Path) -> dict[str, Any]:
                     refinement=learned.refinement,
                 )
                 np.save(folder / "image.npy", next(iter(images.batches(drives["cloudy2"])))[0].transpose(1, 2, 0))
-                own = statistics.median(fresh_start(bundle, folder / "image.npy")[3] for _ in range(3))
-                needs = {"bundle_mb": bundle.bytes / 1e6, "own_mb": own / 1e6, "own_over_bundle": own / bundle.bytes}
+                starts = [fresh_start(bundle, folder / "image.npy") for _ in range(3)]
+                _, memory, _, own = (statistics.median(values) for values in zip(*starts, strict=True))
+                needs = {
+                    "bundle_mb": bundle.bytes / 1e6,
+                    "memory_mb": memory / 1e6,
+                    "own_mb": own / 1e6,
+                    "own_over_bundle": own / bundle.bytes,
+                }
                 row = {**needs, **errors(bundle, images, drives)}
                 rows[f"{name}, {precision}"] = row
                 print(name, precision, json.dumps({key: round(value, 3) for key, value in row.items()}), flush=True)
@@ -236,7 +244,7 @@ def second_table(data: Path) -> dict[str, Any]:
 
 
 def errors(bundle: Bundle, images: PanoramaLibrary, drives: dict[str, FrameTable]) -> dict[str, Any]:
-    """Return the mean errors under each light, and the median time of an image."""
+    """Return the mean error under each lighting, and the median time for an image."""
     localizer, times, row = Localizer(bundle.path, threads=1), list[float](), dict[str, Any]()
     for light in ("cloudy2", "night1", "sunny1"):
         frames = images.readable(drives[light])
@@ -248,12 +256,12 @@ def errors(bundle: Bundle, images: PanoramaLibrary, drives: dict[str, FrameTable
 
 
 def main() -> None:
-    """Measure each bundle, print a row of it, and write the file."""
+    """Measure each bundle, print its row, and write the file."""
     arguments = parser(__doc__)
     arguments.add_argument("--repeats", type=int, default=60)
     arguments.add_argument("--data", type=Path, help="folder of a rendered building")
-    arguments.add_argument("--memory", action="store_true", help="measure memory alone, and keep the file's times")
-    arguments.add_argument("--errors", action="store_true", help="make the second table alone, and keep the first")
+    arguments.add_argument("--memory", action="store_true", help="measure only memory, and keep the file's times")
+    arguments.add_argument("--errors", action="store_true", help="make only the second table, and keep the first")
     options = arguments.parse_args()
     if options.errors and not options.data:
         arguments.error("the second table is made from a rendered building: give --data")

@@ -1,21 +1,21 @@
-"""Rooms instead of positions: whether two pictures are from one room, and from which, under three lightings.
+"""Rooms instead of positions: whether two images show the same room, and which one, under three lightings.
 
 Networks are trained on the simulated building, three drives under three lightings, in three ways:
 
-- `positions and rooms`: the recipe `modern` with half of what is wanted from the rooms (`loss.room=0.5`);
+- `positions and rooms`: the recipe `modern` with half of the target taken from the rooms (`loss.room=0.5`);
 - `rooms alone`: the same without positions, from room labels and the order of the frames (`pairs.by=sequence`, with
   `loss.sigma=1`, counted in frames);
-- `photographs`: `siamloc.training.recipe("rooms")` on pictures as an ordinary camera takes them, cut out of the same
-  panoramas, 81 to 90 degrees wide, in a direction that wanders as the robot drives, with an exposure and a white
-  balance of their own. The analytic descriptors `hsv` and `hog` are asked for comparison.
+- `photographs`: `siamloc.training.recipe("rooms")` on images like those of an ordinary camera, cut out of the same
+  panoramas: 81 to 90 degrees wide, in a direction that wanders as the robot drives, each with its own exposure and
+  white balance. The analytic descriptors `hsv` and `hog` are evaluated for comparison.
 
-Pairs of queries are judged by the distance of their descriptors, the limit learned from the map; the room of a query is
-that of the map frame that looks most like it. The first network is also searched in two layers, nodes and frames, both
-by its own descriptors.
+Pairs of queries are judged by the distance of their descriptors, with a limit learned from the map; the room of a query
+is that of the most similar map frame. The map of the first network is also searched in two layers, nodes and frames,
+both with its own descriptors.
 
-Targets, of the mean over the seeds: 99 % of the pairs and of the rooms right under every light in both ways; in two
-layers at most 10 % of the comparisons, and no larger mean error than in the whole map; of the photographs more
-rooms right than by `hsv` and `hog` under every light.
+Targets for the mean over the seeds: 99 % of the pairs and of the rooms right under every lighting in the first two
+ways; in two layers at most 10 % of the comparisons, and no larger mean error than in the whole map; with photographs
+more rooms right than with `hsv` and `hog` under every lighting.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.rooms --data data/freiburg_like
@@ -48,15 +48,15 @@ WAYS: dict[str, dict[str, dict[str, Any]]] = {
 }
 LEAST, MOST_COMPARED = 0.99, 0.10
 ALL = "all"
-"""All queries together, and pairs of which each picture may be taken under another light."""
+"""All queries together, and pairs whose images may be taken under different lightings."""
 NODES, CANDIDATES, RATIO, ALONG = 30, 4, 1.3, 2
-"""Chosen on the validation drives."""
+"""Settings of the two layers, chosen on the validation drives."""
 PHOTOGRAPHS = "photographs"
 ANALYTIC = ("hsv", "hog")
 WIDE, ROWS, COLUMNS = 0.25, 120, 160
-"""A photograph: the share of a turn that it shows at most, and its size in pixels."""
+"""A photograph: the largest share of a full turn that it shows, and its size in pixels."""
 STEADY, JERK = 0.9, 4.0
-"""How the camera turns: share of the last turn that it keeps from frame to frame, and degrees that come by chance."""
+"""How the camera turns: the share of the last turn kept from frame to frame, and random degrees added to it."""
 
 
 def main() -> None:
@@ -64,7 +64,7 @@ def main() -> None:
     arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, default=3)
-    arguments.add_argument("--runs", type=Path, help="folder of the runs: to keep them, and to go on with them")
+    arguments.add_argument("--runs", type=Path, help="folder in which the runs are kept and resumed")
     arguments.add_argument("--ways", nargs="+", default=[*WAYS, PHOTOGRAPHS], choices=[*WAYS, PHOTOGRAPHS])
     options = arguments.parse_args()
     report = Report(report_name("rooms", options.data), options.out)
@@ -112,7 +112,7 @@ def trained(building: Building, way: str, seed: int, run: Path) -> Any:
 
 
 def photographed(building: Building, seeds: int, folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """Train on photographs with room labels, and return the shares of rooms and pairs found, ours and analytic."""
+    """Train on photographs with room labels, and return the shares of rooms and pairs found by ours and the others."""
     frames = photographs(building, folder / PHOTOGRAPHS)
     recipe = siamloc.training.recipe("rooms")
     small = PanoramaLibrary(frames, folder / "cache", image_size=recipe.image_size, circular=False)
@@ -159,7 +159,7 @@ def photographs(building: Building, folder: Path) -> FrameTable:
 
 
 def measured(building: Building, network: Any, layers: bool) -> dict[str, Any]:
-    """Return the shares of rooms and pairs found under each light, and what two layers cost and lose."""
+    """Return the shares of rooms and pairs found under each lighting, and the cost and loss of two layers."""
     known = mapped(building.images, network)
     found = shares(building.images, known)
     if layers:
@@ -178,12 +178,12 @@ def mapped(images: PanoramaLibrary, descriptor: Any) -> VisualMap:
 
 
 def shares(images: PanoramaLibrary, known: VisualMap) -> dict[str, Any]:
-    """Return the shares of rooms and pairs found under each light, by the nearest frame of the map."""
+    """Return the shares of rooms and pairs found under each lighting, by the nearest frame of the map."""
     parts = siamloc.evaluation.rooms(known, images, images.frames.select(sequence=list(QUERIES))).parts
     rooms = parts["room_retrieval"]
     found: dict[str, Any] = {light: {"rooms": rooms["lighting"][light]["accuracy"]} for light in LIGHTINGS}
     found[ALL] = {"rooms": rooms["overall"]["accuracy"]}
-    if "room_pairs" in parts:  # which networks alone are asked for
+    if "room_pairs" in parts:  # only for networks
         pairs = {**parts["room_pairs"]["lighting"], ALL: parts["room_pairs"]["overall"]}
         for light, figures in found.items():
             figures["pairs"] = pairs[light]["overall"]

@@ -2,17 +2,17 @@
 
     OMP_NUM_THREADS=1 python -m benchmarks.scale [--out FOLDER] [--quick] [--data MAP]
 
-Descriptors of 128 numbers lie along a drive: a smooth random path, or with `--data` that of a map which `siamloc map`
-wrote (projected at random to 128 numbers), drawn more densely the larger the map is, with noise of its own in every
-frame and query. Hierarchical search has sqrt(n) nodes of neighbouring frames and looks into 3 of them; IVF of faiss has
-as many lists and looks into 3. faiss is left out where it is not installed.
+Descriptors of 128 numbers lie along a drive: a smooth random path or, with `--data`, that of a map written by `siamloc
+map` (projected at random to 128 numbers). The larger the map, the more densely they are drawn, with independent noise
+in every frame and query. Hierarchical search has sqrt(n) nodes of neighbouring frames and searches 3 of them; IVF of
+faiss has as many lists and searches 3. faiss is left out if it is not installed.
 
-Each size and method runs in a process of its own; memory is what the process has at most beyond the map that it began
-with. The picture goes beside the JSON file, or to docs/scale.png if that goes to its usual place.
+Each size and method runs in a separate process; memory is the most that the process takes beyond the map it started
+with. The picture is saved next to the JSON file, or as docs/scale.png if that file is written to its usual place.
 
 Targets: the nearest of 100,000 descriptors for 10,000 queries with less than 2 GB, and in at most twice the time of the
 bare matrix product: the fastest of np.matmul into one array in blocks of 1,000 queries by 1,024, 4,096 or all
-references, in turn with the search; hierarchical search of 1,000,000 at least 10 times as fast as exact search.
+references, timed in turn with the search; hierarchical search of 1,000,000 at least 10 times as fast as exact search.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ LARGEST_RATIO, LARGEST_MB, LEAST_SPEEDUP = 2.0, 2_000, 10.0
 
 def main() -> None:
     arguments = parser(__doc__)
-    arguments.add_argument("--data", type=Path, metavar="MAP", help="map.npz of a run, drawn from instead")
-    arguments.add_argument("--quick", action="store_true", help="maps up to 10,000 frames, to see that it runs")
+    arguments.add_argument("--data", type=Path, metavar="MAP", help="map.npz of a run, used instead")
+    arguments.add_argument("--quick", action="store_true", help="maps of up to 10,000 frames, as a trial")
     arguments.add_argument("--part", help="one measurement, as JSON; used by the benchmark itself")
     options = arguments.parse_args()
     if options.part:
@@ -89,13 +89,13 @@ def main() -> None:
 
 
 def exact(known: VisualMap) -> Find:
-    """Every query with every frame."""
+    """Compare every query with every frame."""
     known.search(known.descriptors[:1])  # prepares the map
     return lambda queries: known.search(queries).indices[:, 0]
 
 
 def hierarchical(known: VisualMap) -> Find:
-    """The best nodes by their representatives, then the frames inside."""
+    """Find the best nodes by their representatives, then search the frames inside."""
     nodes = round(len(known) ** 0.5)
     layer = CoarseLayer.of_labels(known, np.arange(len(known)) * nodes // len(known))
     search = HierarchicalSearch(known, layer, candidates=CANDIDATES)
@@ -157,7 +157,7 @@ def descriptors(frames: int, queries: int, data: Path | None) -> tuple[Vectors, 
     made = []
     for places in (np.linspace(0, 1, frames), rng.uniform(0, 1, queries)):
         vectors = np.empty((len(places), WIDTH), dtype=np.float32)
-        for start in range(0, len(places), 10_000):  # float64 for a while, and not of a whole map
+        for start in range(0, len(places), 10_000):  # in parts, so that float64 never covers a whole map
             part = places[start : start + 10_000]
             vectors[start : start + 10_000] = along(part) + noise * rng.normal(size=(len(part), WIDTH))
         made.append(vectors)
@@ -196,7 +196,7 @@ def _measured(name: str, frames: int, data: Path | None) -> dict[str, Any]:
 
 
 def _beside_product(frames: int, data: Path | None) -> dict[str, Any]:
-    """Exact search in turn with the bare product; ratios within one turn, since others may slow the machine."""
+    """Time exact search in turn with the bare product; ratios are within one turn, as others may slow the machine."""
     references, queries = descriptors(frames, 10_000, data)
     _resident(reset=True)
     VectorIndex(references).search(queries)
@@ -239,9 +239,9 @@ def _in_process(part: str, data: Path | None) -> dict[str, Any]:
 
 
 def _resident(*, peak: bool = False, reset: bool = False) -> int:
-    """Return bytes of the process that are in memory, or were at most since the last reset (Linux)."""
+    """Return the resident memory of this process in bytes, or its peak since the last reset (Linux)."""
     if reset:
-        with contextlib.suppress(OSError, AttributeError):  # what was freed is the system's again, where it can be
+        with contextlib.suppress(OSError, AttributeError):  # give freed memory back to the system, if possible
             ctypes.CDLL(None).malloc_trim(0)
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()

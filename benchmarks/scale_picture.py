@@ -1,4 +1,4 @@
-"""Time and memory of searches against the size of the map, on logarithmic axes."""
+"""Plot time and memory of searches against the size of the map, on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _PANELS = (
     ("single_ms", "time, one query alone", "ms per query"),
     ("memory_mb", "memory beyond the map, at most", "MB"),
 )
-_LEAST = 0.1  # MB below which memory is not told apart
+_LEAST = 0.1  # MB, the smallest value drawn
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """Draw one panel for each measure and return the file.
 
     Args:
-        rows: with method, frames, batch_ms, single_ms, memory_mb, map_mb.
-        path: of the PNG.
+        rows: rows with method, frames, batch_ms, single_ms, memory_mb, map_mb.
+        path: path of the PNG.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullLocator

@@ -1,11 +1,11 @@
-"""Time the exact search, of many queries and of one as a robot asks it, and the evaluation of absolute localization.
+"""Time exact search, for many queries and for one at a time as on a robot, and evaluating absolute localization.
 
     OMP_NUM_THREADS=2 python -m benchmarks.search [--out FOLDER] [--quick]
 
-Run it on a machine that does nothing else: a matrix product on shared cores waits for its slowest thread. Target: 1,500
-queries evaluated against 556 map frames in less than 50 ms, search included. The large search is compared with its
-bare matrix product, and single queries with the flat index of faiss where that is installed: faiss computes in float32,
-so that its order is not exact.
+Run it on an otherwise idle machine: a matrix product on shared cores waits for its slowest thread. Target: 1,500
+queries evaluated against 556 map frames in less than 50 ms, including search. The large search is compared with its
+bare matrix product, and single queries with the flat index of faiss if it is installed; faiss computes in float32, so
+its order is not exact.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NEIGHBOURS = 20
 def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--repeats", type=int, default=5)
-    arguments.add_argument("--quick", action="store_true", help="a tenth of the large search, to see that it runs")
+    arguments.add_argument("--quick", action="store_true", help="a tenth of the large search, as a trial")
     options = arguments.parse_args()
     report = Report("search", options.out, packages=("faiss-cpu",))
     evaluations = [evaluation(width, options.repeats) for width in WIDTHS]
@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def evaluation(width: int, repeats: int) -> dict[str, Any]:
-    """1,500 queries against 556 map frames with given descriptors, search and all measures included."""
+    """Time 1,500 queries against 556 map frames with given descriptors, including search and all measures."""
     rng = np.random.default_rng(0)
     known, queries = frames(rng, 556), frames(rng, 1500)
     visual_map = VisualMap(rng.normal(size=(556, width)), known)
@@ -64,7 +64,7 @@ def evaluation(width: int, repeats: int) -> dict[str, Any]:
 
 
 def large_search(k: int, repeats: int, shrink: int) -> dict[str, Any]:
-    """10,000 queries in 100,000 references of 128 values, beside the bare matrix product in blocks of 1,000 queries."""
+    """Time 10,000 queries in 100,000 references of 128 values, and a matrix product in blocks of 1,000 queries."""
     rng = np.random.default_rng(0)
     queries = rng.normal(size=(10_000 // shrink, 128)).astype(np.float32)
     references = rng.normal(size=(100_000, 128)).astype(np.float32)
@@ -87,7 +87,7 @@ def large_search(k: int, repeats: int, shrink: int) -> dict[str, Any]:
 
 
 def single(frames: int, width: int, repeats: int) -> dict[str, Any]:
-    """One query at a time in a map that is kept, its map prepared for each query, and faiss."""
+    """Time one query at a time: in a map prepared once, in a map prepared for each query, and with faiss."""
     rng = np.random.default_rng(0)
     references = rng.normal(size=(frames, width)).astype(np.float32)
     queries = rng.normal(size=(200, width)).astype(np.float32)

@@ -1,10 +1,10 @@
-"""Which of the things that pretraining varies help on real photographs: each is left out once.
+"""Measure which variations in pretraining help on real photographs, by leaving each out once.
 
-Short pretrainings, equal but for one thing: the same buildings and batches in the same order. Each network is asked for
-places on real photographs of a corridor, which nothing was trained on: one drive is the map and the other one asks,
-then the other way round; and once more with what a camera can do to the queries. In a simulated building that it never
+Short pretrainings that differ in one point only: the same buildings and batches in the same order. Each network locates
+real photographs of a corridor that no network was trained on: one drive is the map and the other one the queries, then
+vice versa; and again with the queries disturbed as a camera may disturb them. In a simulated building that it never
 saw, the map is every fifth frame of one drive, and the queries are drives under three lightings. Several seeds of the
-recipe show the spread: a difference that is not larger says nothing.
+recipe show the spread: a difference that is not larger means nothing.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.sim_to_real --manifest corridor/manifest.csv --data data/freiburg_like
@@ -35,18 +35,18 @@ _EFFECTS: list[Any] = list(RECIPE.augmentation["all_of"])
 
 @dataclass(frozen=True)
 class Way:
-    """What differs from the recipe.
+    """A variant of the recipe.
 
     Attributes:
-        without: a word in what is left out of the augmentation; nothing if empty.
-        views: fields of `ViewSettings` that differ.
+        without: word in the steps that are left out of the augmentation; if empty, none is left out.
+        views: fields of `ViewSettings` that differ from the recipe.
     """
 
     without: str = ""
     views: dict[str, Any] = field(default_factory=dict)
 
     def augmentation(self) -> dict[str, Any]:
-        """Return what happens to the pictures."""
+        """Return the augmentation of the images."""
         kept = [one for one in _EFFECTS if not self.without or f"'{self.without}'" not in repr(one)]
         assert len(kept) < len(_EFFECTS) or not self.without, f"{self.without} is not in the recipe"
         return {**RECIPE.augmentation, "all_of": kept}
@@ -67,10 +67,10 @@ WAYS = {
 def main() -> None:
     """Train, locate, print a table and write the file."""
     arguments = parser(__doc__, keeps=True)
-    arguments.add_argument("--manifest", required=True, help="of the corridor")
+    arguments.add_argument("--manifest", required=True, help="manifest of the corridor")
     arguments.add_argument("--data", type=Path, required=True, help="folder of a rendered building")
     arguments.add_argument("--seeds", type=int, nargs="*", default=[0])
-    arguments.add_argument("--batches", type=int, default=500, help="of each training")
+    arguments.add_argument("--batches", type=int, default=500, help="batches per training")
     arguments.add_argument("--ways", nargs="*", default=list(WAYS), choices=list(WAYS))
     options = arguments.parse_args()
     report = Report("sim_to_real", options.out)
@@ -97,7 +97,7 @@ def main() -> None:
 
 
 def trained(way: Way, seed: int, batches: int, folder: Path) -> Path:
-    """Pretrain a network for a short while, and return the file of its weights."""
+    """Pretrain a network briefly, and return the file of its weights."""
     network = RECIPE.build(seed=seed)
     run = pretrain(
         network,
@@ -139,7 +139,7 @@ def on_photographs(weights: Path, photographs: siamloc.data.PanoramaLibrary) -> 
 
 
 def table(rows: dict[str, list[dict[str, Any]]]) -> str:
-    """Return one line for each way."""
+    """Return a table with one line for each way."""
     lines = [
         "| pretraining | corridor, % | corridor, disturbed, % | building: excess, m |",
         "|---|---|---|---|",

@@ -1,9 +1,9 @@
-"""How fast the simulated building is rendered, compared with a bare ray-casting loop on the same machine.
+"""Measure how fast the simulated building is rendered, compared with a bare ray-casting loop on the same machine.
 
     python -m benchmarks.simulate [--building freiburg_like] [--frames 500] [--workers 2] [--out FOLDER]
 
-The data set is written to a temporary folder, baking and JPEG coding included. The bare loop casts the primary rays of
-one panorama with Embree and does nothing else; the ratio of the two does not depend on what else the machine does.
+The data set is written to a temporary folder, including baking and JPEG encoding. The bare loop casts the primary rays
+of one panorama with Embree and does nothing else; the ratio of the two does not depend on what else the machine does.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from siamloc.simulate.render import frames, meter
 
 
 def bare_loop(building: str, camera: str, repeats: int = 20) -> float:
-    """Return the processor seconds that casting one picture's primary rays takes."""
+    """Return the CPU seconds needed to cast the primary rays of one image."""
     scene = build_scene(load_building(building, 0), Run("cloudy", 1))
     directions = make_camera(camera).pixels().directions[0]
     x, y, _ = scene.state.track.poses[0]
@@ -33,7 +33,7 @@ def bare_loop(building: str, camera: str, repeats: int = 20) -> float:
 
 
 def processor_seconds(building: str, camera: str, count: int = 40) -> tuple[float, float]:
-    """Return the processor seconds of baking, and of one frame, in a single process."""
+    """Return the CPU seconds of baking, and of one frame, in a single process."""
     plan = load_building(building, 0)
     begin = time.process_time()
     scene = build_scene(plan, Run("sunny", 1))

@@ -1,8 +1,8 @@
-"""Does the simulated light behave as published? Nearest-neighbour localization with a gradient-histogram descriptor.
+"""Check that simulated light behaves as published, by nearest-neighbour localization with gradient histograms.
 
     python -m benchmarks.simulate_physics data/freiburg_sim [--map cloudy3] [--every 5] [--out FOLDER]
 
-The map is 1 in k frames of one cloudy run; every frame of the other runs is located by the nearest descriptor. The
+The map is every k-th frame of one cloudy run; every frame of the other runs is located by the nearest descriptor. The
 published order is: cloudy best, night worse, sunny worst.
 """
 

@@ -1,4 +1,4 @@
-"""Compact maps against their parameters: y and omega of the incremental mapper, and the number of clusters."""
+"""Plot compact maps against their parameters: y and omega of the incremental mapper, and the number of clusters."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def heat_maps(table: Rows, measures: Sequence[str] = ("nodes", "silhouette", "un
 
     Args:
         table: rows with version, y, omega and the measures; `unassigned` in percent. A measure may be missing (None).
-        measures: of "nodes", "unassigned", "silhouette" (the pooled one); of the last the highest are framed.
+        measures: some of "nodes", "unassigned", "silhouette" (the pooled one); the highest silhouettes are framed.
 
     Raises:
         DataError: no rows, or a row without one of the columns.

@@ -1,12 +1,12 @@
-"""What comes of nonsense: every key of every command with values that it cannot have, and files with damaged bytes.
+"""Test how nonsense is handled: every key of every command with impossible values, and files with damaged bytes.
 
-Settings: for each leaf of each command's configuration, as several starting points make it, values of another type,
-negative, zero, infinite, huge, empty, lists and mappings. What is nonsense follows from the type of the default alone,
-not from what the code accepts. Calls: the same values for each argument of each public function. Files: bytes of each
-kind of file that siamloc reads are flipped, cut, swapped, repeated and replaced by those of another kind, and it is
-read again.
+Settings: each leaf of each command's configuration, from several starting points, is set to values of another type,
+negative, zero, infinite, huge and empty ones, lists and mappings. Whether a value is nonsense follows from the type of
+the default alone, not from what the code accepts. Calls: the same values for each argument of each public function.
+Files: bytes of each kind of file that siamloc reads are flipped, cut, swapped, repeated and replaced with those of
+another kind, and the file is read again.
 
-Each case ends in a sentence (an error of siamloc's), in acceptance, in a traceback, or takes too long. Targets: no
+Each case ends with an error message from siamloc, is accepted, ends with a traceback, or takes too long. Targets: no
 traceback, nothing above 10 s, and no nonsense accepted.
 
     python -m benchmarks.torture
@@ -39,7 +39,7 @@ from siamloc.cli.robot import Localize, Watch
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import SiamlocError
 from siamloc.settings import Settings
-from siamloc.training import fitting  # noqa: F401 (its packages take seconds to load, which is no fault of a case)
+from siamloc.training import fitting  # noqa: F401 (its packages take seconds to load, which no case should pay for)
 
 LONGEST = 10.0
 SENTENCES = (SiamlocError, AnalyticError, AugmentError, UnreadableImageError)
@@ -73,7 +73,7 @@ STARTS: tuple[tuple[str, ...], ...] = (
         for name in ("gist", "wisurf", "briefgist", "fs", "hsv", "radon_fourier", "radon_poc", "thumbnail")
     ),
 )
-"""Commands, with words that give every group of keys its turn."""
+"""Commands, with words that cover every group of keys."""
 
 NOTHING: Any = None
 STRANGE: dict[str, Any] = {
@@ -120,14 +120,14 @@ _MAY_BE = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case: "refused", "accepted", "nonsense accepted", "traceback" or "too long", and a remark."""
+    """The outcome of a case: "refused", "accepted", "nonsense accepted", "traceback" or "too long", and a remark."""
 
     kind: str
     remark: str = ""
 
 
 def main() -> None:
-    """Try all settings and many files, print what came of it, and write the file."""
+    """Run all cases, print the outcomes, and write the file."""
     arguments = parser(__doc__)
     arguments.add_argument("--files", type=int, default=600, help="damaged versions of each kind of file")
     arguments.add_argument("--seed", type=int, default=0)
@@ -158,7 +158,7 @@ def main() -> None:
 
 
 def outcome_of(case: Callable[[], Any], nonsense: bool, longest: float = LONGEST) -> Outcome:
-    """Run a case and say what came of it."""
+    """Run a case and return its outcome."""
     try:
         with limited(longest):
             case()
@@ -173,7 +173,7 @@ def outcome_of(case: Callable[[], Any], nonsense: bool, longest: float = LONGEST
 
 
 class limited:
-    """End what takes longer than so many seconds, by a TimeoutError."""
+    """End with a TimeoutError whatever takes longer than the given seconds."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -191,7 +191,7 @@ class limited:
 
 
 def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
-    """Yield each leaf of each starting point with each strange value, once; and whether that is nonsense."""
+    """Yield each leaf of each starting point with each strange value, once, and whether it is nonsense."""
     seen: set[tuple[str, str, str]] = set()
     for command, *words in STARTS:
         config = composed(command, words)
@@ -219,7 +219,7 @@ def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
 
 
 def unknown_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
-    """Yield each group of each starting point with a key more than it has."""
+    """Yield each group of each starting point with one unknown key added."""
     seen: set[tuple[str, str]] = set()
     for command, *words in STARTS:
         config = composed(command, words)
@@ -240,7 +240,7 @@ def unknown_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
 
 
 def file_cases(count: int, seed: int) -> Iterator[tuple[str, Callable[[], Any], bool]]:
-    """Yield damaged versions of each kind of file; a change that does no harm is no nonsense."""
+    """Yield damaged versions of each kind of file; a change that does no harm does not count as nonsense."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         whole = {kind: one.write(folder / kind) for kind, one in FILES.items()}
@@ -259,7 +259,7 @@ def file_cases(count: int, seed: int) -> Iterator[tuple[str, Callable[[], Any], 
 
 
 def is_nonsense(key: str, default: Any, called: str) -> bool:
-    """Say whether a strange value cannot be meant, by the type of the default."""
+    """Whether a strange value is nonsense, judged by the type of the default."""
     if (key, called) in _MAY_BE:
         return False
     if isinstance(default, bool):
@@ -274,7 +274,7 @@ def is_nonsense(key: str, default: Any, called: str) -> bool:
 
 
 def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the keys, with dots, and the values of a configuration that are no groups."""
+    """Yield the keys, with dots, and the values of a configuration, except groups."""
     for key, value in values.items():
         if isinstance(value, Mapping) and value:
             yield from leaves(value, f"{prefix}{key}.")

@@ -1,4 +1,4 @@
-"""Calls from Python with an argument that cannot be meant: every public function of siamloc's packages."""
+"""Calls from Python with nonsense arguments: every public function of siamloc's packages."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ _NOT_TOLD = (
 
 
 def call_cases(strange: Mapping[str, Any]) -> Iterator[tuple[str, Callable[[], Any], bool]]:
-    """Yield each argument of each public call with each strange value, all others left out; and whether it is nonsense.
+    """Yield each argument of each public call with each strange value, without the others, and whether it is nonsense.
 
-    Which values are follows from the text of the annotation. A call that takes the value then lacks its other
-    arguments, which is Python's to say and counts as acceptance; those that could go on without are not tried.
+    Which values are nonsense follows from the text of the annotation. A call that takes the value then lacks its other
+    arguments; Python's error about them counts as acceptance. Calls that need no other arguments are not tried.
     """
     for name, function in public_calls():
         needed = [one.name for one in _parameters(function) if one.default is one.empty]
@@ -63,7 +63,7 @@ def call_cases(strange: Mapping[str, Any]) -> Iterator[tuple[str, Callable[[], A
 
 
 def public_calls() -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Yield the functions that the packages offer, and what makes and loads the objects of their classes, by name."""
+    """Yield the public functions of the packages, and what makes and loads objects of their classes, by name."""
     for package in PACKAGES:
         module = importlib.import_module(f"siamloc.{package}")
         for name in getattr(module, "__all__", ["Run"]):
@@ -83,7 +83,7 @@ def public_calls() -> Iterator[tuple[str, Callable[..., Any]]]:
 
 
 def is_nonsense(annotation: str, value: Any) -> bool:
-    """Say whether a plain value cannot be meant for an argument with this annotation.
+    """Whether a plain value is nonsense for an argument with this annotation.
 
     >>> is_nonsense("str | Path | None", 3), is_nonsense("str | Path | None", "abc"), is_nonsense("FrameTable", None)
     (True, False, True)

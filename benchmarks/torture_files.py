@@ -26,8 +26,8 @@ class Kind:
     """A kind of file.
 
     Attributes:
-        write: makes one at a path, or in a folder of that name, and returns the file's own path.
-        read: reads it, as far as siamloc does.
+        write: makes a file at a path, or in a folder of that name, and returns the file's own path.
+        read: reads the file, as far as siamloc does.
     """
 
     write: Callable[[Path], Path]
@@ -35,7 +35,7 @@ class Kind:
 
 
 def damaged(content: bytes, others: list[bytes], chance: random.Random) -> tuple[str, bytes]:
-    """Return how a file was damaged, and what it holds then."""
+    """Damage a file, and return how, and its damaged content."""
     how = chance.choice(WAYS)
     held, size = bytearray(content), max(len(content), 1)
     at = chance.randrange(size)
@@ -71,7 +71,7 @@ def damaged(content: bytes, others: list[bytes], chance: random.Random) -> tuple
 
 
 def _with_a_leaf(content: bytes, chance: random.Random) -> bytes:
-    """Return a JSON file with one value at any depth exchanged for another kind; other files as they are."""
+    """Return a JSON file with one value at any depth replaced with one of another kind; other files as they are."""
     try:
         held = json.loads(content)
     except ValueError:
@@ -101,7 +101,7 @@ def _known() -> siamloc.maps.VisualMap:
 
 
 def _saved(name: str, make: Callable[[], Any], pick: str = "") -> Callable[[Path], Path]:
-    """Return what saves an object under a name in a folder of its own, and returns the path of one of its files."""
+    """Return a function that saves an object under a name in its own folder and returns the path of one file."""
 
     def write(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
@@ -218,7 +218,7 @@ def _write_bundle(name: str) -> Callable[[Path], Path]:
 
 
 def _write_analytic(name: str) -> Callable[[Path], Path]:
-    """Return what writes a bundle of an analytic descriptor with all that one may hold."""
+    """Return a function that writes a bundle of an analytic descriptor with all optional parts."""
 
     def write(path: Path) -> Path:
         images, monday = _frames()
@@ -249,7 +249,7 @@ def _fitting(known: siamloc.maps.VisualMap) -> siamloc.maps.ErrorModel:
 
 
 def _read_bundle(path: Path) -> Any:
-    """Locate with a bundle whose hashes were made to fit, as one who means harm would."""
+    """Locate with a bundle whose hashes were made to fit, as an attacker would do."""
     about_path = path.parent / "bundle.json"
     if path != about_path:
         about = read_json(about_path)

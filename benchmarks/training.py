@@ -1,17 +1,17 @@
-"""How fast networks learn: our training, and a loop in the style of published code, side by side in one run.
+"""Measure how fast networks train: with siamloc, and with a loop in the style of published code, in the same run.
 
-On the CPU AlexNet learns from batches of 32 pairs of panoramas of 128 x 512 pixels. The published style decodes both
-images of a pair with PIL whenever it is asked for, without workers, passes the two through the network one after the
-other, and computes in single precision. Ours is `siamloc.training.fit` with trainer={"precision": "auto"}. The two take
-turns, and the median counts. Target: 3 times as many images a second. Then a small network learns with and without the
-memory being kept from step to step (`siamloc.memory`), in processor time, which other programs disturb least.
+On the CPU, AlexNet is trained on batches of 32 pairs of panoramas of 128 x 512 pixels. The published style decodes both
+images of a pair with PIL whenever the pair is requested, without workers, passes the two through the network one after
+the other, and computes in single precision. Ours is `siamloc.training.fit` with trainer={"precision": "auto"}. The two
+take turns, and the medians are compared. Target: 3 times as many images per second. Then a small network is trained
+with and without keeping memory from step to step (`siamloc.memory`), in CPU time, which other programs disturb least.
 
-Where a GPU is at hand, VGG16 learns from batches of 128 pairs in bfloat16 as well. Targets: 35 % of the rate at which
-the card multiplies matrices in bfloat16, measured in the same run, and less than 5 % of the time waiting for data. With
-`--data` the recipe `modern` learns a building there, too. Target: less than 60 s. Where there is no GPU, the file says
+With a GPU, VGG16 is also trained on batches of 128 pairs in bfloat16. Targets: 35 % of the rate at which the card
+multiplies matrices in bfloat16, measured in the same run, and less than 5 % of the time spent waiting for data. With
+`--data`, the recipe `modern` is trained on a building there, too. Target: less than 60 s. Without a GPU, the file says
 so.
 
-The files are drawn here, in a temporary folder.
+The image files are drawn in a temporary folder.
 
     python -m benchmarks.training
     siamloc simulate camera=panorama out=data
@@ -50,15 +50,15 @@ PAIRS = PairSettings(label="room", same_room_share=0.5)
 CPU_PAIRS, GPU_PAIRS = 32, 128
 LEAST_RATIO, LEAST_SHARE, MOST_WAITING, MOST_SECONDS = 3.0, 0.35, 0.05, 60.0
 NO_GPU = "no GPU"
-SKIPPED = 2  # steps at the beginning, in which memory is laid out
+SKIPPED = 2  # first steps, in which memory is allocated
 
 
 def main() -> None:
     """Measure, print and write the file."""
     arguments = parser(__doc__)
-    arguments.add_argument("--images", type=int, default=512, help="how many JPEG files to draw (default 512)")
-    arguments.add_argument("--steps", type=int, default=8, help="steps of a measurement (default 8)")
-    arguments.add_argument("--repeats", type=int, default=3, help="measurements of each; the median counts (default 3)")
+    arguments.add_argument("--images", type=int, default=512, help="number of JPEG files to draw (default 512)")
+    arguments.add_argument("--steps", type=int, default=8, help="steps per measurement (default 8)")
+    arguments.add_argument("--repeats", type=int, default=3, help="measurements of each, for the median (default 3)")
     arguments.add_argument("--data", type=Path, help="folder of a rendered building, for the recipe on a GPU")
     options = arguments.parse_args()
     report = Report("training", options.out, ("pillow", "torchvision"))
@@ -101,7 +101,7 @@ def draw_files(folder: Path, count: int) -> FrameTable:
 
 
 class _Decoded(Dataset[tuple[torch.Tensor, torch.Tensor, float]]):
-    """Pairs of which each image is opened whenever it is asked for."""
+    """Pairs whose images are opened whenever they are requested."""
 
     def __init__(self, frames: FrameTable, pairs: int) -> None:
         self.paths = frames.path
@@ -121,7 +121,7 @@ def _opened(path: str) -> torch.Tensor:
 
 
 def published_style(frames: FrameTable, steps: int) -> dict[str, float]:
-    """Train as published code does, and return its images a second."""
+    """Train as published code does, and return the images per second."""
     network = siamloc.models.build("alexnet", "fc500_500_5", SIZE).train()
     optimizer = torch.optim.SGD(network.parameters(), lr=0.001, momentum=0.9)
     loss = ContrastiveLoss(2.0)
@@ -140,7 +140,7 @@ def published_style(frames: FrameTable, steps: int) -> dict[str, float]:
 def ours(
     images: PanoramaLibrary, run: Path, branch: str, pairs: int, steps: int, trainer: dict[str, Any] | None = None
 ) -> dict[str, float]:
-    """Train with `siamloc.training.fit`, and return its images a second and the share of waiting."""
+    """Train with `siamloc.training.fit`, and return the images per second and the share of time spent waiting."""
     network = siamloc.models.build(branch, "fc500_500_5", SIZE)
     pace = Pace()
     siamloc.training.fit(
@@ -157,7 +157,7 @@ def ours(
 
 
 def memory(images: PanoramaLibrary, folder: Path, options: Namespace) -> dict[str, Any]:
-    """Return the processor seconds of the program and of the system in which a small network learns."""
+    """Return the CPU seconds, of the program and of the system, for training a small network."""
     found: dict[str, list[dict[str, float]]] = {"kept": [], "given back": []}
     for number in range(options.repeats):
         for name, context in (("kept", kept_memory), ("given back", nullcontext)):
@@ -169,12 +169,12 @@ def memory(images: PanoramaLibrary, folder: Path, options: Namespace) -> dict[st
                 {"program": after.ru_utime - before.ru_utime, "system": after.ru_stime - before.ru_stime}
             )
     seconds = {name: statistics.median(sum(one.values()) for one in each) for name, each in found.items()}
-    print(f"simple1: {seconds['kept']:.1f} s of a processor, {seconds['given back']:.1f} s where memory is given back")
+    print(f"simple1: {seconds['kept']:.1f} s of CPU time, {seconds['given back']:.1f} s if memory is given back")
     return {**found, "ratio": seconds["given back"] / seconds["kept"]}
 
 
 def on_gpu(report: Report, images: PanoramaLibrary, folder: Path, steps: int) -> dict[str, Any]:
-    """Measure VGG16, and the card's rate of multiplying matrices."""
+    """Measure VGG16, and the rate at which the card multiplies matrices."""
     from torch.utils.flop_counter import FlopCounterMode
 
     network = siamloc.models.build("vgg16", "fc500_500_5", SIZE).cuda()
@@ -193,7 +193,7 @@ def on_gpu(report: Report, images: PanoramaLibrary, folder: Path, steps: int) ->
 
 
 def recipe_on_gpu(report: Report, data: Path, folder: Path) -> dict[str, Any]:
-    """Train the recipe `modern` on the building, and return the time, compilation and validations included."""
+    """Train the recipe `modern` on the building, and return the time, including compilation and validations."""
     from benchmarks.building import Building
     from benchmarks.recipes import RECIPE, trained
 
@@ -204,7 +204,7 @@ def recipe_on_gpu(report: Report, data: Path, folder: Path) -> dict[str, Any]:
 
 
 def matrix_rate() -> float:
-    """Return how many floating point operations a second the card does in a product of two large bfloat16 matrices."""
+    """Return the floating point operations per second of the card in a product of two large bfloat16 matrices."""
     side, repeats = 8192, 20
     left, right = (torch.randn(side, side, device="cuda", dtype=torch.bfloat16) for _ in range(2))
     times = []

@@ -1,8 +1,8 @@
-"""How fast pictures to learn from are rendered, beside the frames of a data set of the same size and number.
+"""Compare how fast training images are rendered with the frames of a data set of the same size and number.
 
-Of each random building as many pictures are rendered both ways, drawing the building and baking its light included:
-`draw_views` as pretraining calls it, and a scene under each of three lightings with `frames`. Processor seconds of one
-process, which render one after the other.
+For each random building, the same number of images is rendered both ways, including drawing the building and baking its
+light: with `draw_views` as pretraining calls it, and with `frames` from a scene under each of three lightings. Times
+are CPU seconds of a single process that renders the images one after the other.
 
     python -m benchmarks.views [--buildings 4]
 """
@@ -28,7 +28,7 @@ LEAST_FASTER = 3.0
 
 
 def quick(seed: int) -> tuple[int, float]:
-    """Return the number of pictures of a building, and the processor seconds that they took."""
+    """Return the number of images of a building, and the CPU seconds they took."""
     wanted = ViewSettings()
     begin = time.process_time()
     views = draw_views(seed, RECIPE.image_size, wanted.drives, wanted.lights, wanted.poses, wanted.spacing)
@@ -36,7 +36,7 @@ def quick(seed: int) -> tuple[int, float]:
 
 
 def plain(seed: int, count: int) -> tuple[int, float]:
-    """Return the same for so many frames of a data set."""
+    """Return the same for `count` frames of a data set."""
     camera = PanoramaCamera(PanoramaView(*RECIPE.image_size))
     begin, rendered = time.process_time(), 0
     building = load_building("random", FIRST_SEED + seed)
@@ -60,10 +60,10 @@ def main() -> None:
         pictures, seconds = quick(seed)
         others, longer = plain(seed, pictures)
         rows.append({"views_per_s": pictures / seconds, "frames_per_s": others / longer})
-        print(f"building {seed}: {rows[-1]['views_per_s']:.0f} and {rows[-1]['frames_per_s']:.0f} pictures/s")
+        print(f"building {seed}: {rows[-1]['views_per_s']:.0f} and {rows[-1]['frames_per_s']:.0f} images/s")
     ratio = statistics.median(row["views_per_s"] / row["frames_per_s"] for row in rows)
     rate = statistics.median(row["views_per_s"] for row in rows)
-    print(f"{rate:.0f} pictures per second of a core, {ratio:.1f} times as many as frames; {hardware()['cpu']}")
+    print(f"{rate:.0f} images per second on one core, {ratio:.1f} times as many as frames; {hardware()['cpu']}")
     report.target(f"at least {LEAST_FASTER} times as many as frames ({ratio:.1f})", ratio >= LEAST_FASTER)
     settings = {**asdict(ViewSettings()), "image_size": list(RECIPE.image_size), "buildings": options.buildings}
     report.write({"settings": settings, "rows": rows, "pictures_per_core_s": rate, "ratio": ratio})

@@ -1,14 +1,14 @@
-"""The network that comes with siamloc, in buildings that it never saw, beside the analytic descriptors.
+"""Compare the shipped network with the analytic descriptors in buildings that it never saw.
 
-The map is every fifth frame of one drive, the queries are other drives under three lightings; nobody knows headings.
-Seeds of buildings to pretrain with begin at 2^28, so that no building that a user draws is among them. The drives with
-the queries of random buildings have fewer frames: there are many buildings, and some descriptors are slow.
+The map is every fifth frame of one drive, the queries are other drives under three lightings; headings are unknown.
+Seeds of buildings for pretraining begin at 2^28, so that no building that a user draws is among them. In random
+buildings the query drives have fewer frames: there are many buildings, and some descriptors are slow.
 
 Targets, under every lighting, for each built-in building and for the mean over the random ones: mean and 95 % error
 below those of every analytic descriptor, and an excess over the floor of at most 0.10 m. On real photographs of a
-corridor (`--manifest`), recall within 3 frames above HOG's 63 %. And whatever the building: at most 8 MB of weights; at
-most 5 ms for a panorama on one core through onnxruntime; turning a panorama by any whole column changes the descriptor
-by less than 1 % of the distance to the next place (in the first building).
+corridor (`--manifest`), recall within 3 frames above HOG's 63 %. In any building: at most 8 MB of weights; at most
+5 ms for a panorama on one core with onnxruntime; turning a panorama by whole columns changes the descriptor by less
+than 1 % of the distance to the next place (in the first building).
 
     for seed in 101 102 ... 110
     do siamloc simulate camera=panorama building=random seed=$seed runs=[cloudy3] out=data
@@ -16,7 +16,8 @@ by less than 1 % of the distance to the next place (in the first building).
     done
     python -m benchmarks.zero_shot --data data/freiburg_like data/annex data/random_* --manifest corridor/manifest.csv
 
-With `--run runs/pretrained`, what `siamloc pretrain` made, there is a row with the layer that the weights leave out.
+With `--run runs/pretrained`, the output of `siamloc pretrain`, there is also a row for the network with the layer that
+the shipped weights leave out.
 """
 
 from __future__ import annotations
@@ -52,9 +53,9 @@ def main() -> None:
     """Locate, time, turn, print tables and write the file."""
     arguments = parser(__doc__, keeps=True)
     arguments.add_argument("--data", type=Path, nargs="*", default=[], help="folders of rendered buildings")
-    arguments.add_argument("--manifest", type=Path, help="of the corridor")
-    arguments.add_argument("--run", type=Path, help="of the pretraining: locate with the layer that was dropped, too")
-    arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors beside it")
+    arguments.add_argument("--manifest", type=Path, help="manifest of the corridor")
+    arguments.add_argument("--run", type=Path, help="run of the pretraining: also locate with the dropped layer")
+    arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors to compare")
     options = arguments.parse_args()
     report = Report("zero_shot", options.out)
     rows: dict[str, dict[str, Any]] = {}
@@ -94,7 +95,7 @@ def main() -> None:
 
 
 def in_building(folder: Path, analytic: list[str], run: Path | None) -> dict[str, Any]:
-    """Return figures of each descriptor in a building."""
+    """Return the figures of each descriptor in a building."""
     small, large = Building(folder, registry.PRETRAINED_SIZE), Building(folder)
     found = {OURS: located(small, OURS, (5,))["5"]}
     if run is not None:
@@ -103,7 +104,7 @@ def in_building(folder: Path, analytic: list[str], run: Path | None) -> dict[str
 
 
 def pooled(rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return the rows with the mean over the random buildings in place of them, where there are several."""
+    """Return the rows, with the random buildings replaced with their mean if there are several."""
     drawn = [row for name, row in rows.items() if name.startswith("random")]
     if len(drawn) < 2:
         return rows
@@ -122,7 +123,7 @@ def pooled(rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def in_corridor(manifest: Path, analytic: list[str]) -> dict[str, Any]:
-    """Return figures of each descriptor on the real photographs: of the nearest frame, between frames, and followed."""
+    """Return each descriptor's figures on the real photographs: for the nearest frame, between frames, and followed."""
     frames = siamloc.data.read("manifest", manifest=str(manifest), unit="frame")
     found = {}
     for name in (OURS, *analytic):
@@ -156,7 +157,7 @@ def judge(report: Report, rows: dict[str, dict[str, Any]]) -> None:
 
 
 def milliseconds() -> float:
-    """Return the median time that the description of one panorama takes on one core, through onnxruntime."""
+    """Return the median time for describing one panorama on one core, with onnxruntime."""
     import onnxruntime
 
     with tempfile.TemporaryDirectory() as folder:
@@ -176,7 +177,7 @@ def milliseconds() -> float:
 
 
 def turned(building: Building) -> float:
-    """Return the most that a turn by a whole column changes a descriptor, over the distance to the next map frame."""
+    """Return the largest change of a descriptor by turns of whole columns, over the distance to the next map frame."""
     descriptor = siamloc.models.as_descriptor(siamloc.models.pretrained())
     images = np.concatenate(list(building.images.batches(building.drives(MAP, 5))))
     known = descriptor.describe(images).position
