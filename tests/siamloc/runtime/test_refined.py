@@ -1,9 +1,10 @@
-"""The robot's poses finer than the map: those of the evaluation, with covariances, by a bundle that holds all of it."""
+"""The robot's poses finer than the map: the same as in the evaluation, with covariances, from a complete bundle."""
 
 from __future__ import annotations
 
 import json
 import math
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -38,7 +39,7 @@ SIZE = (32, 128)
 
 @pytest.fixture(scope="module")
 def network():
-    """One whose answers are large enough to be told from the map frames' own poses."""
+    """One whose answers are large enough to be distinguished from the map frames' own poses."""
     found = build("panoresnet", "magnitudes", SIZE, circular=True, relative=True).eval()
     assert found.relative is not None
     with torch.no_grad():
@@ -71,8 +72,9 @@ def bundle(network, known, tmp_path_factory):
 
 
 @pytest.mark.parametrize("method", ["relative", "interpolate"])
-def test_the_robot_refines_as_the_evaluation_does(network, known, tmp_path, method):
-    folder = bundled(tmp_path / "bundle", network, known, method=method, widening=2.0)
+def test_the_robot_refines_as_the_evaluation_does(network, known, bundle, tmp_path, method):
+    relative = method == "relative"
+    folder = bundle if relative else bundled(tmp_path / "bundle", network, known, method=method, widening=2.0)
     pictures, _ = drive(2)
     seen = known.describer.describe(pictures.transpose(0, 3, 1, 2))
     expected = refinement(known, method, widening=2.0).poses(known, seen, match(known, seen, 3))
@@ -81,7 +83,7 @@ def test_the_robot_refines_as_the_evaluation_does(network, known, tmp_path, meth
     np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-3)
     np.testing.assert_allclose([math.cos(one.theta) for one in found], np.cos(expected.theta), atol=1e-3)
     np.testing.assert_allclose([one.agreement for one in found], expected.agreement, atol=1e-3)
-    if method == "interpolate":
+    if not relative:
         assert {one.covariance for one in found} == {None}
     else:
         np.testing.assert_allclose([one.covariance for one in found], expected.covariance(), rtol=1e-2)
@@ -90,10 +92,9 @@ def test_the_robot_refines_as_the_evaluation_does(network, known, tmp_path, meth
         assert np.abs(expected.xy - known.frames.xy[match(known, seen, 1).indices[:, 0]]).max() > 0.1
 
 
-def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(network, known, tmp_path):
-    folder = bundled(tmp_path / "bundle", network, known, method="relative", widening=2.0)
+def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(known, bundle):
     pictures, _ = drive(2)
-    localizer = Localizer(folder)
+    localizer = Localizer(bundle)
     alone = [localizer.locate(picture) for picture in pictures]
     tracker = localizer.tracker(step=0.3)
     found = [localizer.locate(picture, tracker) for picture in pictures]
@@ -125,9 +126,8 @@ def test_a_picture_without_contrast_ends_no_drive(bundle):
     np.testing.assert_allclose([one.x for one in found[4:]], [one.x for one in seen[3:]], atol=0.5)
 
 
-def test_each_folder_is_a_drive(network, known, tmp_path):
-    folder = bundled(tmp_path / "bundle", network, known, method="relative")
-    pictures, localizer = drive(2)[0], Localizer(folder)
+def test_each_folder_is_a_drive(network, known, bundle, tmp_path):
+    pictures, localizer = drive(2)[0], Localizer(bundle)
     for name, some in (("a", pictures[:3]), ("b", pictures[3:6])):
         (tmp_path / name).mkdir()
         for number, picture in enumerate(some):
@@ -197,10 +197,10 @@ def test_expected_errors_are_those_of_the_refined_poses(network, known, tmp_path
     errors = replace(
         ErrorModel.fit_poses(poses, np.hypot(*(poses.xy - frames.xy).T)), lost_above=1.0, map_digest=known.digest
     )
-    with pytest.raises(ConfigError, match="give errors and refinement of one evaluation"):
+    with pytest.raises(ConfigError, match="give errors and refinement of the same evaluation"):
         export(network, known, tmp_path / "bundle", errors=errors)
     nearest = replace(errors, score="ratio", refine="none")
-    with pytest.raises(ConfigError, match="refine=none, and the robot makes them with refine=relative"):
+    with pytest.raises(ConfigError, match="refine=none, but the robot makes them with refine=relative"):
         export(network, known, tmp_path / "bundle", errors=nearest, refinement=refinement(known, "relative"))
     with pytest.raises(ConfigError, match="give it those, by predict_poses"):
         errors.predict(match(known, seen, 3), known.frames.xy)
@@ -224,16 +224,16 @@ def test_what_does_not_fit_is_refused(network, known, bundle, tmp_path):
         export_relative(other, tmp_path / "relative.onnx")
     assert not list(tmp_path.iterdir())
     different = build("panoresnet", "magnitudes", SIZE, circular=True, relative=True, seed=1)
-    with pytest.raises(SiamlocError, match=r"differs by .* do not use the file"):
+    with pytest.raises(SiamlocError, match=r"differ by .* do not use the file"):
         relative_parity(different, bundle / "relative.onnx")
 
 
-def test_a_bundle_that_lacks_what_compares_is_refused(network, known, tmp_path):
-    folder = bundled(tmp_path / "bundle", network, known, method="relative")
+def test_a_bundle_that_lacks_what_compares_is_refused(bundle, tmp_path):
+    folder = shutil.copytree(bundle, tmp_path / "bundle")
     about = read_json(folder / "bundle.json")
     del about["sha256"]["relative.onnx"]
     write_json(folder / "bundle.json", about)
-    with pytest.raises(FormatError, match="holds nothing to compare by: export again"):
+    with pytest.raises(FormatError, match="holds no network for it: export again"):
         Localizer(folder)
 
 
