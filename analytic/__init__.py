@@ -1,6 +1,6 @@
 """Global-appearance descriptors of panoramas, distances, clustering and the incremental mapper.
 
-Arrays of numpy go in and come out. Importing the package does not load torch.
+Inputs and outputs are NumPy arrays. Importing the package does not load torch.
 """
 
 from __future__ import annotations

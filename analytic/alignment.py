@@ -1,13 +1,13 @@
-"""Turning two descriptions alike: the relative heading, and the distance at that turn.
+"""Align two descriptions: find the relative heading, and the distance at that turn.
 
-A robot that turns left by s steps sees its surroundings s steps further right: Q[k] = R[k - s], so that the circular
+A robot that turns left by s steps sees its surroundings s steps further right: Q[k] = R[k - s], so the circular
 correlation c[s] = sum_k Q[k] R[k - s] has its peak there. By the correlation theorem c is the inverse transform of
 Q conj(R), which costs one small product per frequency instead of one comparison per turn.
 
-Turning changes neither lengths nor means. The turn of the largest correlation is therefore the one of the smallest
-Euclidean distance, and the peak is all that the Euclidean, cosine and Pearson distances still need: nothing is turned
-to find them. Each is a difference of two numbers that nearly agree for two similar vectors, and the peak has the
-rounding of float32. Pairs for which that would cost digits are compared value by value.
+Turning changes neither lengths nor means. The turn with the largest correlation is therefore the one with the
+smallest Euclidean distance, and the Euclidean, cosine and Pearson distances need nothing more than the peak: no vector
+has to be turned. Each of these distances is a difference of two numbers that nearly agree for similar vectors, and the
+peak is rounded to float32. Pairs for which that would lose precision are compared value by value.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from analytic.distances import distance as distance_named
 from analytic.threads import each
 
 Spectra = NDArray[np.complex64]  # (frequencies, B, F)
-_CLOSE = 2e-2  # a squared distance below this share of the squared lengths is not taken from a float32 peak
+_CLOSE = 2e-2  # a squared distance below this share of the squared lengths is not computed from a float32 peak
 _FAINT = 1e-5
-_VALUES = 1 << 23  # of correlations held at once: 32 MiB
+_VALUES = 1 << 23  # of correlations in memory at once: 32 MiB
 
 
 class Turns(NamedTuple):
     """The best turn of each query against each reference.
 
     Attributes:
-        step: (n, m) steps that the query's robot has turned left, in [0, steps).
+        step: (n, m) steps that the robot of the query has turned left, in [0, steps).
         peak: (n, m) scalar product of query and reference at that turn.
     """
 
@@ -43,7 +43,7 @@ class Turns(NamedTuple):
 
 
 def heading(step: NDArray[Any], steps: int) -> NDArray[np.float64]:
-    """Return the angle of a number of steps to the left, rad in (-pi, pi].
+    """Convert a number of steps to the left into an angle, rad in (-pi, pi].
 
     Example:
         >>> np.degrees(heading(np.array([0, 1, 2, 3]), 4))
@@ -61,16 +61,16 @@ def best_turns(
     product: tuple[Spectra, Spectra] | None = None,
     whole: bool = False,
 ) -> Turns:
-    """Return the turn of the largest correlation of each pair, the smallest step of equal ones.
+    """Return the turn with the largest correlation of each pair; ties go to the smallest step.
 
-    Only a bounded part of the correlations is held at once.
+    Only a bounded part of the correlations is in memory at once.
 
     Args:
         queries: spectra (U, n, F) of real values at `steps` steps; U may leave out the highest frequencies.
         references: spectra (U, m, F).
         steps: K, steps of a full turn.
-        product: the spectra whose scalar product at that turn is the peak, if it is not that of the spectra correlated.
-        whole: whether correlations are whole numbers; without the transform's rounding, equal turns are equal.
+        product: the spectra whose scalar product at that turn is the peak; the correlated spectra if None.
+        whole: whether correlations are whole numbers; they are then rounded, so that ties are exact.
 
     Example:
         >>> from analytic.description import spectrum
@@ -97,7 +97,7 @@ def best_turns(
 
 
 def whitened_turns(queries: Description, references: Description, steps: int) -> Turns:
-    """Return the turn of the largest correlation of phases of each pair, and the scalar product itself at that turn.
+    """Return the turn with the largest correlation of phases of each pair, and the plain scalar product at that turn.
 
     Magnitudes below 1e-5 of a description's largest count as zero.
     """
@@ -109,10 +109,10 @@ def aligned_distances(name: str, queries: Description, references: Description, 
     """Return the named distance (n, m) between orientation parts of each pair at its turn.
 
     Args:
-        name: in `analytic.DISTANCES`.
+        name: a name in `analytic.DISTANCES`.
         queries: n descriptions.
         references: m descriptions.
-        turns: what `best_turns` found for them.
+        turns: the turns that `best_turns` found for them.
 
     Example:
         >>> import analytic
@@ -144,13 +144,13 @@ def euclidean(
     references: NDArray[Any],
     measure: Callable[[NDArray[Any], NDArray[Any]], float] | None = None,
 ) -> NDArray[np.float64]:
-    """Return Euclidean distances (n, m) at some turns: from scalar products where these have the digits for it.
+    """Return Euclidean distances (n, m) at given turns, from scalar products where these are precise enough.
 
     Args:
-        product: (n, m) of each pair at its turn.
+        product: (n, m) scalar product of each pair at its turn.
         lengths: (n, m) sum of both squared lengths.
-        step: (n, m) the turns.
-        turned: for a query, the function that turns it back by a number of steps.
+        step: (n, m) turn of each pair.
+        turned: returns, for the index of a query, the function that turns it back by a number of steps.
         references: (m, ...) values to compare with.
         measure: distance of a turned query and a reference; the Euclidean one of all values if None.
     """
@@ -160,14 +160,14 @@ def euclidean(
 
 
 def norm(one: NDArray[Any], other: NDArray[Any]) -> float:
-    """Return the Euclidean distance of two arrays of one shape: one pass over both, summed in double precision."""
+    """Return the Euclidean distance of two arrays of the same shape, summed in double precision in a single pass."""
     return _norm(cv2.NORM_L2, one, other)
 
 
 def whitened(spectra: Spectra, least: float) -> Spectra:
-    """Return spectra with magnitudes of 1, or of 0 where they are below a share of the largest of their row.
+    """Return spectra with magnitude 1, or 0 where the magnitude is below a share of the description's largest.
 
-    Correlating phases alone keeps one part of the picture from outweighing the others.
+    Correlating phases alone keeps one part of the image from outweighing the others.
 
     Example:
         >>> whitened(np.array([[[3j]], [[1e-9]]]), 1e-5).ravel()
@@ -185,7 +185,7 @@ def rolled(query: NDArray[Any]) -> Callable[[int], NDArray[Any]]:
 
 
 def _blocks(n: int, m: int, steps: int) -> Iterator[tuple[slice, slice]]:
-    """Yield the blocks of a table of pairs (n, m) whose correlations at every turn fit in a bounded memory."""
+    """Yield the blocks of a table of pairs (n, m) whose correlations at every turn fit in bounded memory."""
     most = max(1, _VALUES // steps)
     width = max(1, min(m, most))
     height = max(1, most // width)
@@ -196,7 +196,7 @@ def _blocks(n: int, m: int, steps: int) -> Iterator[tuple[slice, slice]]:
 
 def _crossed(queries: Spectra, references: Spectra) -> Spectra:
     """Return the sum over the features of Q conj(R), (n, m, U)."""
-    # It is conj(R conj(Q)), which needs no conjugate copy of a whole map.
+    # Computed as conj(R conj(Q)), which needs no conjugate copy of a whole map.
     return (queries.conj() @ references.transpose(0, 2, 1)).conj().transpose(1, 2, 0)
 
 
@@ -207,7 +207,7 @@ def _at(crossed: Spectra, step: NDArray[np.int64], steps: int) -> NDArray[np.flo
 
 @lru_cache(maxsize=8)
 def _waves(frequencies: int, steps: int) -> NDArray[np.complex64]:
-    """Return what takes a spectrum to its inverse transform at every step (steps, frequencies)."""
+    """Return the matrix (steps, frequencies) that maps a spectrum to its inverse transform at every step."""
     frequency = np.arange(frequencies)
     weight = np.where((frequency == 0) | (2 * frequency == steps), 1, 2) / steps
     waves: NDArray[np.complex128] = weight * np.exp(2j * np.pi * frequency * np.arange(steps)[:, None] / steps)
@@ -217,7 +217,7 @@ def _waves(frequencies: int, steps: int) -> NDArray[np.complex64]:
 def _from_similarity(
     name: str, queries: Description, references: Description, peak: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return cosine or Pearson distances (n, m), and which pairs are so close that these lack digits."""
+    """Return cosine or Pearson distances (n, m), and which pairs are too close for these to be precise."""
     lengths = np.sqrt(np.outer(queries.squares, references.squares))
     scale, product = lengths, peak
     if name == "correlation":
@@ -229,7 +229,7 @@ def _from_similarity(
 
 
 def _moments(description: Description) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the means of orientation parts and their lengths without these, (B,) each."""
+    """Return the means of orientation parts, and their lengths after subtracting the means, (B,) each."""
     flat = description.turnable.reshape(len(description), -1)
     mean = flat.mean(axis=1, dtype=np.float64)
     squares = [np.square(row - middle).sum() for row, middle in zip(flat, mean, strict=True)]

@@ -1,4 +1,4 @@
-"""Arrays of numbers, as callers give them."""
+"""Check arrays of numbers that callers pass."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from analytic.errors import AnalyticError
 
 
 def real(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Return values as float64; what has no real numbers in it is refused.
+    """Return values as float64; raise an error unless they are real numbers.
 
     Args:
-        values: an array or nested lists of one shape; whole numbers, true and false, or floating point.
-        what: it is, for the error message.
+        values: an array or regular nested lists; integers, booleans or floating point.
+        what: name of the values in the error message.
 
     Raises:
         AnalyticError: text, complex numbers, dates, other objects, or lists of different lengths.

@@ -1,4 +1,4 @@
-"""Read arrays of an `npz` file that nobody vouches for."""
+"""Read the arrays of an untrusted `npz` file."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
 )
-"""What reading a damaged file raises: a changed byte may also claim an encryption or a compression that does not exist,
-or break the description of an array."""
+"""The exceptions that reading a damaged file can raise: a changed byte may also claim an encryption or a compression
+that does not exist, or corrupt the header of an array."""
 
 _AT_ONCE = 2**20  # bytes
-_SPARE, _DENSEST = 64_000_000, 100  # bytes that arrays may have anyway, and for each byte of the file
+_SPARE, _DENSEST = 64_000_000, 100  # bytes that arrays may always take, and that they may take per byte of the file
 
 
 def read_arrays(path: str | Path | bytes | BinaryIO) -> dict[str, NDArray[Any]]:
-    """Read all arrays of a file in the format of `numpy.savez`, by name or opened, or of what such a file holds.
+    """Read all arrays of a file in the format of `numpy.savez`, given as a path, an open file or its bytes.
 
-    Nothing in it is executed, each array must be as long as its description says, and all together may be a hundred
-    times as long as the file and 64 MB more, but not longer, however well they were compressed.
+    Nothing in the file is executed, each array must be as long as its header says, and all arrays together may take at
+    most a hundred times the length of the file plus 64 MB, however well they were compressed.
 
     Raises:
-        OSError, ValueError, ...: one of `DAMAGE`, with what is wrong.
+        OSError, ValueError, ...: one of `DAMAGE`, saying what is wrong.
     """
     found: dict[str, NDArray[Any]] = {}
     with _opened(path) as file, zipfile.ZipFile(file) as archive:
@@ -49,7 +49,7 @@ def read_arrays(path: str | Path | bytes | BinaryIO) -> dict[str, NDArray[Any]]:
         for member in archive.infolist():
             name = member.filename.removesuffix(".npy")
             if name == member.filename or name in found:
-                raise ValueError(f"{member.filename!r} is no array, or there twice")
+                raise ValueError(f"{member.filename!r} is not an array, or appears twice")
             left -= member.file_size
             if left < 0:
                 raise ValueError("its arrays are far too long for a file of its length")
@@ -74,7 +74,7 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArr
             raise ValueError(f"{name} holds objects, which may be programs")
         there, claimed = member.file_size - held.tell(), prod(shape) * dtype.itemsize
         if claimed != there or any(size < 0 for size in shape):
-            raise ValueError(f"{name} claims {claimed} bytes, and there are {there}")
+            raise ValueError(f"{name} claims {claimed} bytes, but there are {there}")
         content = bytearray(claimed)
         with memoryview(content) as view:
             at = 0
@@ -84,6 +84,6 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArr
                     raise EOFError(f"{name} is cut short")
                 view[at : at + len(part)] = part
                 at += len(part)
-        held.read(1)  # at the end it is made sure that the bytes are those that were written
+        held.read(1)  # reaching the end verifies the checksum of the bytes
     values = np.frombuffer(content, dtype=dtype) if claimed else np.empty(0, dtype=dtype)
     return values.reshape(shape, order="F" if in_columns else "C")

@@ -1,4 +1,4 @@
-"""Choosing the right building when several maps are at hand ([C] 5.3.3)."""
+"""Choose the right building among several maps ([C] 5.3.3)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from analytic.errors import AnalyticError
 
 @dataclass(frozen=True)
 class BuildingChoice:
-    """The building that each query was taken for.
+    """The building chosen for each query.
 
     Attributes:
         building: number of the map with the nearest representative (n,).
@@ -31,7 +31,7 @@ class BuildingChoice:
 def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str = "cosine") -> BuildingChoice:
     """Return the building of each query: the one whose map holds the nearest representative ([C] 5.3.3).
 
-    Of equally near ones the first counts. [C] compares by the cosine distance.
+    Ties go to the first building. [C] uses the cosine distance.
 
     Args:
         queries: descriptors (n, D).
@@ -40,7 +40,7 @@ def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str
         distance: a name in `analytic.DISTANCES`.
 
     Raises:
-        AnalyticError: no maps, wrong shapes, descriptors of another length than the queries', values that are not
+        AnalyticError: no maps, wrong shapes, descriptors whose length differs from the queries', values that are not
             finite, or an unknown distance.
 
     Example:
@@ -60,7 +60,7 @@ def choose_building(queries: ArrayLike, maps: Sequence[ArrayLike], distance: str
         if one.shape[1] != asked.shape[1]:
             raise AnalyticError(
                 f"building {i} has descriptors of {one.shape[1]} numbers and the queries of {asked.shape[1]}: describe "
-                "both with one descriptor"
+                "both with the same descriptor"
             )
     apart = np.empty((len(asked), len(known)))
     rows = np.empty(apart.shape, dtype=np.int64)

@@ -20,16 +20,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Description:
-    """A batch of images as a descriptor sees them: position parts, orientation parts, and who made them.
+    """A batch of images as a descriptor sees them: position parts, orientation parts, and the descriptor's identity.
 
-    Values that comparing needs again and again, such as the spectrum, are computed once and kept, since a map is
-    compared with query after query.
+    Values that are needed for every comparison, such as the spectrum, are computed once and cached, since a map is
+    compared with many queries.
 
     Attributes:
         position: (B, D) float32, unchanged when the robot turns on the spot (as far as the descriptor can).
-        orientation: (B, K, F) what moves along its second axis when the robot turns, K steps being a full turn;
+        orientation: (B, K, F) values that move along the second axis when the robot turns, K steps being a full turn;
             None for a descriptor that has no such part.
-        identity: of the descriptor that made it; None if unknown.
+        identity: identity of the descriptor that made the description; None if unknown.
 
     Example:
         >>> import analytic
@@ -55,26 +55,26 @@ class Description:
 
     @staticmethod
     def concatenate(parts: Sequence[Description]) -> Description:
-        """Return the rows of several descriptions of one descriptor, in order.
+        """Concatenate several descriptions made by the same descriptor, in order.
 
         Raises:
             AnalyticError: no parts, or parts of different descriptors.
         """
         if not parts:
-            raise AnalyticError("there is no description to put together")
+            raise AnalyticError("there is no description to concatenate")
         for part in parts:
             check_alike(parts[0], part)
         return Description(*joined([(part.position, part.orientation) for part in parts]), parts[0].identity)
 
     def kept(self, name: str, compute: Callable[[Description], T]) -> T:
-        """Return `compute` of this description, computed at the first call under that name and kept."""
+        """Return `compute(self)`, computed at the first call with that name and cached."""
         values: dict[str, Any] = vars(self)
         if name not in values:
             values[name] = compute(self)
         return values[name]
 
     def units(self, centred: bool) -> NDArray[np.float64]:
-        """Return the position parts as unit vectors, after taking off their means if `centred`."""
+        """Return the position parts as unit vectors, after subtracting their means if `centred`."""
         return self.kept(f"units, centred {centred}", lambda made: unit_vectors(made.position, centred))
 
     @property
@@ -102,11 +102,11 @@ class Description:
 
 @dataclass(frozen=True)
 class Alignment:
-    """The turn between each query and each reference, and their distance after it.
+    """The relative heading of each query and each reference, and their distance after aligning them.
 
     Attributes:
         heading: (n, m) how far the robot of the query has turned left since the reference, rad in (-pi, pi].
-        distance: (n, m) between the orientation parts after turning them alike.
+        distance: (n, m) distance between the orientation parts after aligning them.
 
     Example:
         >>> import analytic
@@ -127,7 +127,7 @@ class Match:
 
     Attributes:
         index: (n,) row of the map.
-        distance: (n,) to it.
+        distance: (n,) distance to that frame.
         heading: (n,) how far the robot has turned left since that frame, rad in (-pi, pi].
 
     Example:
@@ -144,13 +144,13 @@ class Match:
 
 
 def spectrum(columns: NDArray[Any]) -> NDArray[np.complex64]:
-    """Return the transform (K // 2 + 1, B, F) along the turn of real values (B, K, F), frequency first."""
+    """Return the Fourier transform (K // 2 + 1, B, F) of real values (B, K, F) along the turn, frequency first."""
     transformed = fft().rfft(np.asarray(columns, dtype=np.float32), axis=1)
     return np.ascontiguousarray(transformed.transpose(1, 0, 2)).astype(np.complex64, copy=False)
 
 
 def fft() -> ModuleType:
-    """Return scipy's transforms, or numpy's where scipy is not installed, as on a robot."""
+    """Return the FFT module of scipy, or that of numpy where scipy is not installed, as on a robot."""
     try:
         from scipy import fft as found
     except ImportError:
@@ -161,7 +161,7 @@ def fft() -> ModuleType:
 def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[NDArray[Any], NDArray[Any] | None]:
     """Return position and orientation parts of all rows.
 
-    Where the position part is a flat view of the orientation part, it stays one: they are kept in memory once.
+    If the position part is a flat view of the orientation part, it stays one, so the values are in memory only once.
     """
     if len(parts) == 1:
         return parts[0]
@@ -175,7 +175,7 @@ def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[N
 
 
 def check_alike(first: Description, second: Description) -> None:
-    """Raise AnalyticError unless two descriptions have one identity and one size.
+    """Raise AnalyticError unless two descriptions have the same identity and size.
 
     Equal parameters on images of different sizes give orientation parts that cannot be compared.
     """
@@ -187,17 +187,17 @@ def check_alike(first: Description, second: Description) -> None:
     if shapes[0] != shapes[1]:
         raise AnalyticError(
             f"descriptions of different sizes cannot be compared: {_sizes(shapes[0])} against {_sizes(shapes[1])}; "
-            "describe images of one size with one descriptor"
+            "describe images of one size with the same descriptor"
         )
 
 
 def other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:
-    """Return the sentence for an error about descriptions that two different descriptors made."""
+    """Return the error message for descriptions made by two different descriptors."""
     keys = [key for key in {**expected, **found} if expected.get(key) != found.get(key)]
     if "name" in keys:
-        keys = ["name"]  # the parameters of two descriptors have nothing to do with each other
+        keys = ["name"]  # the parameters of different descriptors are unrelated
     said = ", ".join(f"{key}={found.get(key)} instead of {expected.get(key)}" for key in keys)
-    return f"the descriptions were made with other parameters ({said}): describe all images with one descriptor"
+    return f"the descriptions were made with other parameters ({said}): describe all images with the same descriptor"
 
 
 def _sizes(shape: tuple[tuple[int, ...], tuple[int, ...] | None]) -> str:

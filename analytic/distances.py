@@ -24,7 +24,7 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
         weights: (D,), not negative; ones if None.
 
     Raises:
-        AnalyticError: p below 1, weights of another length or negative, sets of different D.
+        AnalyticError: p below 1, weights that are negative or of the wrong length, or sets of different D.
 
     Example:
         >>> minkowski([[0, 0]], [[3, 4], [0, 2]], weights=[1, 4])
@@ -73,7 +73,7 @@ def euclidean(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 
 
 def cosine(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector is at 1 from everything.
+    """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector has distance 1 to everything.
 
     Example:
         >>> cosine([[1, 0]], [[2, 0], [0, 1], [-1, 0]])
@@ -84,7 +84,7 @@ def cosine(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 
 
 def correlation(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.11). A constant vector is at 1 from everything.
+    """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.11). A constant vector has distance 1 to everything.
 
     Example:
         >>> correlation([[1, 2, 3]], [[5, 7, 9], [3, 2, 1], [4, 4, 4]]).round(6)
@@ -104,7 +104,7 @@ DISTANCES: dict[str, Pairwise] = {
 
 
 def distance(name: str) -> Pairwise:
-    """Return the distance of that name: a function of (n, D) and (m, D) that returns (n, m).
+    """Return the distance function of that name, which maps (n, D) and (m, D) to (n, m).
 
     Raises:
         AnalyticError: an unknown name.
@@ -131,7 +131,7 @@ def _centred(a: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def unit_vectors(a: NDArray[Any], centred: bool = False) -> NDArray[np.float64]:
-    """Return the vectors (n, D) scaled to length 1, after taking off their means if `centred`; zero ones stay zero."""
+    """Return the vectors (n, D) scaled to length 1, after subtracting their means if `centred`; zero stays zero."""
     a = np.asarray(a, dtype=np.float64)
     a = _centred(a) if centred else a
     norm = np.linalg.norm(a, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Disturbances of test images: noise and occlusion ([T] 3.4.2). Maps are made from clean images."""
+"""Disturb test images with noise and occlusion ([T] 3.4.2). Maps are made from clean images."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def noise(batch: ArrayLike, variance: float, generator: np.random.Generator) -> 
 
     Args:
         batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
-        variance: of the noise on an image in [0, 1]; [T] has NOISE_LEVELS.
-        generator: where the draws come from.
+        variance: variance of the noise for images in [0, 1]; [T] uses NOISE_LEVELS.
+        generator: source of the random numbers.
 
     Returns:
-        As many images of the same shape and type; values that leave the range are cut off, uint8 is rounded.
+        The same number of images, of the same shape and type; values are clipped to the range, uint8 is rounded.
 
     Raises:
-        AnalyticError: another shape or type, values out of range, a variance that is negative or not finite.
+        AnalyticError: a wrong shape or type, values out of range, or a variance that is negative or not finite.
 
     Example:
         >>> image = np.full((128, 512), 128, dtype=np.uint8)
@@ -55,24 +55,24 @@ def occlude(
     value: float = 0.0,
     circular: bool = True,
 ) -> NDArray[Any]:
-    """Return images with vertical bars over a share of the columns, in other places in each image.
+    """Return images with vertical bars over a share of the columns, at different places in each image.
 
     The bars are as high as the image, of equal widths up to one column, and do not overlap, so that they cover
     round(share * W) columns exactly. Every set of gaps between them is equally likely.
 
     Args:
         batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
-        share: of the columns, in [0, 1]; [T] has OCCLUSION_LEVELS.
-        generator: where the draws come from.
-        bars: how many; fewer if there are not so many columns to cover.
-        value: of a bar, in [0, 1]: 0 is black.
+        share: share of the columns to cover, in [0, 1]; [T] uses OCCLUSION_LEVELS.
+        generator: source of the random numbers.
+        bars: number of bars; fewer if there are fewer columns to cover.
+        value: grey value of a bar, in [0, 1]: 0 is black.
         circular: whether a bar may continue across the seam of a panorama.
 
     Returns:
-        As many images of the same shape and type.
+        The same number of images, of the same shape and type.
 
     Raises:
-        AnalyticError: another shape or type, values out of range, a share or value outside [0, 1], less than one bar.
+        AnalyticError: a wrong shape or type, values out of range, a share or value outside [0, 1], or no bars.
 
     Example:
         >>> hidden = occlude(np.ones((128, 512)), 0.25, np.random.default_rng(0))
@@ -100,7 +100,7 @@ def _covered(width: int, share: float, bars: int, circular: bool, generator: np.
     if not bars:
         return covered
     edges = np.arange(bars + 1) * total // bars
-    # Sorted places among the free columns are where bars without any width would be.
+    # Sorted places among the free columns: where bars of zero width would be.
     starts = np.sort(generator.integers(0, width - total + 1, bars)) + edges[:-1]
     for start, length in zip(starts, np.diff(edges), strict=True):
         covered[start : start + length] = True

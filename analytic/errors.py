@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 
 class AnalyticError(ValueError):
-    """A parameter, an image or a description that cannot be used; one sentence says which one and what to do.
+    """The error for a parameter, image or description that cannot be used; one sentence says which, and what to do.
 
     Example:
         >>> import analytic
@@ -20,10 +20,10 @@ class AnalyticError(ValueError):
 
 
 def known(name: object, valid: Iterable[str], what: str) -> str:
-    """Return a name that is one of the valid ones.
+    """Return the name if it is valid.
 
     Raises:
-        AnalyticError: another name, or no text at all.
+        AnalyticError: the name is not valid, or not a string.
 
     Example:
         >>> known("hog", ["gist", "hog"], "descriptor")

@@ -1,4 +1,4 @@
-"""The homomorphic filter, which removes slow changes of light from a picture ([C] 2.4)."""
+"""The homomorphic filter, which reduces slow changes of light across an image ([C] 2.4)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 CUTOFF = 4.0
 LOW = 0.5
 HIGH = 1.0
-_BLACK = 1 / 255  # the logarithm of black: one grey value of eight bits
+_BLACK = 1 / 255  # added before the logarithm, so that it exists for black: one 8-bit grey level
 
 
 def homomorphic(
     batch: ArrayLike, cutoff: float = CUTOFF, low: float = LOW, high: float = HIGH, *, circular: bool = True
 ) -> NDArray[Any]:
-    """Return images with less of the slow changes of light; see `homomorphic_tensor`.
+    """Reduce slow changes of light in images; see `homomorphic_tensor`.
 
     A colour image keeps its colours: each channel I becomes (I + 1/255) g - 1/255, the gain g being that of the
     pixel's luma (BT.601).
@@ -33,13 +33,13 @@ def homomorphic(
         cutoff: where the filter changes from `low` to `high`, in cycles per image width.
         low: gain of what changes slowly, at least 0; below 1 weakens it.
         high: gain of what changes fast, at least `low`; above 1 sharpens.
-        circular: whether columns wrap around; otherwise they are continued by their mirror image.
+        circular: whether columns wrap around; otherwise they are extended by their mirror image.
 
     Returns:
-        As many images of the same shape and type; values that leave the range are cut off, uint8 is rounded.
+        The same number of images, of the same shape and type; values are clipped to the range, uint8 is rounded.
 
     Raises:
-        AnalyticError: another shape or type, values out of range, a cutoff that is not positive, gains out of order.
+        AnalyticError: a wrong shape or type, values out of range, a cutoff that is not positive, or gains out of order.
 
     Example:
         >>> lamp = 0.5 + 0.4 * np.cos(2 * np.pi * np.arange(64) / 64)  # light from one side
@@ -65,16 +65,16 @@ def homomorphic_tensor(
 ) -> Tensor:
     """Return grey images (B, H, W), float32 in [0, 1], after the filter.
 
-    What a camera sees is light times reflectance; light changes slowly across a picture, reflectance fast. The
+    What a camera sees is light times reflectance; light changes slowly across an image, reflectance fast. The
     logarithm turns the product into a sum, in which a linear filter can separate slow from fast:
 
-        exp(F^-1(T F(log(I + 1/255)))) - 1/255, cut off to [0, 1],
+        exp(F^-1(T F(log(I + 1/255)))) - 1/255, clipped to [0, 1],
         T(u, v) = low + (high - low) (1 - exp(-(D / cutoff)^2 / 2)), D = W sqrt((u / N)^2 + (v / M)^2).
 
-    F is the discrete Fourier transform of the picture continued by its mirror image in elevation (M = 2 H rows: the
+    F is the discrete Fourier transform of the image, extended by its mirror image in elevation (M = 2 H rows: the
     last row is followed by itself) and, unless columns wrap around (N = W), likewise in azimuth (N = 2 W). u and v are
     signed whole frequencies, so that D is in cycles per image width, the same in both directions. The mean of the
-    logarithm (D = 0) has the gain `low` as well, which brings exposures closer together.
+    logarithm (D = 0) also has the gain `low`, which brings exposures closer together.
     """
     import torch
 
@@ -126,7 +126,7 @@ def homomorphic_colours_array(images: NDArray[np.float32], *, circular: bool) ->
 
 
 def _gain(filtered: Any, grey: Any) -> Any:
-    """Return by what the filter multiplies each pixel of grey images (B, H, W), arrays or tensors."""
+    """Return the factor that the filter multiplies each pixel of grey images (B, H, W) by, arrays or tensors."""
     return (filtered + _BLACK) / (grey + _BLACK)
 
 

@@ -1,4 +1,4 @@
-"""Batches of images, checked and in one shape: what descriptors, filters and disturbances take."""
+"""Check batches of images and bring them into a common shape, for descriptors, filters and disturbances."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def shaped(array: Any) -> Any:
     Three planes (3, H, W) are one colour image, not three grey ones.
 
     Raises:
-        AnalyticError: another shape.
+        AnalyticError: any other shape.
 
     Example:
         >>> shaped(np.zeros((128, 512))).shape, shaped(np.zeros((3, 128, 512))).shape
@@ -42,10 +42,10 @@ def shaped(array: Any) -> Any:
 
 
 def with_channels(images: ArrayLike) -> NDArray[Any]:
-    """Return images, their values untouched, with shape (B, C, H, W), C being 1 or 3.
+    """Return images with unchanged values and shape (B, C, H, W), C being 1 or 3.
 
     Raises:
-        AnalyticError: another shape, images of different sizes, or neither uint8 nor floating point.
+        AnalyticError: any other shape, images of different sizes, or neither uint8 nor floating point.
 
     Example:
         >>> with_channels(np.zeros((5, 128, 512), dtype=np.uint8)).shape
@@ -54,7 +54,7 @@ def with_channels(images: ArrayLike) -> NDArray[Any]:
     try:
         array = np.asarray(images)
     except ValueError as error:
-        raise AnalyticError("the images of a batch must have one size: resize them first") from error
+        raise AnalyticError("the images of a batch must have the same size: resize them first") from error
     array = shaped(array)
     if array.dtype != np.uint8 and array.dtype.kind != "f":
         raise AnalyticError(_wrong_type(array.dtype))
@@ -82,7 +82,7 @@ def as_grey(images: ArrayLike) -> NDArray[np.float32]:
 
 
 def image_tensor(images: Any) -> Tensor:
-    """Return images as a tensor (B, C, H, W), values untouched; a tensor stays on its device.
+    """Return images as a tensor (B, C, H, W) with unchanged values; a tensor stays on its device.
 
     Raises:
         AnalyticError: as `with_channels`.
@@ -105,7 +105,7 @@ def unit_tensor(tensor: Tensor, device: str) -> Tensor:
     """Return images (B, C, H, W) as float32 in [0, 1] on a device.
 
     Raises:
-        AnalyticError: floating-point values out of range or not finite, or a device that is not there.
+        AnalyticError: floating-point values out of range or not finite, or a device that is not available.
 
     Example:
         >>> unit_tensor(image_tensor(np.full((1, 2), 51, dtype=np.uint8)), "cpu")
@@ -150,7 +150,7 @@ def grey_array(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @cache
 def torch_is_there() -> bool:
-    """Find out whether torch is installed, without loading it."""
+    """Check whether torch is installed, without loading it."""
     return find_spec("torch") is not None
 
 
@@ -178,7 +178,7 @@ def _wrong_type(found: Any) -> str:
 
 
 def _moved(tensor: Tensor, device: str) -> Tensor:
-    """Return a tensor on a device; torch's own errors for a missing one take several sentences."""
+    """Return a tensor on a device; torch's own errors for a missing device take several sentences."""
     import torch
 
     try:

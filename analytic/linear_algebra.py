@@ -1,10 +1,10 @@
 """One thread for linear algebra on small matrices.
 
 The matrices of the mapper's nodes and the steps of k-means are so small that sharing them among threads saves about as
-much as it costs, and on a busy processor, where every thread waits for the last, it costs ten times as much. A single
-thread also keeps the number of threads out of the last digits of the results. The setting holds for the whole process,
-so callers in different threads take turns; otherwise the first to finish would end it for the others, and the last
-would leave it behind.
+much as it costs, and on a busy processor, where every thread waits for the last, it costs ten times as much. With a
+single thread the last digits of the results also do not depend on the number of threads. The setting applies to the
+whole process, so callers in different threads take turns; otherwise the first to finish would reset it for the others,
+and the last would leave it set.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LOCK = RLock()
 
 @contextmanager
 def one_thread(*, openmp: bool = False) -> Iterator[None]:
-    """Let numpy and scipy use one thread inside a `with` block; afterwards as many as before.
+    """Limit numpy and scipy to one thread inside a `with` block, and restore the setting afterwards.
 
     Args:
         openmp: also limit libraries with threads of their own, such as scikit-learn. This takes longer to enter, since
@@ -39,7 +39,7 @@ def one_thread(*, openmp: bool = False) -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _controller() -> Any:
-    """Return what sets the threads of the libraries that are loaded, those of scipy among them."""
+    """Return the controller of the threads of the loaded libraries, including those of scipy."""
     import scipy.linalg.blas  # noqa: F401 - loads the library of scipy
     from threadpoolctl import ThreadpoolController
 

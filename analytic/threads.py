@@ -1,7 +1,7 @@
 """One thread for each image of a batch, instead of several threads for every small operation.
 
-The operations on one image are so small that sharing them out costs about what it saves, and on a busy processor, where
-every thread waits for the last, many times that.
+The operations on one image are so small that sharing them among threads costs about as much as it saves, and on a busy
+processor, where every thread waits for the last, many times as much.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 
 def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
-    """Return the function's results, in order, by as many threads as torch is set to use, without torch by one.
+    """Apply a function to parts, with as many threads as torch is set to use, or one without torch; keep the order.
 
     Every part is computed by one thread, so that results do not depend on the number of threads.
 
@@ -39,23 +39,23 @@ def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
 
 @lru_cache(maxsize=1)
 def _pool(threads: int, process: int) -> ThreadPoolExecutor:
-    """Return the threads of this process; one that was forked off has none of its parent's."""
+    """Return the threads of this process; a forked process has none of its parent's."""
     import torch
 
     pool = ThreadPoolExecutor(threads, thread_name_prefix="analytic")
     begun = Barrier(threads)
     for future in [pool.submit(_alone, begun) for _ in range(threads)]:
         future.result()
-    # The setting holds for the thread that makes it and for those that start later, which get the former one back.
+    # The setting applies to this thread and to those that start later; restore the previous one for these.
     torch.set_num_threads(threads)
     return pool
 
 
 def _alone(begun: Barrier) -> None:
-    """Let one thread of a pool use itself only, once all of them have begun, so that none is set up twice."""
+    """Limit one thread of a pool to itself, once all of them have started, so that none is set up twice."""
     import torch
 
     begun.wait()
     torch.set_num_threads(1)
-    torch.get_num_threads()  # a thread takes over the setting when it first asks for it
+    torch.get_num_threads()  # a thread adopts the setting when it first queries it
     begun.wait()

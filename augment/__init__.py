@@ -1,13 +1,13 @@
 """Physically motivated augmentation of panoramas: light, optics and motion, batched and replayable.
 
     effect = augment.effect("bulb", tone="light")
-    params = effect.draw(torch.Generator().manual_seed(0), batch)   # every frame has its own
-    brighter = effect.apply(batch, params)                          # the same picture, whenever it is repeated
+    params = effect.draw(torch.Generator().manual_seed(0), batch)   # separate ones for every frame
+    brighter = effect.apply(batch, params)                          # the same images each time
 
 A batch has shape (B, 3, H, W), RGB, uint8 or float32 in [0, 1]; columns are azimuth and wrap around unless
-`circular=False` says otherwise. `augment.policy` combines effects by chance; `augment.Augment` makes either a torch
-module and a torchvision transform. `augment.expand` writes expanded data sets to disk. Importing the package does not
-load torch.
+`circular=False`. `augment.policy` combines effects at random; `augment.Augment` turns an effect or a policy into a
+torch module and torchvision transform. `augment.expand` writes expanded data sets to disk. Importing the package does
+not load torch.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """`Effect`: parameters are drawn first and applied second, so that a draw can be saved and repeated.
 
-`Range` says what a parameter is drawn from.
+`Range` defines what a parameter is drawn from.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from augment.errors import AugmentError, hint
 
 Params = dict[str, Tensor]
 
-_FARTHEST = 1e6  # no column, row or angle that makes sense lies beyond
+_FARTHEST = 1e6  # larger than any column, row or angle that makes sense
 _ROUNDING = 1e-5  # relative, of values that were drawn in float32 from the logarithm
 
 
@@ -32,11 +32,11 @@ class Range:
     Attributes:
         low: smallest value.
         high: largest value.
-        minimum: no range may begin below.
-        maximum: no range may end above.
+        minimum: smallest `low` that is allowed.
+        maximum: largest `high` that is allowed.
         neutral: the value at which the effect does nothing, for the parameters that set its strength.
-        log: drawn uniformly in the logarithm.
-        whole: drawn from the whole numbers low ... high.
+        log: whether values are drawn uniformly in the logarithm.
+        whole: whether values are drawn from the whole numbers low ... high.
     """
 
     low: float
@@ -52,7 +52,7 @@ class Range:
 
         Args:
             value: what the user gave.
-            what: what the error calls the parameter.
+            what: name of the parameter in the error.
 
         Raises:
             AugmentError: neither a number nor a pair, out of order, or beyond minimum and maximum.
@@ -84,10 +84,10 @@ class Range:
 
 
 class Effect(ABC):
-    """Something that happens to panoramas: a lamp, a shadow, a blur.
+    """An effect on panoramas, such as a lamp, a shadow or a blur.
 
     A batch is a tensor (B, 3, H, W), RGB, uint8 or float32 in [0, 1], on any device; the result has the same shape,
-    dtype, range and device. Parameters are a dictionary of tensors (B,), so every frame has its own; they stay in
+    dtype, range and device. Parameters are a dictionary of tensors (B,), one value per frame; they stay in
     main memory and may be stored as plain lists.
 
     8-bit batches in main memory are painted frame by frame; all others go through tensor operations. Both follow
@@ -97,9 +97,9 @@ class Effect(ABC):
         **params: ranges (one number or a pair) and options of the effect.
 
     Attributes:
-        name: what configurations call it.
+        name: the name used in configurations.
         ranges: what its parameters are drawn from.
-        options: its other settings; `circular=False` says that the columns do not wrap around.
+        options: its other settings; `circular=False` means that the columns do not wrap around.
 
     Raises:
         AugmentError: an unknown parameter, or an invalid value.
@@ -149,7 +149,7 @@ class Effect(ABC):
         return bool(self.options["circular"])
 
     def draw(self, generator: torch.Generator, batch: Tensor) -> Params:
-        """Return parameters for every frame of a batch; they depend on the generator and the batch's shape only.
+        """Return parameters for every frame of a batch; they depend only on the generator and the batch's shape.
 
         Raises:
             AugmentError: the batch is not (B, 3, H, W) uint8 or float32, or the generator is not a torch.Generator.
@@ -171,9 +171,9 @@ class Effect(ABC):
         """Return parameters of a given strength, the same for every frame, with all places in the middle.
 
         Args:
-            strength: 0 leaves the pictures as they are; 1 is the far end of the ranges; negative strengths go the
-                other way in effects that have two ways.
-            batch: what they will be applied to.
+            strength: 0 leaves the images as they are; 1 is the far end of the ranges; negative strengths go in the
+                opposite direction in effects that have two.
+            batch: the batch that they will be applied to.
 
         Raises:
             AugmentError: a strength outside [-1, 1].
@@ -188,7 +188,7 @@ class Effect(ABC):
         return self.complete(params, count, height, width)
 
     def apply(self, batch: Tensor, params: Mapping[str, Any]) -> Tensor:
-        """Return the altered batch; the same parameters give the same pictures.
+        """Return the altered batch; the same parameters give the same images.
 
         Args:
             batch: (B, 3, H, W).
@@ -212,12 +212,12 @@ class Effect(ABC):
     def shift(self, params: Mapping[str, Tensor]) -> Tensor | None:
         """Return by how many columns each frame moves to the right (B,) int64; None for an effect that moves nothing.
 
-        What marks places in the picture, such as a mask, has to move along.
+        Anything that marks places in the image, such as a mask, has to move with it.
         """
         return None
 
     def turned(self, params: Mapping[str, Tensor], columns: int, width: int) -> Params:
-        """Return the parameters that have the same effect on the batch shifted right by some columns."""
+        """Return the parameters that have the same effect on the batch shifted right by a number of columns."""
         return {
             key: (value + columns) % width if key.rpartition(".")[2] == "column" else value
             for key, value in params.items()
@@ -245,11 +245,11 @@ class Effect(ABC):
 
     @abstractmethod
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame what alters it in place, as 8-bit levels."""
+        """Return for each frame the brushes that alter it in place, as 8-bit levels."""
 
     @abstractmethod
     def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the altered batch, float32, 1 being white; the caller clips what lies beyond [0, 1]."""
+        """Return the altered batch, float32, 1 being white; the caller clips values outside [0, 1]."""
 
     def checked(self, params: Mapping[str, Any], count: int, height: int, width: int) -> Params:
         """Return parameters as tensors (B,) in main memory.
@@ -339,7 +339,7 @@ def _tables(ranges: tuple[Range, ...]) -> tuple[Tensor, Tensor, Tensor, tuple[bo
 
 
 def _ends(span: Range) -> tuple[float, float]:
-    """Return the least and the greatest value of a parameter that `apply` accepts."""
+    """Return the smallest and the largest value of a parameter that `apply` accepts."""
     return (
         span.minimum if math.isfinite(span.minimum) else -_FARTHEST,
         span.maximum if math.isfinite(span.maximum) else _FARTHEST,
@@ -371,7 +371,7 @@ def check_batch(batch: Tensor) -> None:
 
 
 def beside(values: Tensor, batch: Tensor) -> Tensor:
-    """Return numbers from main memory on the device of a batch; the program goes on while they travel to a GPU."""
+    """Move numbers from main memory to the device of a batch, without waiting for the transfer to a GPU."""
     return (values.pin_memory() if batch.is_cuda else values).to(batch.device, non_blocking=True)
 
 

@@ -1,7 +1,7 @@
-"""Painting on 8-bit frames in main memory: each frame in place, several frames at once in threads.
+"""Paint on 8-bit frames in main memory: each frame in place, several frames at once in threads.
 
 A brush is a function that alters one frame (3, H, W) uint8. Working frame by frame keeps the data in the
-processor's cache, and a frame pays only for the effects it got.
+processor's cache, and a frame costs only the effects applied to it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _pool: ThreadPoolExecutor | None = None
 
 
 def paint(frames: Frame, brushes: Sequence[Sequence[Brush]]) -> None:
-    """Alter frames (B, 3, H, W) in place, each by its own brushes in their order; uses torch's number of threads."""
+    """Alter frames (B, 3, H, W) in place, each with its own brushes, in order; uses torch's number of threads."""
     threads = min(torch.get_num_threads(), len(frames))
     if threads <= 1:
         _paint_some(frames, brushes, 0, 1)
@@ -33,7 +33,7 @@ def paint(frames: Frame, brushes: Sequence[Sequence[Brush]]) -> None:
 
 
 def flat(frame: Frame) -> Frame:
-    """Return a view (3 H, W) of a frame, for what treats every pixel alike."""
+    """Return a view (3 H, W) of a frame, for operations that treat every pixel alike."""
     return frame.reshape(-1, frame.shape[2])
 
 

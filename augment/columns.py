@@ -22,11 +22,11 @@ class Rotate(Effect):
     """Turn the robot on the spot: I'(y, x) = I(y, x - s mod W), s whole columns ([T] 5.3.2, figure 5.4 h).
 
     The parameters are `shift`, s columns to the right, and `heading`, what this adds to the robot's heading: 2 pi
-    s / W rad, wrapped to (-pi, pi], positive when the robot turns left. Exact: turning back gives the same picture.
+    s / W rad, wrapped to (-pi, pi], positive when the robot turns left. Exact: turning back gives the same image.
 
     Args:
         degrees: angle of the turn to the left; whole columns within this range are drawn. 10 ... 350 as published.
-        circular: the picture of an ordinary camera cannot be turned this way; with False the shift is 0.
+        circular: the image of an ordinary camera cannot be turned this way; with False the shift is 0.
     """
 
     name = "rotate"
@@ -67,15 +67,15 @@ class Rotate(Effect):
 
 
 class Occlude(Effect):
-    """Vertical bars of one grey hide a share of the columns ([T] 3.4.2).
+    """Hide a share of the columns behind vertical bars of one grey level ([T] 3.4.2).
 
-    The frame is divided into as many sectors as there are bars, counted from `column`. Each sector has one bar, at a
-    place of its own; all are equally wide. So bars never overlap, and the share is exact to whole columns.
+    The frame is divided into as many sectors as there are bars, counted from `column`. Each sector has one bar, at an
+    independent place; all are equally wide. Bars therefore never overlap, and the share is exact to whole columns.
 
     Args:
-        share: of the columns that are hidden. 5 ... 40 % as published.
-        bars: how many, 1 ... 4.
-        level: their grey, 0 ... 255; black as published.
+        share: share of the columns that are hidden. 5 ... 40 % as published.
+        bars: number of bars, 1 ... 4.
+        level: their grey level, 0 ... 255; black as published.
         circular: sectors begin anywhere and wrap around.
     """
 

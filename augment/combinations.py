@@ -34,12 +34,12 @@ _BULBS = ("light", "light", "light"), ("dark", "dark", "dark"), ("light", "light
 
 @dataclass(frozen=True)
 class Variant:
-    """One picture to be made of every frame.
+    """One image to be made from every frame.
 
     Attributes:
         number: from 0.
         label: the effects in words, such as "darken + bulb light + rotate".
-        policy: draws their parameters; nothing else in it is left to chance.
+        policy: draws the parameters of these effects; nothing else in it is random.
     """
 
     number: int
@@ -47,14 +47,14 @@ class Variant:
     policy: Policy
 
     def parameters(self, seed: int, frames: Iterable[int], size: tuple[int, int]) -> Params:
-        """Return the parameters of this variant of some frames, each of shape (number of frames,).
+        """Return the parameters of this variant for the given frames, each of shape (number of frames,).
 
-        Those of a frame depend on the seed, the variant and the frame's number alone.
+        Those of a frame depend only on the seed, the variant and the frame's number.
 
         Args:
-            seed: of the expansion, 0 or more.
+            seed: seed of the expansion, 0 or more.
             frames: numbers of the frames.
-            size: rows and columns of the pictures.
+            size: rows and columns of the images.
         """
         generator, count = torch.Generator(), len(self.policy.spans(*size))
         rows = []
@@ -66,22 +66,22 @@ class Variant:
 
 
 def variants(depth: int, circular: bool = True) -> list[Variant]:
-    """Return the variants that a data set is expanded by, `depth` for each frame.
+    """Return the variants for expanding a data set, `depth` for each frame.
 
     They come in a fixed order, so that a greater depth contains the smaller ones ([T] table 5.18 has 16, 44, 128, 129
     and 246 per frame without listing them):
 
     - 1-16: the original, each single effect (six spots, brighten, darken, sharpen, blur, contrast raised and
       lowered, equalize, saturate), and a rotation;
-    - 17-44: the 14 single effects with a rotation, brighten and darken with each of the six spots, three bulbs of
-      light and three of darkness;
+    - 17-44: the 14 single effects with a rotation, brighten and darken with each of the six spots, three light
+      bulbs and three dark ones;
     - 45-104: three bulbs of mixed tones, every pair of spots, and a rotation with each of the combinations that has
-      not had one yet. So depth 104 has every combination once;
+      not had one yet. Depth 104 therefore has every combination once;
     - from 105: the same list again without the original, with other parameters: depth 128 reaches its 24th entry,
       129 its 25th, and 246 the 39th entry of the third round.
 
     Args:
-        depth: how many, at least 1.
+        depth: number of variants, at least 1.
         circular: False for cameras whose columns do not wrap around; combinations with a rotation then turn by 0.
 
     Raises:

@@ -1,4 +1,4 @@
-"""`Policy`: effects combined by chance: all of these, one of those, each with a probability."""
+"""`Policy`: effects combined at random: all of these, one of those, each with a probability."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Step:
 
     Attributes:
         kind: "effect", "all_of" (its steps one after the other) or "one_of" (one of its steps).
-        steps: the children, none of an effect.
+        steps: the children; an effect has none.
         effect: what an effect node does.
         slot: number of an effect node among all effects of the policy, in the order of application; -1 for others.
-        probability: with which a frame that comes to this node takes it.
+        probability: probability that a frame that reaches this node takes it.
         weight: relative to its siblings in "one_of".
         name: prefix of the parameters of an effect node, such as "3.bulb".
     """
@@ -46,17 +46,17 @@ class Step:
 
 
 class Policy(Effect):
-    """Effects combined by chance, with the interface of a single effect.
+    """Effects combined at random, with the interface of a single effect.
 
-    Every frame draws its own way through the tree and its own parameters. If slot 3 is a bulb, its parameters are
+    Every frame draws its own path through the tree and its own parameters. If slot 3 is a bulb, its parameters are
     `3.bulb.on` (whether this frame got it), `3.bulb.radius` and so on; `heading` is what all rotations together
     add to the robot's heading, rad in (-pi, pi]. Nothing in a policy moves the robot or changes its room.
 
     Args:
         tree: nested plain values. {"effect": name, **its parameters}, {"all_of": [...]} or {"one_of": [...]}, each
             with an optional `probability` (default 1) and, inside one_of, `weight` (default 1).
-        name: of the policy.
-        circular: False turns wrap-around off in all effects that do not say otherwise.
+        name: name of the policy.
+        circular: False turns wrap-around off in all effects that do not set it themselves.
 
     Attributes:
         config: the policy in plain values; `policy_from_config` makes the same policy from them.
@@ -103,7 +103,7 @@ class Policy(Effect):
         return spans
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
-        """The parameters once the decisions are taken."""
+        """The parameters once the decisions are made."""
         spans = {}
         for prefix, inner in self._prefixed():
             spans[f"{prefix}.on"] = _TAKEN
@@ -111,7 +111,7 @@ class Policy(Effect):
         return {**spans, "heading": Range(0, 0)}
 
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:
-        """Take the decisions, and add up the headings."""
+        """Make the decisions, and add up the headings."""
         taken = self._decide(params, count)
         done: Params = {}
         heading = torch.zeros(count)

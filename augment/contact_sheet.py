@@ -23,14 +23,14 @@ _CAPTION = 26
 _MARGIN = 36
 _TITLE = 92
 _COLUMNS = 6
-_DRAW = 4  # of the policies' parameters
+_DRAW = 4  # seed of the policies' parameters
 _CELL = 288
 _INK, _PALE, _PAPER = "#1d2733", "#64748b", "#ffffff"
 
 
 @dataclass(frozen=True)
 class _Shot:
-    """One cell of the sheet: the settings of an effect, and what the caption says about them."""
+    """One cell of the sheet: the settings of an effect, and the caption that describes them."""
 
     caption: str
     params: dict[str, float]
@@ -43,8 +43,8 @@ def preview(batch: Tensor, columns: int = _COLUMNS, cell: int = _CELL) -> Pictur
 
     Args:
         batch: panoramas (B, 3, H, W) to show the effects on, in turn; 128 x 512 pixels look best.
-        columns: pictures in a row, a multiple of 3.
-        cell: width of a picture in pixels; panoramas are resized to it.
+        columns: images in a row, a multiple of 3.
+        cell: width of an image in pixels; panoramas are resized to it.
 
     Returns:
         The sheet (rows, columns, 3), RGB, uint8.

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 
 class AugmentError(ValueError):
-    """A parameter, a policy or a batch that cannot be used; the message says which, and what to do."""
+    """The error for a parameter, policy or batch that cannot be used; the message says which, and what to do."""
 
 
 def hint(name: object, valid: Iterable[str]) -> str:

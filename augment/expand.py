@@ -1,8 +1,8 @@
-"""Write an expanded data set: every frame in several variants, with the parameters of every picture in a table.
+"""Write an expanded data set: every frame in several variants, with the parameters of every image in a table.
 
-Paths go in and pictures come out; the caller decides on the folder layout. The parameters of a picture depend on
-(seed, frame, variant) and the picture's size alone, so any order of work, any number of threads and any interruption
-give the same files.
+Paths go in and images come out; the caller decides on the folder layout. The parameters of an image depend only on
+(seed, frame, variant) and the image's size, so any order of work, any number of threads and any interruption give the
+same files.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ Reader = Callable[[Path], NDArray[np.uint8]]
 
 @dataclass(frozen=True)
 class Expansion:
-    """What `expand` did.
+    """The result of `expand`.
 
     Attributes:
-        table: the CSV with one row for every picture.
-        written: pictures made.
-        kept: pictures that were there already.
-        failed: sources that could not be used, each with the reason; none of their pictures were made.
+        table: the CSV with one row for every image.
+        written: number of images made.
+        kept: number of images that existed already.
+        failed: sources that could not be used, each with the reason; none of their images were made.
     """
 
     table: Path
@@ -65,25 +65,25 @@ def expand(
     """Write the variants of images, each file whole or not at all.
 
     Args:
-        images: the n source pictures.
+        images: the n source images.
         outputs: for each source the files to write (n, depth), all inside the folder; the suffix sets the format.
-        folder: of the expanded data set. The table and the settings are written here; it has to be empty or absent,
-            unless `resume`.
-        seed: of all parameters.
+        folder: folder of the expanded data set. The table and the settings are written here; it has to be empty or
+            absent, unless `resume`.
+        seed: seed of all parameters.
         circular: whether columns wrap around.
-        resume: continue what an earlier call with the same sources, outputs and seed left unfinished; pictures in its
+        resume: continue what an earlier call with the same sources, outputs and seed left unfinished; images in its
             table stay, and the temporary files it left are removed.
-        threads: pictures in work at once.
-        on_error: "skip" reports a source that cannot be read and goes on; "raise" stops.
-        progress: called with (items, total, what), yields the items; for a bar.
-        read: returns the picture (3, H, W), uint8, RGB, of a source, or raises AugmentError; called from several
+        threads: frames processed at once.
+        on_error: "skip" reports a source that cannot be read and continues; "raise" stops.
+        progress: for a progress bar; called with (items, total, what), yields the items.
+        read: returns the image (3, H, W), uint8, RGB, of a source, or raises AugmentError; called from several
             threads. If None, the image file is read as it is.
-        reading: settings that decide what `read` returns, as JSON values; a resume with other ones is refused.
+        reading: settings that decide what `read` returns, as JSON values; resuming with other ones is refused.
 
     Raises:
         AugmentError: no images, outputs that do not fit or coincide, a folder that is not empty, a resume with other
             settings, or, under "raise", a source that cannot be read.
-        OSError: the disk refuses.
+        OSError: the disk cannot be read or written.
 
     Example:
         >>> import tempfile
@@ -141,17 +141,17 @@ def headings(
     circular: bool = True,
     progress: Progress | None = None,
 ) -> NDArray[np.float64]:
-    """Return what each picture's rotation adds to the robot's heading (frames, depth), rad in (-pi, pi].
+    """Return what each image's rotation adds to the robot's heading (frames, depth), rad in (-pi, pi].
 
-    For layouts that carry the heading in the file name: it is known before any picture is made.
+    For layouts that carry the heading in the file name: it is known before any image is made.
 
     Args:
-        frames: how many.
-        depth: variants of each frame.
-        seed: of the expansion.
-        size: rows and columns of the pictures.
+        frames: number of frames.
+        depth: number of variants of each frame.
+        seed: seed of the expansion.
+        size: rows and columns of the images.
         circular: whether columns wrap around; if not, all are 0.
-        progress: called with (items, total, what), yields the items; for a bar.
+        progress: for a progress bar; called with (items, total, what), yields the items.
 
     Example:
         >>> headings(2, 17, seed=0, size=(128, 512))[:, 14:].round(2)
@@ -167,7 +167,7 @@ def headings(
 
 
 def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
-    """Make the picture (1, 3, H, W) that a row of the table describes from its source (1, 3, H, W).
+    """Make the image (1, 3, H, W) that a row of the table describes from its source (1, 3, H, W).
 
     Example:
         >>> values = {"0.brighten.on": True, "0.brighten.amount": 40, "heading": 0.0}
@@ -180,7 +180,7 @@ def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Return the picture (3, H, W), uint8, RGB, of an image file.
+    """Read an image file as (3, H, W), uint8, RGB.
 
     Raises:
         AugmentError: the file is missing or not an image.
@@ -192,7 +192,7 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
 
 
 def _expand_frame(folder: Path, seed: int, read: Reader, job: Job) -> tuple[Path, list[Row], str]:
-    """Write the missing pictures of one frame; return its source, their rows in the table, and what went wrong."""
+    """Write the missing images of one frame; return its source, their rows in the table, and what went wrong."""
     frame, source, row, missing = job
     try:
         picture = torch.from_numpy(read(source))[None]
@@ -237,12 +237,12 @@ def _checked_depth(sources: list[Path], targets: list[list[Path]], folder: Path,
             raise AugmentError(f"{parent} lies outside the folder {folder}")
     for path in every:
         if path.suffix.lower() not in (".jpeg", ".jpg", ".png", ".webp", ".bmp"):
-            raise AugmentError(f"{path} does not end like a picture: use .jpeg or .png")
+            raise AugmentError(f"{path} does not end like an image: use .jpeg or .png")
     return depth
 
 
 def _bounded(pool: ThreadPoolExecutor, work: Callable[[Any], Any], items: list[Any], ahead: int) -> Iterable[Any]:
-    """Yield results in order with only a few items in work at once, so that memory stays bounded."""
+    """Yield results in order with only a few items in progress at once, so that memory stays bounded."""
     waiting = []
     for item in items:
         waiting.append(pool.submit(work, item))

@@ -1,6 +1,6 @@
-"""What lies next to the pictures of an expanded data set: the table of parameters, the settings, and leftovers.
+"""The files next to the images of an expanded data set: the table of parameters, the settings, and leftovers.
 
-A run that was killed may leave a table whose last line is cut, and temporary files. Resuming drops both.
+A run that was killed may leave a table with an incomplete last line, and temporary files. Resuming removes both.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def read_table(path: str | Path) -> list[Row]:
 def prepare(
     folder: Path, sources: list[Path], targets: list[list[Path]], options: dict[str, Any], resume: bool
 ) -> dict[str, Row]:
-    """Make the folder ready and return the rows of the pictures that an earlier call finished, by picture."""
+    """Prepare the folder and return the rows of the images that an earlier call finished, by image."""
     wanted = json.loads(json.dumps({"schema": VERSION, **options, "frames": len(sources)}))  # as it will be read again
     settings = folder / SETTINGS
     entries = _entries(folder) if folder.exists() else []
@@ -90,12 +90,12 @@ def prepare(
             )
     _remove_temporaries(names)
     write_bytes(settings, (json.dumps(wanted, indent=2) + "\n").encode())
-    write_table(table, rows)  # a line cut short is gone, so that further lines can be appended
+    write_table(table, rows)  # drops an incomplete line, so that further lines can be appended
     return {row["image"]: row for row in rows}
 
 
 def _names_by_folder(folder: Path, targets: list[list[Path]]) -> Mapping[Path, set[str]]:
-    """Return the names of all files that an expansion writes, by the folder they lie in."""
+    """Return the names of all files that an expansion writes, by folder."""
     names: dict[Path, set[str]] = defaultdict(set)
     names[folder] = {TABLE, SETTINGS}
     for row in targets:
@@ -105,7 +105,7 @@ def _names_by_folder(folder: Path, targets: list[list[Path]]) -> Mapping[Path, s
 
 
 def _is_temporary(entry: os.DirEntry[str], names: set[str]) -> bool:
-    """Return True for a file that a killed run left behind while it wrote one of these names."""
+    """Whether a killed run left this file behind while writing one of these names."""
     found = _TEMPORARY.fullmatch(entry.name)
     return found is not None and found[1] in names and entry.is_file(follow_symlinks=False)
 
@@ -133,7 +133,7 @@ def _read_settings(path: Path) -> dict[str, Any]:
 
 
 def name_in(path: Path, folder: Path) -> str:
-    """Return the name of a picture in the table: its path inside the folder."""
+    """Return the name of an image in the table: its path inside the folder."""
     return path.relative_to(folder).as_posix()
 
 
@@ -147,7 +147,7 @@ def write_table(path: Path, rows: Iterable[Row]) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all: under a temporary name, which is renamed at the end."""
+    """Write a file, whole or not at all: under a temporary name that is renamed at the end."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     temporary = Path(name)

@@ -1,6 +1,6 @@
 """Light as a layer over the frame: `Layer`, and the layers that follow the geometry of the view.
 
-A layer is added to the frame or multiplied with it. Vignetting, the shadow of a wall and the sun through a window are
+A layer is added to the frame or multiplied by it. Vignetting, the shadow of a wall and the sun through a window are
 here; lamps and reflections are in `spots`.
 """
 
@@ -23,12 +23,12 @@ _SUN = (1.0, 0.93, 0.78)  # colour of sunlight: red, green, blue
 _PENUMBRA = 0.12  # width of a sun patch's soft edge, in half sizes of the patch
 _FRAME = 0.05  # half width of the window's bars, and of their soft edge, in half sizes of the patch
 
-# Below this size torch works in one thread, which is what a frame painted in a thread of its own wants.
+# Below this size torch uses one thread, which is right for frames that are each painted in their own thread.
 _BAND = 32768
 
 
 class Layer(Effect):
-    """An effect that is a function of the pixel's place: I' = I + layer, or I' = I layer.
+    """An effect that is a function of the place of the pixel: I' = I + layer, or I' = I layer.
 
     Attributes:
         additive: the layer is in levels of 0 ... 255 and is added; otherwise it is a gain.
@@ -38,7 +38,7 @@ class Layer(Effect):
 
     @abstractmethod
     def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return the layer at pixels.
+        """Return the layer at the given pixels.
 
         Args:
             rows: (..., h, 1).
@@ -52,14 +52,14 @@ class Layer(Effect):
         """
 
     def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:
-        """Return which part of the frame the layer changes: first row, row after the last, and the same for columns.
+        """Return the part of the frame that the layer changes: first row, row after the last, and the same for columns.
 
-        Columns may lie beyond the seam. By default it is the whole frame.
+        Columns may lie beyond the seam. By default, the whole frame.
         """
         return 0, height, 0, width
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame what lays the layer over it."""
+        """Return for each frame the application of its layer."""
         columns = {key: value.tolist() for key, value in params.items()}
         count = len(next(iter(columns.values())))
         return [
@@ -68,7 +68,7 @@ class Layer(Effect):
         ]
 
     def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the batch with its layers."""
+        """Return the batch with its layers applied."""
         height, width = batch.shape[2:]
         rows = torch.arange(height, device=batch.device, dtype=torch.float32).view(1, 1, -1, 1)
         columns = torch.arange(width, device=batch.device, dtype=torch.float32).view(1, 1, 1, -1)
@@ -116,7 +116,7 @@ class Vignette(Layer):
 
     q is the distance from the optical axis, 1 at the farthest edge, and k = (1 - strength)^(-1/2) - 1, so that the
     gain there is 1 - strength. A panorama's axis is a row, since its columns go round the axis of the mirror; with
-    `circular=False` it is the middle of the picture.
+    `circular=False` it is the centre of the image.
 
     Args:
         strength: share of the light that is lost at the edge.
@@ -149,12 +149,12 @@ class Shadow(Layer):
     the unit vector towards `column` raised by `tilt` degrees, and S the smooth step 3 t^2 - 2 t^3 on [0, 1]. A straight
     edge of a wall looks like this in a panorama: a curve that closes across the seam. Pixels are taken to be as high
     as they are wide, the horizon in the middle row. With `circular=False` e is the distance from a straight line in
-    the picture, in half widths.
+    the image, in half widths.
 
     Args:
         depth: share of the light that the shadow takes.
         softness: width of the edge on the unit sphere.
-        tilt: in degrees; 0 makes the edge upright.
+        tilt: angle in degrees; 0 makes the edge upright.
         offset: how far the edge lies from the camera's plane, positive for a smaller shadow.
     """
 
@@ -194,10 +194,10 @@ class SunPatch(Layer):
 
     Args:
         gain: how much brighter the floor is.
-        distance: of the patch, in camera heights.
-        length: of the patch away from the window, in camera heights.
-        breadth: of the patch, in camera heights.
-        turn: of the patch on the floor, in degrees.
+        distance: distance of the patch, in camera heights.
+        length: length of the patch away from the window, in camera heights.
+        breadth: breadth of the patch, in camera heights.
+        turn: turn of the patch on the floor, in degrees.
         horizon: row of the horizon, from 0 at the top to 1 at the bottom.
     """
 

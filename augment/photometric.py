@@ -1,4 +1,4 @@
-"""Effects on levels and colours that treat all pixels alike, wherever they lie."""
+"""Effects on levels and colours that treat all pixels alike, wherever they are."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from augment.torchvision_compat import ensure_torchvision
 
 
 class PointEffect(Effect):
-    """I' = curve(I), whatever the place in the picture. 8-bit frames go through a table of 256 levels of their own."""
+    """An effect on levels alone: I' = curve(I). Each 8-bit frame goes through its own table of 256 levels."""
 
     @abstractmethod
     def curve(self, level: Tensor, params: Params) -> Tensor:
@@ -78,7 +78,7 @@ class Contrast(PointEffect):
 
     Args:
         factor: c, above 1 for more contrast and below for less. The thesis gives no range.
-        pivot: the level that stays; 64 as published.
+        pivot: the level that stays the same; 64 as published.
     """
 
     name = "contrast"
@@ -88,7 +88,7 @@ class Contrast(PointEffect):
     }
 
     def curve(self, level: Tensor, params: Params) -> Tensor:
-        """I + (c - 1) (I - 64), which leaves I alone at c = 1 to the last bit."""
+        """I + (c - 1) (I - 64), which leaves I exactly as it is at c = 1."""
         return level + (params["factor"] - 1) * (level - params["pivot"] / 255)
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
@@ -101,7 +101,7 @@ class Gamma(PointEffect):
     """A different tone curve of the camera: I' = I^gamma, on [0, 1].
 
     Args:
-        gamma: below 1 for brighter shadows, above 1 for darker ones; drawn evenly in the logarithm.
+        gamma: below 1 for brighter shadows, above 1 for darker ones; drawn uniformly in the logarithm.
     """
 
     name = "gamma"
@@ -115,7 +115,7 @@ class Gamma(PointEffect):
 
 
 class Exposure(PointEffect):
-    """A longer or shorter exposure, clipped as a sensor clips.
+    """A longer or shorter exposure, clipped as by a sensor.
 
     I' = encode(min(1, 2^stops decode(I))) with the transfer curve of sRGB (IEC 61966-2-1): the light is scaled
     before the camera's curve, and everything above the sensor's range is white.
@@ -189,7 +189,7 @@ class Equalize(Effect):
 class Saturate(Effect):
     """Stronger or weaker colours: S' = min(1, c S) in HSV ([T] 5.3.2, figure 5.4 g).
 
-    Hue and value stay, so that no conversion is needed: with V = max(R, G, B) and m = min(R, G, B), each channel
+    Hue and value stay the same, so no conversion is needed: with V = max(R, G, B) and m = min(R, G, B), each channel
     becomes I' = V - k (V - I), k = min(c, V / (V - m)).
 
     Args:
@@ -204,7 +204,7 @@ class Saturate(Effect):
         return [[partial(_saturate, factor)] if factor != 1 else [] for factor in params["factor"].tolist()]
 
     def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the formula, written so that c = 1 leaves the batch alone to the last bit."""
+        """Return the formula, written so that c = 1 leaves the batch exactly as it is."""
         value, least = batch.amax(1, keepdim=True), batch.amin(1, keepdim=True)
         limit = value / (value - least).clamp(min=1e-6)
         scale = column_of(params["factor"], batch).minimum(limit)
@@ -213,7 +213,7 @@ class Saturate(Effect):
 
 
 def _look_up(table: NDArray[np.uint8], frame: Frame) -> None:
-    """Look every level of a frame up in a table: (1, 256) for all channels, or (3, 256), one for each."""
+    """Look up every level of a frame in a table: (1, 256) for all channels, or (3, 256), one for each."""
     if len(table) == 1:
         cv2.LUT(flat(frame), table[0], dst=flat(frame))
         return

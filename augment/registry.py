@@ -1,4 +1,4 @@
-"""Effects by name: where each one lives, loaded when it is asked for."""
+"""Effects by name: where each one is defined; it is loaded when requested."""
 
 from __future__ import annotations
 

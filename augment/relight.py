@@ -1,6 +1,6 @@
-"""The same room under other light: lamps on or off, another sky, other light behind doors and windows.
+"""The same room under different light: lamps on or off, another sky, other light behind doors and windows.
 
-Gains are in stops of light. Pixels hold light to the power of 1 / 2.2, about as sRGB does, so that s stops multiply a
+Gains are in stops of light. Pixels store light to the power of 1 / 2.2, about as sRGB does, so that s stops multiply a
 pixel by 2^(s / 2.2).
 """
 
@@ -37,8 +37,8 @@ class Relight(Layer):
 
         s_k = stops (slope e + sum_n cos(n a + phase_n) (1 + tilt_n e) / n) + warmth (1, 0, -1)_k cos(a),  n = 1 ... 4
 
-    where a is the azimuth from `column` and e runs from 1 in the first row to -1 in the last. What a room looks like
-    from one point under other lamps or another sky differs by something like this, away from the edges of shadows.
+    where a is the azimuth from `column` and e runs from 1 in the first row to -1 in the last. Away from the
+    edges of shadows, a room seen from one point under other lamps or another sky changes in about this way.
 
     Args:
         stops: amplitude of the change of light.
@@ -88,11 +88,11 @@ class Relight(Layer):
 
 
 class Doorway(Layer):
-    """A sector of the view is lit otherwise, as a room that is seen through a door: I' = I 2^(stops / 2.2) in it.
+    """A sector of the view is lit differently, like a room seen through a door: I' = I 2^(stops / 2.2) in it.
 
     Args:
         stops: how much more light there is.
-        share: of the columns that the sector has.
+        share: share of the columns in the sector.
     """
 
     name = "doorway"
@@ -121,14 +121,14 @@ class Doorway(Layer):
 
 
 class Windows(Effect):
-    """What is brightest in the picture takes another level: windows and lamps at night, or in the sun.
+    """Set the brightest parts of the image to another level: windows and lamps at night, or in the sun.
 
-    I' = I + strength (level - I) where R + G + B is among the largest of the picture: the smallest threshold is taken
-    that at most `share` of the pixels reach. Pixels that are white in all colours are all or none among them.
+    I' = I + strength (level - I) where R + G + B is among the largest of the image: the threshold is the smallest
+    that at most `share` of the pixels reach. Pixels that are white in all colours either all change or none.
 
     Args:
-        share: of the pixels that change, at most.
-        level: 0 ... 255; dark as windows at night, or white as under the sun.
+        share: largest share of the pixels that change.
+        level: 0 ... 255; dark like windows at night, or white as in the sun.
         strength: 1 replaces what was there.
     """
 
@@ -140,7 +140,7 @@ class Windows(Effect):
     }
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame what changes its brightest pixels."""
+        """Return for each frame the change of its brightest pixels."""
         values = zip(*(params[key].tolist() for key in ("share", "level", "strength")), strict=True)
         return [[partial(_black_out, *value)] if value[2] else [] for value in values]
 
@@ -149,7 +149,7 @@ class Windows(Effect):
         bright = (batch * 255).round().sum(dim=1, keepdim=True).long()
         count = torch.zeros(len(batch), _WHITE + 2, device=batch.device)
         count.scatter_add_(1, bright.flatten(1), torch.ones_like(bright.flatten(1), dtype=count.dtype))
-        reached = count.flip(1).cumsum(1).flip(1)  # by how many pixels, for each threshold
+        reached = count.flip(1).cumsum(1).flip(1)  # number of pixels that reach each threshold
         most = beside(params["share"], batch).view(-1, 1) * bright[0].numel()
         threshold = (reached > most).sum(dim=1).view(-1, 1, 1, 1)
         changed = batch + column_of(params["strength"], batch) * (column_of(params["level"], batch) / 255 - batch)

@@ -1,4 +1,4 @@
-"""What the camera's electronics do to a picture: noise and compression."""
+"""Effects of the camera's electronics: noise and compression."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _TABLE = 1 << 21
 
 
 class Noise(Effect):
-    """Gaussian noise: I' = I + n, n ~ N(0, variance) on [0, 1], each pixel and channel its own ([T] 3.4.2).
+    """Gaussian noise: I' = I + n, n ~ N(0, variance) on [0, 1], separately for each pixel and channel ([T] 3.4.2).
 
     n = sqrt(variance) (t(a) + t(b)) / sqrt 2: the normalized sum of two stretches of one fixed table of 2^21 normal
-    numbers, which begin at `first` and `second`. So every device gets the same noise, from two numbers a frame.
+    numbers, which begin at `first` and `second`. Every device thus gets the same noise, from two numbers per frame.
 
     Args:
-        variance: on a picture in [0, 1]. .0025 ... .05 as published.
+        variance: variance for images in [0, 1]. .0025 ... .05 as published.
     """
 
     name = "noise"
@@ -59,12 +59,12 @@ class Noise(Effect):
 class Jpeg(Effect):
     """Compression, as by a camera or for a slow link: I' = I + strength (jpeg(I) - I).
 
-    jpeg(I) is the 8-bit picture, compressed at the given quality and decoded again (opencv's codec, 4:2:0). From a GPU
-    the pictures travel to main memory and back. Blocks do not wrap around the seam.
+    jpeg(I) is the 8-bit image, compressed at the given quality and decoded again (opencv's codec, 4:2:0). Images on a
+    GPU are copied to main memory and back. Blocks do not wrap around the seam.
 
     Args:
         quality: 1 ... 100, as libjpeg defines it.
-        strength: 1 for the compressed picture, 0 for the original.
+        strength: 1 for the compressed image, 0 for the original.
     """
 
     name = "jpeg"
@@ -74,12 +74,12 @@ class Jpeg(Effect):
     }
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the way through the codec."""
+        """Return for each frame the pass through the codec."""
         pairs = zip(params["quality"].tolist(), params["strength"].tolist(), strict=True)
         return [[partial(_compress, int(quality), strength)] if strength else [] for quality, strength in pairs]
 
     def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the compressed pictures, mixed by strength."""
+        """Return the compressed images, mixed by strength."""
         frames = (batch.detach() * 255).round().to(torch.uint8).cpu().contiguous().numpy().copy()
         for frame, quality in zip(frames, params["quality"].tolist(), strict=True):
             _compress(int(quality), 1.0, frame)

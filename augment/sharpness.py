@@ -23,7 +23,7 @@ class Sharpen(Effect):
     Columns wrap around; the first and the last row are repeated beyond the border.
 
     Args:
-        strength: 1 as published; 0 leaves the picture.
+        strength: 1 as published; 0 leaves the image as it is.
     """
 
     name = "sharpen"
@@ -46,12 +46,12 @@ class Sharpen(Effect):
 
 
 class Blur(Effect):
-    """A picture out of focus: I' = I + strength (m * I - I), m a box of size x size ones over its area.
+    """An image out of focus: I' = I + strength (m * I - I), m a box of size x size ones over its area.
 
     Columns wrap around; the first and the last row are repeated beyond the border ([T] 5.3.2, table 5.3).
 
     Args:
-        strength: 1 as published; 0 leaves the picture.
+        strength: 1 as published; 0 leaves the image as it is.
         size: pixels, odd; 5 as published.
     """
 
@@ -92,8 +92,8 @@ class MotionBlur(Effect):
     """The robot turns while the shutter is open: I'(y, x) = mean of I(y, x + i), i = -r ... r, n = 2 r + 1.
 
     Args:
-        length: n in columns of a frame of 512 columns, rounded to an odd number; it grows with the frame. 1 leaves
-            the picture as it is.
+        length: n in columns of a frame of 512 columns, rounded to an odd number; it scales with the width of the
+            frame. 1 leaves the image as it is.
     """
 
     name = "motion_blur"
@@ -105,7 +105,7 @@ class MotionBlur(Effect):
         return [[partial(_box, length, 1, self.circular)] if length > 1 else [] for length in lengths]
 
     def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the means; frames of one length are treated together."""
+        """Return the means; frames of equal length are processed together."""
         lengths = torch.tensor([_odd(length, batch.shape[3]) for length in params["length"].tolist()])
         out = batch.clone()
         for length in lengths.unique().tolist():

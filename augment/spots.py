@@ -27,11 +27,11 @@ class Spot(Layer):
     """A patch of light or shadow that fades from its centre to its rim.
 
     I' = I +- a(rho), with a(rho) = c + (rim - c) rho for rho <= 1 and 0 beyond; rho is 0 at the centre and 1 at the
-    rim, and the shape of the spot defines it in between. A rim above c counts as c. All channels alike.
+    rim, and the shape of the spot defines it in between. A rim above c counts as c. All channels change alike.
 
     Args:
         tone: "light", "dark", or "any" for either with equal chance.
-        radius: in pixels of a frame of 128 rows; it grows with the frame. 15 ... 40 as published.
+        radius: in pixels of a frame of 128 rows; it scales with the height of the frame. 15 ... 40 as published.
         intensity: c, in levels of 0 ... 255. 100 ... 160 as published.
         rim: the levels left at the rim. 5 as published.
         aspect: width over height, at a constant area.
@@ -93,9 +93,9 @@ class Spot(Layer):
 
 
 class Bulb(Spot):
-    """A round spot, as of a light bulb ([T] 5.3.2, figure 5.3 a, b).
+    """A round spot, like that of a light bulb ([T] 5.3.2, figure 5.3 a, b).
 
-    rho = sqrt(u^2 + v^2) at offsets u, v from the centre, counted in half widths and half heights. Everything else
+    rho = sqrt(u^2 + v^2) at offsets u, v from the centre, measured in half widths and half heights. Everything else
     as in `Spot`.
     """
 
@@ -108,9 +108,9 @@ class Bulb(Spot):
 
 
 class Square(Spot):
-    """A rectangular spot, as of a reflection ([T] 5.3.2, figure 5.3 c).
+    """A rectangular spot, like that of a reflection ([T] 5.3.2, figure 5.3 c).
 
-    rho = max(|u|, |v|) at offsets u, v from the centre, counted in half widths and half heights. Everything else as
+    rho = max(|u|, |v|) at offsets u, v from the centre, measured in half widths and half heights. Everything else as
     in `Spot`.
     """
 
@@ -123,7 +123,7 @@ class Square(Spot):
 
 
 class Trapezoid(Spot):
-    """A spot with a horizontal upper and lower edge of different lengths, as of a window ([T] 5.3.2, figure 5.3 d).
+    """A spot with horizontal upper and lower edges of different lengths, like a window ([T] 5.3.2, figure 5.3 d).
 
     rho = max(|v|, |u| / w(v)) with w(v) = (1 + taper v) / (1 + |taper|): the half width w changes from the upper
     edge (v = -1) to the lower edge (v = 1). Everything else as in `Spot`.

@@ -1,7 +1,7 @@
 """Make `import torchvision` work with a torch build that its compiled operators were not made for.
 
 torchvision registers the schema of its operators `nms` and `qnms` from its compiled library. Where that library
-does not load (a CPU build of torch with the default torchvision wheel, or any other pair of builds that differ),
+does not load (a CPU build of torch with the default torchvision wheel, or any other pair of builds that do not match),
 `import torchvision` stops with "operator torchvision::nms does not exist", and so do torchmetrics and lightning,
 which import it. Everything this project uses of torchvision (models, weight enums, transforms v2) is pure
 Python, so it is enough to declare the two schemas and import again.

@@ -21,24 +21,24 @@ from torchvision.transforms.v2 import functional  # noqa: E402
 
 
 class Augment(v2.Transform):
-    """Augment pictures by an effect or a policy: in `v2.Compose`, in `nn.Sequential`, in a data set.
+    """Augment images with an effect or a policy: in `v2.Compose`, in `nn.Sequential`, in a data set.
 
-    In training mode every call draws new parameters, each picture its own; after `eval()` pictures stay as they are.
+    In training mode every call draws new parameters for each image; after `eval()` images stay as they are.
 
-    Pictures are tensors (..., 3, H, W), uint8, or floating point in [0, 1], `tv_tensors.Image` or `tv_tensors.Video`,
-    or RGB pictures of Pillow; type, shape and dtype stay the same. A sample may be nested, as for all transforms of
-    torchvision; all pictures in it, such as the two of a stereo camera, get the same parameters. A rotation moves
-    `tv_tensors.Mask` along and refuses boxes and key points, which may lie across the seam. Everything else in a
-    sample stays as it is, as do plain tensors after the first picture. To repeat a draw, keep the parameters: call
-    `make_params([picture])` once, and `transform(picture, params)` as often as wanted.
+    Images are tensors (..., 3, H, W), uint8, or floating point in [0, 1], `tv_tensors.Image` or `tv_tensors.Video`,
+    or RGB images of Pillow; type, shape and dtype stay the same. A sample may be nested, as for all transforms of
+    torchvision; all images in it, such as the two of a stereo camera, get the same parameters. A rotation also moves
+    `tv_tensors.Mask`, and refuses boxes and key points, which may lie across the seam. Everything else in a sample
+    stays as it is, as do plain tensors after the first image. To repeat a draw, keep the parameters: call
+    `make_params([picture])` once, and `transform(picture, params)` as often as needed.
 
     Draws depend only on `seed` and the number of earlier calls, not on torch's global generator. A copy draws what
     the original would. In a worker of a DataLoader, the worker's seed is mixed in, so that workers and epochs differ;
-    to repeat them, give the loader a seeded `generator`. Processes that train together need a seed each.
+    to repeat them, give the loader a seeded `generator`. Processes that train together each need their own seed.
 
     Args:
-        effect: of `augment.effect`, `augment.policy` or `Policy`.
-        seed: 0 or more.
+        effect: an effect from `augment.effect`, `augment.policy` or `Policy`.
+        seed: seed of the draws, 0 or more.
 
     Attributes:
         effect: as given.
@@ -46,7 +46,7 @@ class Augment(v2.Transform):
         calls: number of draws so far; set it to continue where an earlier run stopped.
 
     Raises:
-        AugmentError: not an effect, a negative seed, or pictures of another shape, dtype or range.
+        AugmentError: not an effect, a negative seed, or images of a wrong shape, dtype or range.
 
     Example:
         >>> import torch, augment
@@ -73,18 +73,18 @@ class Augment(v2.Transform):
         return f"{self.effect!r}, seed={self.seed}"
 
     def forward(self, *inputs: Any) -> Any:
-        """Return the sample with its pictures augmented, or as it is after `eval()`."""
+        """Return the sample with its images augmented, or as it is after `eval()`."""
         if self.training:
             return super().forward(*inputs)
         return inputs if len(inputs) > 1 else inputs[0]
 
     def make_params(self, flat_inputs: list[Any]) -> Params:
-        """Draw the parameters for the pictures of a sample; none if it has no picture."""
+        """Draw the parameters for the images of a sample; none if it has no image."""
         shapes = {_shape(item) for item in flat_inputs if _is_picture(item)}
         if not shapes:
             return {}
         if len(shapes) > 1:
-            raise AugmentError(f"the pictures of one sample must have one number and size, got {sorted(shapes)}")
+            raise AugmentError(f"the images of one sample must have the same number and size, got {sorted(shapes)}")
         count, height, width = shapes.pop()
         params = self.effect.draw(self._generator(), torch.empty(count, 3, height, width, device="meta"))
         if self._moves(params):
@@ -128,27 +128,27 @@ class Augment(v2.Transform):
 
 
 def _is_picture(item: Any) -> bool:
-    """Return True for a picture, False for masks, boxes and other marks in one."""
+    """Return True for an image, False for masks, boxes and other marks in one."""
     return not isinstance(item, tv_tensors.TVTensor) or isinstance(item, tv_tensors.Image | tv_tensors.Video)
 
 
 def _shape(picture: Any) -> tuple[int, int, int]:
-    """Return number, height and width of the pictures in an item of a sample."""
+    """Return number, height and width of the images in an item of a sample."""
     if not isinstance(picture, Tensor):
         if picture.mode != "RGB":
-            raise AugmentError(f"a picture of Pillow must be RGB, got {picture.mode}: use picture.convert('RGB')")
+            raise AugmentError(f"a Pillow image must be RGB, got {picture.mode}: use picture.convert('RGB')")
         return 1, picture.height, picture.width
     if picture.ndim < 3 or picture.shape[-3] != 3:
-        raise AugmentError(f"a picture has shape (..., 3, H, W), got {tuple(picture.shape)}")
+        raise AugmentError(f"an image has shape (..., 3, H, W), got {tuple(picture.shape)}")
     return prod(picture.shape[:-3]), picture.shape[-2], picture.shape[-1]
 
 
 def _check_movable(item: Any, count: int, width: int) -> None:
-    """Raise AugmentError if what marks places in a picture cannot be rotated with it."""
+    """Raise AugmentError if an item that marks places in an image cannot be rotated with it."""
     if not isinstance(item, tv_tensors.Mask):
         raise AugmentError(f"a rotation cannot move {type(item).__name__}, which may lie across the seam: leave it out")
     if item.shape[-1] != width or (count > 1 and item.shape[0] != count):
         raise AugmentError(
-            f"a mask of shape {tuple(item.shape)} cannot be rotated with {count} pictures of {width} columns: "
-            "it needs as many columns, and a mask for each picture of a batch"
+            f"a mask of shape {tuple(item.shape)} cannot be rotated with {count} images of {width} columns: "
+            "it needs as many columns, and a mask for each image of a batch"
         )

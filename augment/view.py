@@ -1,4 +1,4 @@
-"""Where the camera stands and points: the picture moves, grows, rolls."""
+"""Where the camera stands and points: the image moves, grows, rolls."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from augment.brushes import Brush, Frame
 
 
 class View(Effect):
-    """The camera points, stands or rolls a little otherwise; what comes into the picture is black.
+    """The camera points, stands or rolls slightly differently; what comes into the image is black.
 
-    With `circular=False` the picture is moved by `across` W and `down` H, scaled by `zoom` stretch across and by
+    With `circular=False` the image is moved by `across` W and `down` H, scaled by `zoom` stretch across and by
     `zoom` / stretch down, and rolled about its middle: for ordinary and fisheye cameras on robots that do not drive
-    in their own tracks. A panorama is moved and scaled in its rows alone, and the roll of the robot towards
-    `column` moves the rows of a column by (W / 2 pi) roll cos(azimuth), the azimuth from `column`; its columns are for
-    `rotate` to move. Linear between pixels.
+    in the same tracks. A panorama is moved and scaled in its rows alone, and the roll of the robot towards
+    `column` moves the rows of a column by (W / 2 pi) roll cos(azimuth), the azimuth from `column`; its columns are
+    moved by `rotate`. Linear between pixels.
 
     Args:
-        across: share of the width.
-        down: share of the height.
-        zoom: above 1 for a picture that grows.
+        across: shift to the right, as a share of the width.
+        down: shift downwards, as a share of the height.
+        zoom: above 1 for an image that grows.
         stretch: above 1 for one that grows more across than down.
-        roll: in degrees.
+        roll: angle in degrees.
     """
 
     name = "view"

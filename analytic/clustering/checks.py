@@ -1,4 +1,4 @@
-"""What clusterings and their measures share: checked arguments, the numbering of clusters, blocks of rows."""
+"""Helpers for clusterings and their measures: argument checks, the numbering of clusters, blocks of rows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def vectors(values: ArrayLike, what: str = "descriptors") -> NDArray[np.float64]
     """Check vectors and return them as float64 (n, D), n and D at least 1.
 
     Raises:
-        AnalyticError: another shape, no rows, or values that are not finite.
+        AnalyticError: a wrong shape, no rows, or values that are not finite.
     """
     array = real(values, what)
     if array.ndim != 2 or not array.size:
@@ -33,7 +33,7 @@ def whole(value: Any, what: str, least: int, most: int | None = None) -> int:
     """Check a whole number against its bounds and return it.
 
     Raises:
-        AnalyticError: another kind of value, or one out of range.
+        AnalyticError: not a whole number, or out of range.
     """
     span = f"at least {least}" if most is None else f"from {least} to {most}"
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
@@ -53,7 +53,7 @@ def seed(value: Any) -> int:
 
 
 def clusters(n_clusters: Any, frames: int) -> int:
-    """Check the number of clusters asked for and return it.
+    """Check the requested number of clusters and return it.
 
     Raises:
         AnalyticError: not a whole number, below 1, or more than there are frames.
@@ -68,7 +68,7 @@ def cluster_labels(labels: ArrayLike, frames: int | None = None) -> NDArray[np.i
     """Check labels, one whole number per frame (n,); negative ones mark frames that are in no cluster.
 
     Raises:
-        AnalyticError: another shape or length, or labels that are not whole numbers.
+        AnalyticError: a wrong shape or length, or labels that are not whole numbers.
     """
     array = np.asarray(labels)
     if array.ndim != 1 or array.dtype.kind not in "iu":
@@ -89,18 +89,18 @@ def renumbered(labels: NDArray[Any]) -> NDArray[np.int64]:
 def distinct(
     rows: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the different rows in a fixed order, the place of each input row among them, and their counts.
+    """Return the distinct rows in a fixed order, the index of each input row among them, and their counts.
 
-    A method that works on these gives equal frames one label, and does not depend on the order of the input.
+    A method that works on these gives equal frames the same label, and does not depend on the order of the input.
     """
     different, inverse, counts = np.unique(rows + 0.0, axis=0, return_inverse=True, return_counts=True)
     return different, inverse.reshape(-1), counts
 
 
 def to_unit_range(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the rows about their mean in units of their largest value, and that unit.
+    """Return the rows, centred on their mean and scaled by their largest value, and that scale.
 
-    Distances keep their ratios; squares neither overflow nor vanish, and a common offset costs no digits.
+    Distances keep their ratios; squares neither overflow nor vanish, and a common offset costs no precision.
     """
     unit = float(np.abs(rows).max()) or 1.0
     scaled = rows / unit
@@ -108,7 +108,7 @@ def to_unit_range(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], float
 
 
 def row_slices(rows: int, columns: int) -> Iterator[slice]:
-    """Yield slices of rows such that a block of float64 stays within 32 MiB, or is a single row."""
+    """Yield slices of rows such that a block of float64 stays within 32 MiB or is a single row."""
     step = max(1, _BLOCK_BYTES // (8 * max(1, columns)))
     for start in range(0, rows, step):
         yield slice(start, min(rows, start + step))

@@ -11,7 +11,7 @@ from analytic.errors import AnalyticError
 
 
 def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
-    """Cluster frames by plain sampling: runs of consecutive frames of lengths as equal as possible (n,).
+    """Cluster frames by plain sampling: runs of consecutive frames, as equal in length as possible (n,).
 
     Frame i belongs to cluster floor(i * n_clusters / n): the baseline in which every k-th frame represents those
     around it ([C] 5.4).
@@ -35,7 +35,7 @@ def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
 def sample_rows(n: int, n_clusters: int) -> NDArray[np.int64]:
     """Pick the frames that plain sampling keeps: the middle one of each run of `sample` (n_clusters,).
 
-    Of two in the middle it is the first. Arguments and errors as for `sample`.
+    If two are in the middle, the first is kept. Arguments and errors as for `sample`.
 
     Examples:
         >>> sample_rows(5, 2).tolist()
@@ -49,14 +49,14 @@ def sample_rows(n: int, n_clusters: int) -> NDArray[np.int64]:
 def representatives(X: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
     """Compute the mean descriptor of each cluster (k, D) ([C] 3).
 
-    Row i belongs to the i-th smallest label, which is label i where labels go from 0 to k-1.
+    Row i belongs to the i-th smallest label, which is label i if labels go from 0 to k-1.
 
     Args:
         X: descriptors (n, D).
         labels: whole numbers (n,); frames with a negative one are in no cluster.
 
     Raises:
-        AnalyticError: wrong shapes, descriptors that are not finite, labels of another length, or no cluster at all.
+        AnalyticError: wrong shapes, descriptors that are not finite, labels of the wrong length, or no cluster at all.
 
     Examples:
         >>> representatives([[0.0, 2.0], [2.0, 2.0], [9.0, 9.0]], [0, 0, 1]).tolist()
@@ -73,11 +73,11 @@ def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
     labels as in `representatives`.
 
     Args:
-        points: positions of the frames (n, 2), or of any other number of coordinates.
+        points: positions of the frames (n, 2), or with any other number of coordinates.
         labels: whole numbers (n,).
 
     Raises:
-        AnalyticError: wrong shapes, infinite positions, labels of another length, or no cluster at all.
+        AnalyticError: wrong shapes, infinite positions, labels of the wrong length, or no cluster at all.
 
     Examples:
         >>> positions([[0.0, 1.0], [2.0, 1.0], [float("nan"), 1.0]], [0, 0, 1]).tolist()

@@ -11,7 +11,7 @@ from analytic.clustering import checks
 from analytic.errors import AnalyticError
 
 _EPOCHS = 60
-_LAST_RADIUS = 0.3  # in units of the grid: a neighbour then counts 0.4 % of the winner
+_LAST_RADIUS = 0.3  # in units of the grid: a neighbour then has 0.4 % of the winner's weight
 _SETTLING = 40
 
 
@@ -23,7 +23,7 @@ def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int
 
     1. Units start evenly spread over the plane of the two principal components, within sqrt(3) standard deviations,
        the longer side of the grid along the first. They are numbered column by column, (0, 0), (0, 1) ... (W-1, H-1).
-    2. In each of 60 epochs every frame chooses its nearest unit (Euclidean; of equally near ones the first), and every
+    2. In each of 60 epochs every frame chooses its nearest unit (Euclidean; ties go to the first), and every
        unit becomes the mean of the frames, weighted by exp(-g^2 / (2 r^2)), where g is the distance on the grid to the
        frame's unit; r falls geometrically from half the longer side (at least 0.3) to 0.3.
     3. Up to 40 epochs with the last radius follow, until no frame changes. Before each, the units that won no frame
@@ -33,10 +33,10 @@ def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int
     Args:
         X: descriptors (n, D).
         grid: (W, H), both at least 1, W x H at most n.
-        seed: of the randomized search for the principal components.
+        seed: seed of the randomized search for the principal components.
 
     Raises:
-        AnalyticError: descriptors of wrong shape or not finite, a grid that is not as described, a seed out of range.
+        AnalyticError: descriptors of wrong shape or not finite, an invalid grid, or a seed out of range.
 
     Examples:
         >>> som([[0.0, 0.1], [0.1, 0.0], [5.0, 5.1], [5.1, 5.0]], (2, 1)).tolist()
@@ -62,7 +62,7 @@ def winners(
 
     Args:
         x: rows (n, D).
-        weights: how often each row counts, positive (n,).
+        weights: weight of each row, positive (n,).
         grid: (W, H).
         seed: as in `som`.
     """
@@ -95,7 +95,7 @@ def _first_units(
 
 
 def _principal(centred: NDArray[np.float64], weights: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-    """Return the two first principal components, or fewer, each as long as its standard deviation (c, D)."""
+    """Return the first two principal components, or fewer, each scaled to its standard deviation (c, D)."""
     from sklearn.utils.extmath import randomized_svd
 
     seen = np.sqrt(weights / weights.sum())[:, None] * centred
@@ -115,7 +115,7 @@ def _moved(
     apart: NDArray[np.int64],
     radius: float,
 ) -> NDArray[np.float64]:
-    """Return the units after one epoch; a unit too far from every winner to feel it stays where it is."""
+    """Return the units after one epoch; a unit too far from every winner to be affected stays where it is."""
     from scipy import sparse
 
     n = len(x)
@@ -130,7 +130,7 @@ def _moved(
 def _revived(
     x: NDArray[np.float64], weights: NDArray[np.float64], won: NDArray[np.int64], units: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the units and the winners after every unit without frames has been set to where one is missing."""
+    """Return the units and the winners after moving every unit without frames to where one is missing."""
     units = units.copy()
     for unit in np.flatnonzero(np.bincount(won, minlength=len(units)) == 0):
         squared = ((x - units[won]) ** 2).sum(axis=1)

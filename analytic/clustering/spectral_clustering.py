@@ -1,6 +1,6 @@
 """Normalized spectral clustering (Ng, Jordan, Weiss; [C] 3.1), from the descriptors to the labels.
 
-The eigenvectors and the k-means are those of scipy and scikit-learn.
+The eigenvectors come from scipy, the k-means from scikit-learn.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from analytic.linear_algebra import one_thread
 
 ASSIGNMENTS = ("kmeans", "som")
 _STARTS = 10  # of k-means
-# Below this a normalized similarity counts as none. A Lanczos solver finds one copy of an eigenvalue, so the equal
-# ones of separate parts are computed part by part; in float64 it tells parts apart down to about 1e-13.
+# Below this a normalized similarity counts as zero. A Lanczos solver finds one copy of an eigenvalue, so the equal
+# ones of separate parts are computed part by part; in float64 it can separate parts down to about 1e-13.
 _NOTHING = 1e-11
-_LEAST_LINK = 1e-3  # of a link between parts; large enough for eigenvectors to tell from nothing
+_LEAST_LINK = 1e-3  # of a link between parts; large enough for eigenvectors to distinguish from zero
 _SMALL = 1000  # frames up to which the full decomposition is as fast as Lanczos
 _SHIFT = 1e-3  # beyond the largest eigenvalue, 1: near enough to spread those close to 1, far enough to solve well
 
@@ -35,15 +35,15 @@ def spectral(
     seed: int = 0,
     assign: str = "kmeans",
 ) -> NDArray[np.int64]:
-    """Cluster descriptors by normalized spectral clustering; the result is the cluster of each frame (n,).
+    """Cluster descriptors with normalized spectral clustering; return the cluster of each frame (n,).
 
     The Gaussian similarity (`affinity`) is normalized, the eigenvectors of the n_clusters smallest eigenvalues of the
     Laplacian I - D^-1/2 S D^-1/2 become the columns of a matrix, each row is scaled to length 1, and the rows are
     clustered. Equal descriptors count once and share a label. The order of the frames affects only the numbering:
     labels go from 0 to k-1 in the order of first appearance.
 
-    Where the graph of similarities has more parts than clusters, each part is linked with its nearest other part
-    through their two nearest frames, until there are no more parts than clusters.
+    If the graph of similarities has more parts than clusters, each part is linked with its nearest other part through
+    their two nearest frames, until there are no more parts than clusters.
 
     Args:
         X: descriptors (n, D).
@@ -51,9 +51,9 @@ def spectral(
         sigma: as in `affinity`.
         neighbours: t, from 1 to the number of different descriptors - 1: keep only the similarities of the t nearest
             neighbours, which is faster and needs less memory. All if None.
-        seed: of the k-means starts, and of the self-organizing map.
+        seed: seed of the k-means starts, and of the self-organizing map.
         assign: how the rows are clustered: "kmeans" (the best of 10 k-means++ starts), or "som" (a map of n_clusters
-            units on the squarest grid; units that win no frame make no cluster, so there can be fewer).
+            units on a grid as square as possible; units that win no frame form no cluster, so there can be fewer).
 
     Raises:
         AnalyticError: descriptors of wrong shape or not finite, more clusters than different descriptors, or a
@@ -98,7 +98,7 @@ def affinity(X: ArrayLike, sigma: float | None = None, neighbours: int | None = 
         sigma: how fast the similarity falls with the distance, in the descriptors' unit, positive. If None: a third of
             the mean, over the frames, of the distance to the k-th nearest other frame, k = ceil(ln n) + 1 or n - 1 if
             that is less; 1 if that mean is 0. (The mean itself is von Luxburg's rule; along a drive it joins frames
-            that are places apart, and the clusters fall to pieces.)
+            of different places, and the clusters break up.)
         neighbours: t, from 1 to n-1: keep S_ij only where j is among the t nearest other frames of i, or i among those
             of j. All if None.
 
@@ -120,7 +120,7 @@ def affinity(X: ArrayLike, sigma: float | None = None, neighbours: int | None = 
 
 
 def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: str = "kmeans") -> NDArray[np.int64]:
-    """Cluster frames whose similarities are given, whatever these were computed from (n,): `spectral` without step 1.
+    """Cluster frames from given similarities, however these were computed (n,); otherwise as `spectral`.
 
     Args:
         similarities: symmetric, finite, not negative (n, n), an array or scipy.sparse; the diagonal does not count.
@@ -129,7 +129,7 @@ def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: str 
         assign: as in `spectral`.
 
     Raises:
-        AnalyticError: similarities that are not as described, a parameter out of range, or a graph with more parts
+        AnalyticError: invalid similarities, a parameter out of range, or a graph with more parts
             than clusters.
 
     Examples:
@@ -160,7 +160,7 @@ def _similarities(x: NDArray[np.float64], sigma: float | None, neighbours: int |
         from sklearn.metrics.pairwise import euclidean_distances
 
         distance = euclidean_distances(x)
-        if sigma is None:  # a frame itself is its nearest, at rank 0
+        if sigma is None:  # a frame is nearest to itself, at rank 0
             sigma = _chosen_sigma(np.partition(distance, rank, axis=1)[:, rank])
         return _gaussian(distance, sigma), sigma
     from sklearn.neighbors import NearestNeighbors
@@ -181,11 +181,11 @@ def _gaussian(distance: NDArray[np.float64], sigma: float) -> NDArray[np.float64
 
 
 def _symmetric_graph(index: NDArray[np.int64], weight: NDArray[np.float64]) -> Any:
-    """Return the graph that has an edge where either end names the other as a neighbour; 1 on the diagonal."""
+    """Return the graph with an edge where either end has the other as a neighbour; 1 on the diagonal."""
     from scipy import sparse
 
     n, t = index.shape
-    kind = np.int32 if n * t <= np.iinfo(np.int32).max else np.int64  # which is what scikit-learn accepts
+    kind = np.int32 if n * t <= np.iinfo(np.int32).max else np.int64  # the type that scikit-learn accepts
     pointers = np.arange(0, n * t + 1, t, dtype=kind)
     one_way = sparse.csr_array((weight.ravel(), index.ravel().astype(kind), pointers), shape=(n, n))
     return (one_way.maximum(one_way.T) + sparse.eye_array(n, format="csr")).tocsr()
@@ -230,8 +230,8 @@ def _parts(matrix: Any) -> NDArray[np.int64]:
 def _linked(similarity: Any, part: NDArray[np.int64], x: NDArray[np.float64], sigma: float) -> Any:
     """Return the similarities with every part of the graph joined to its nearest other part.
 
-    The link goes between the two nearest frames and has their similarity, 0.001 at least. Links tell a clustering
-    that is asked for fewer clusters than the graph has parts which of the parts belong together.
+    The link goes between the two nearest frames and has their similarity, 0.001 at least. If fewer clusters are
+    requested than the graph has parts, the links show which of the parts belong together.
     """
     from scipy import sparse
     from sklearn.metrics import pairwise_distances_chunked
@@ -272,7 +272,7 @@ def _clustered(matrix: Any, part: NDArray[np.int64], count: int, seed: int, assi
 def _leading_eigenvectors(matrix: Any, part: NDArray[np.int64], count: int) -> NDArray[np.float64]:
     """Return the eigenvectors of the `count` largest eigenvalues of the normalized similarity, as columns (n, count).
 
-    They belong to the smallest eigenvalues of the Laplacian. A frame that resembles no other is a part of its own
+    They belong to the smallest eigenvalues of the Laplacian. A frame that resembles no other is a separate part
     with eigenvalue 1.
     """
     found: list[tuple[float, NDArray[np.int64], NDArray[np.float64]]] = []
@@ -289,7 +289,7 @@ def _leading_eigenvectors(matrix: Any, part: NDArray[np.int64], count: int) -> N
 
 
 def _largest(matrix: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the largest eigenvalues of one part and their vectors, by Lanczos where it is large."""
+    """Return the largest eigenvalues of one part and their vectors, with Lanczos if the part is large."""
     from scipy.linalg import eigh
     from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
@@ -299,7 +299,7 @@ def _largest(matrix: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.f
     dense = isinstance(matrix, np.ndarray)
     if n > _SMALL and 8 * count <= n:
         start = np.random.default_rng(0).uniform(0.5, 1, n)
-        # Eigenvalues near 1 come out of the inverse well apart, but the inverse of a sparse matrix is full.
+        # Inversion spreads the eigenvalues near 1 well, but the inverse of a sparse matrix is dense.
         how = {"sigma": 1 + _SHIFT} if dense else {"which": "LA"}
         try:
             return eigsh(matrix, k=count, v0=start, **how)
@@ -315,7 +315,7 @@ def _squarest(units: int) -> tuple[int, int]:
 
 
 def _checked_sigma(sigma: float | None, unit: float) -> float | None:
-    """Return sigma in the unit of scaled descriptors."""
+    """Return sigma in the unit of the scaled descriptors."""
     if sigma is None:
         return None
     if isinstance(sigma, bool) or not isinstance(sigma, int | float | np.number) or not 0 < sigma < math.inf:

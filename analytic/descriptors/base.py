@@ -1,4 +1,4 @@
-"""The interface that analytic and learned descriptors share, and what all descriptors of images have in common."""
+"""The interface shared by analytic and learned descriptors, and the base classes of all image descriptors."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from analytic.threads import each
 if TYPE_CHECKING:
     from torch import Tensor
 
-_PIXELS = 1 << 18  # in work at once on one thread: with fewer, threads would wait for each other between calls
+_PIXELS = 1 << 18  # processed at once on one thread; with fewer, threads would wait for each other between calls
 _KINDS: dict[str, tuple[type, type, str]] = {
     "bool": (bool, bool, "True or False"),
     "int": (Integral, int, "a whole number"),
     "float": (Real, float, "a number"),
-    "str": (str, str, "a text"),
+    "str": (str, str, "a string"),
 }
-MOST = 16_384  # rows or columns of an image, and so of anything that is counted in one
-_NUMBERS = 1 << 24  # of the description of one image
+MOST = 16_384  # limit for the rows or columns of an image, and so for anything counted in one
+_NUMBERS = 1 << 24  # limit for the description of one image
 Part = Any  # a tensor, or an array
 
 
 class Descriptor(ABC):
-    """A way of turning panoramas into vectors; subclass it to use one of your own in maps, tasks and the mapper.
+    """A way of turning panoramas into vectors; subclass it to use your own in maps, tasks and the mapper.
 
     A subclass sets `name` and defines `identity` and `describe`. Descriptions with an orientation part then also give
     headings.
 
     Attributes:
-        name: what configurations and files call it.
-        default_distance: the distance between position descriptors that it is meant for.
-        aligned: whether position parts are compared only after turning them alike, so that only `pairwise` can.
+        name: the name used in configurations and files.
+        default_distance: the distance that position descriptors are meant to be compared with.
+        aligned: whether position parts can be compared only after aligning them, that is, only with `pairwise`.
 
     Example:
         >>> class Columns(Descriptor):
@@ -75,7 +75,7 @@ class Descriptor(ABC):
     @property
     @abstractmethod
     def identity(self) -> dict[str, Any]:
-        """Name and parameters as plain values: two descriptions may be compared if these agree."""
+        """Name and parameters as plain values; two descriptions can be compared if these agree."""
 
     @abstractmethod
     def describe(self, batch: ArrayLike) -> Description:
@@ -84,7 +84,7 @@ class Descriptor(ABC):
     def pairwise(
         self, queries: Description, references: Description, distance: str | None = None
     ) -> NDArray[np.float64]:
-        """Return the distances (n, m) between position descriptors, by the default distance or a named one."""
+        """Return the distances (n, m) between position descriptors, with the default distance or a named one."""
         self.check(queries, references)
         name = distance or self.default_distance
         measure = distance_named(name)
@@ -96,8 +96,8 @@ class Descriptor(ABC):
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading and the aligned distance of every query to every reference (n, m).
 
-        The turn is the one with the largest circular correlation of the orientation parts, which is the one of the
-        smallest Euclidean distance between them, since turning does not change their lengths.
+        The turn is the one with the largest circular correlation of the orientation parts, which is also the one
+        with the smallest Euclidean distance between them, since turning does not change their lengths.
 
         Raises:
             AnalyticError: descriptions that cannot be compared, or that have no orientation part.
@@ -112,7 +112,7 @@ class Descriptor(ABC):
 
         Args:
             query: B descriptions.
-            reference: as many, compared row by row; or a single one, compared with all.
+            reference: B descriptions, compared row by row, or a single one, compared with all.
 
         Raises:
             AnalyticError: as `align`, or different numbers of descriptions.
@@ -141,14 +141,14 @@ class Descriptor(ABC):
         return Match(index, apart[np.arange(len(queries)), index], heading)
 
     def check(self, queries: Description, references: Description) -> None:
-        """Raise AnalyticError unless both can have been made by this descriptor, with these parameters."""
+        """Raise AnalyticError unless both descriptions can come from this descriptor with these parameters."""
         for description in (queries, references):
             if description.identity is not None and description.identity != self.identity:
                 raise AnalyticError(other_parameters(self.identity, description.identity))
         check_alike(queries, references)
 
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
-        """Return the best turn of each pair; a subclass that looks for it in another way overrides this."""
+        """Return the best turn of each pair; a subclass that searches differently overrides this."""
         return best_turns(queries.spectrum, references.spectrum, steps)
 
     def _steps(self, queries: Description, references: Description) -> int:
@@ -167,10 +167,11 @@ class ImageDescriptor(Descriptor):
     """A descriptor computed from pixels. Subclasses are frozen dataclasses whose fields are the parameters.
 
     Args:
-        circular: whether columns are azimuth and wrap around. Those of an ordinary camera do not, and have no heading.
+        circular: whether columns are azimuth and wrap around; those of an ordinary camera do not, and give no heading.
         homomorphic: whether images go through `analytic.filters.homomorphic` first ([C] 2.4).
-        device: where torch computes, or "numpy" to compute without torch, as on a robot, by numpy and OpenCV; "cpu" is
-            the same where torch is not installed. It changes no result beyond rounding and is no part of the identity.
+        device: the torch device, or "numpy" to compute with NumPy and OpenCV instead of torch, as on a robot; "cpu"
+            means the same where torch is not installed. It changes results only by rounding and is not part of the
+            identity.
 
     Example:
         >>> import analytic
@@ -179,7 +180,7 @@ class ImageDescriptor(Descriptor):
         (True, ((256,), (256, 16)), 1.41)
     """
 
-    colour: ClassVar[bool] = False  # whether it looks at colours, not only at luma
+    colour: ClassVar[bool] = False  # whether the descriptor uses colours, not only luma
 
     circular: bool = True
     homomorphic: bool = False
@@ -204,27 +205,27 @@ class ImageDescriptor(Descriptor):
 
     @property
     def tells_heading(self) -> bool:
-        """Whether columns wrap around; without that there is no heading."""
+        """Whether columns wrap around; otherwise there is no heading."""
         return self.circular
 
     @abstractmethod
     def resolution(self, width: int) -> float:
-        """Return the smallest turn that shows in the orientation part of images with that many columns, rad."""
+        """Return the smallest turn visible in the orientation part of images with that many columns, rad."""
 
     @abstractmethod
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the shapes of position and orientation of one image, as [T] table 3.2 writes them."""
+        """Return the shapes of the position and orientation parts of one image, written as in [T] table 3.2."""
 
     def describe(self, batch: ArrayLike) -> Description:
-        """Describe grey or colour images; unless the descriptor is one of colours, these become BT.601 luma.
+        """Describe grey or colour images; colours are converted to BT.601 luma unless the descriptor uses them.
 
         Args:
             batch: (B, H, W), (B, 3, H, W) or one image (H, W), (3, H, W); uint8, or floating point in [0, 1]. A
-                tensor may lie on any device.
+                tensor may be on any device.
 
         Raises:
-            AnalyticError: another shape or type, images of different sizes, values that are not finite or out of
-                range, a size that the parameters do not fit.
+            AnalyticError: a wrong shape or type, images of different sizes, values that are not finite or out of
+                range, or a size that the parameters do not fit.
         """
         if self.device == "numpy" or (self.device == "cpu" and not torch_is_there()):
             return self._described_plainly(unit_array(batch))
@@ -263,7 +264,7 @@ class ImageDescriptor(Descriptor):
             return _array(position), _array(orientation)
 
     def _seen(self, images: Tensor) -> Tensor:
-        """Return what `_describe` gets of images (B, C, H, W), float32 in [0, 1]: their luma (B, H, W)."""
+        """Return the input of `_describe` for images (B, C, H, W), float32 in [0, 1]: their luma (B, H, W)."""
         grey = grey_tensor(images)
         return homomorphic_tensor(grey, circular=self.circular) if self.homomorphic else grey
 
@@ -291,17 +292,17 @@ class ImageDescriptor(Descriptor):
 
     @abstractmethod
     def _check_size(self, height: int, width: int) -> None:
-        """Raise AnalyticError, naming sizes that would do, for images that the parameters do not fit."""
+        """Raise AnalyticError, suggesting sizes that would fit, for images that the parameters do not fit."""
 
     @abstractmethod
     def _describe(self, grey: Tensor) -> tuple[Part, Part]:
-        """Return position (B, D) and orientation (B, K, F) of what `_seen` returns, float32 in [0, 1]."""
+        """Return position (B, D) and orientation (B, K, F) for the output of `_seen`, float32 in [0, 1]."""
 
     def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return what `_describe` returns, without torch.
 
         Raises:
-            AnalyticError: the descriptor has no such form.
+            AnalyticError: the descriptor has no implementation without torch.
         """
         raise AnalyticError(f"{self.name} computes with torch alone: use device='cpu' where torch is installed")
 
@@ -310,8 +311,8 @@ class ImageDescriptor(Descriptor):
 class AlignedDescriptor(ImageDescriptor):
     """A descriptor that compares orientation parts (B, K, F) at their best turn ([T] 3.3.4-3.3.5).
 
-    The position part of a description holds the values of the orientation part, in an order of its own; every
-    distance of `analytic.DISTANCES` is taken between whole vectors, so that the order does not matter.
+    The position part of a description holds the values of the orientation part in a different order; every distance
+    of `analytic.DISTANCES` compares whole vectors, so the order does not matter.
     """
 
     aligned: ClassVar[bool] = True
@@ -323,9 +324,9 @@ class AlignedDescriptor(ImageDescriptor):
 
         Args:
             queries: n descriptions.
-            references: m descriptions; their spectrum is computed once and kept.
-            distance: a name in `analytic.DISTANCES`; the default distance if None. Whichever it is, the turn is that
-                of the largest correlation.
+            references: m descriptions; their spectrum is computed once and cached.
+            distance: a name in `analytic.DISTANCES`; the default distance if None. With any distance, the turn is
+                the one with the largest correlation.
 
         Raises:
             AnalyticError: descriptions that cannot be compared, an unknown distance.
@@ -338,7 +339,7 @@ class AlignedDescriptor(ImageDescriptor):
         return self._compared(queries, references, turns, name)
 
     def localize(self, queries: Description, references: Description, distance: str | None = None) -> Match:
-        """Return the nearest reference at its best turn, and the heading that this turn is ([T] 3.3.4-3.3.5).
+        """Return the nearest reference at its best turn, and the heading given by that turn ([T] 3.3.4-3.3.5).
 
         Raises:
             AnalyticError: as `Descriptor.localize`.
@@ -355,22 +356,22 @@ class AlignedDescriptor(ImageDescriptor):
 
     def _distance(self, name: str | None) -> str:
         name = self.default_distance if name is None else name
-        distance_named(name)  # an unknown name is an error before any work
+        distance_named(name)  # an unknown name raises an error before any work
         return name
 
     def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> NDArray[np.float64]:
-        """Return the named distance (n, m) of each pair at its turn; a subclass that compares otherwise overrides."""
+        """Return the named distance (n, m) of each pair at its turn; override it to compare differently."""
         return aligned_distances(name, queries, references, turns)
 
 
 def check_cells(made: Any, height: int, width: int, rows: str = "rows") -> None:
-    """Raise AnalyticError unless horizontal bands and the windows of a descriptor fit an image.
+    """Raise AnalyticError unless the horizontal bands and the windows of a descriptor fit an image.
 
     Args:
         made: descriptor with a number of bands, `step` and `window`.
-        height: of the image, pixels.
-        width: of the image, pixels.
-        rows: name of the parameter that is the number of bands.
+        height: height of the image in pixels.
+        width: width of the image in pixels.
+        rows: name of the parameter with the number of bands.
     """
     bands = getattr(made, rows)
     if height % bands:
@@ -390,7 +391,7 @@ def check_cells(made: Any, height: int, width: int, rows: str = "rows") -> None:
 
 
 def divisors_near(number: int, wanted: int) -> str:
-    """Return, for an error, the divisors of a number next to one that does not divide it.
+    """Return the divisors of a number closest to one that does not divide it, as text for an error message.
 
     Example:
         >>> divisors_near(128, 12)

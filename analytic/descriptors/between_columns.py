@@ -1,4 +1,4 @@
-"""Headings by orientation parts of few columns, such as a network's: the turn may lie between two of them."""
+"""Headings from orientation parts with few columns, such as a network's: the turn may lie between two columns."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from analytic.description import Alignment, Description, fft
 from analytic.descriptors.base import Descriptor
 from analytic.errors import AnalyticError
 
-_TURNS = 1024  # at least so many are compared
-_ROWS = 4096  # pairs whose correlations are held at once
+_TURNS = 1024  # at least this many are compared
+_ROWS = 4096  # pairs whose correlations are in memory at once
 
 
 class BetweenColumns(Descriptor):
     """Base of descriptors whose orientation part (B, K, F) changes smoothly from column to column.
 
     The circular correlation of two orientation parts is known between the columns as well: the inverse transform of
-    its K // 2 + 1 frequencies, filled up with zeros, gives it at 1024 turns or a few more, whole columns among them.
-    The relative heading is the turn of the largest one, the aligned distance the Euclidean one at that turn.
+    its K // 2 + 1 frequencies, padded with zeros, gives it at 1024 turns or slightly more, which include whole columns.
+    The relative heading is the turn with the largest correlation, the aligned distance the Euclidean one at that turn.
 
     Example:
         >>> class Columns(BetweenColumns):
@@ -64,10 +64,10 @@ class BetweenColumns(Descriptor):
 
 
 def _filled_up(spectrum: NDArray[Any], columns: int, turns: int) -> NDArray[Any]:
-    """Return frequencies (K // 2 + 1, ...) of real signals such that zeros may follow.
+    """Prepare frequencies (K // 2 + 1, ...) of real signals for padding with zeros.
 
-    The highest frequency of an even number of columns stands for itself and its negative. Where higher ones follow it
-    has a partner of its own, and each of the two gets half.
+    The highest frequency of an even number of columns stands for itself and its negative. When higher ones follow, the
+    negative gets its own place, and each of the two gets half.
     """
     if columns % 2 or turns == columns:
         return spectrum
@@ -75,7 +75,7 @@ def _filled_up(spectrum: NDArray[Any], columns: int, turns: int) -> NDArray[Any]
 
 
 def _turns(columns: int) -> int:
-    """Return how many turns are compared: some for each column, at least 1024 together."""
+    """Return how many turns are compared: equally many for each column, at least 1024 in total."""
     if columns < 3:
-        raise AnalyticError(f"a turn shows in three columns or more, got {columns}: use wider panoramas")
+        raise AnalyticError(f"a turn is visible only in three columns or more, got {columns}: use wider panoramas")
     return columns * -(-_TURNS // columns)

@@ -1,4 +1,4 @@
-"""BRIEF-gist: which window of the image is brighter than the one before it ([T] 3.2.5, 3.3.5)."""
+"""BRIEF-gist: whether each window of the image is brighter than the one before it ([T] 3.2.5, 3.3.5)."""
 
 from __future__ import annotations
 
@@ -30,17 +30,16 @@ class BriefGist(AlignedDescriptor):
         bit(r, c) = 1 if m(r, c) - m(r, c - 1) > 0, else 0,
 
     where c - 1 of the first window is the last window of the row. With `circular=False` the first window has no
-    window before it, and its bit is 0. Equal means give 0. Sums are taken in float64, in which those of 8-bit images
-    are exact: neither the order of the pixels nor a turn by whole windows can flip a bit.
+    window before it, and its bit is 0. Equal means give 0. Sums are computed in float64, which is exact for 8-bit
+    images: neither the order of the pixels nor a turn by whole windows can flip a bit.
 
-    Position: (rows * columns,) float32 of 0 and 1, row after row: value r * columns + c is bit(r, c). It turns with
-    the robot; `pairwise`, `align` and `localize` first turn each pair to its largest correlation, which is the
-    turn with the fewest different bits, or the smallest of equal ones. With `circular=False` bits are
-    compared without any turn.
+    Position: (rows * columns,) float32 of 0 and 1, row after row: value r * columns + c is bit(r, c). It turns with the
+    robot; `pairwise`, `align` and `localize` first turn each pair to its largest correlation, which is the turn with
+    the fewest different bits, or the smallest such turn. With `circular=False` bits are compared without any turn.
     Orientation: (columns, rows), value [c, r] is bit(r, c).
 
     The default distance, "manhattan", is the number of different bits at that turn (Hamming), from 0 to
-    rows * columns; "hamming" is another name for it. `pairwise` takes every other distance as well; of those that
+    rows * columns; "hamming" is another name for it. `pairwise` accepts every other distance as well; of those that
     [T] 3.5.1 tried, "correlation" found the nearest frame most often.
 
     Args:
@@ -67,7 +66,7 @@ class BriefGist(AlignedDescriptor):
     columns: int = 16
 
     def resolution(self, width: int) -> float:
-        """Return the turn by one window, rad."""
+        """Return the angle of one window, rad."""
         return 2 * np.pi / self.columns
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -83,7 +82,7 @@ class BriefGist(AlignedDescriptor):
             if pixels % windows:
                 raise AnalyticError(
                     f"briefgist cuts the image into {windows} {side} of windows, which do not divide its {pixels} "
-                    f"{side} of pixels: take {divisors_near(pixels, windows)} for {side!r}, or resize the image"
+                    f"{side} of pixels: use {divisors_near(pixels, windows)} for {side!r}, or resize the image"
                 )
 
     def _describe(self, grey: Tensor) -> tuple[Part, Part]:
@@ -91,7 +90,7 @@ class BriefGist(AlignedDescriptor):
 
         count, height, width = grey.shape
         windows = grey.reshape(count, self.rows, height // self.rows, self.columns, width // self.columns)
-        # A sum in float64 copies its input; of a few images at a time, the copy stays in the cache.
+        # A sum in float64 copies its input; with a few images at a time, the copy stays in the cache.
         few = windows.split(max(1, _PIXELS // (height * width)))
         sums = torch.cat([part.sum(dim=(2, 4), dtype=torch.float64) for part in few])
         brighter = sums > sums.roll(1, dims=2)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _HEADINGS = ("correlation", "phase_product")
 _NOTHING = 1e-6
-_CHUNK = 1 << 22  # values held at once
+_CHUNK = 1 << 22  # values in memory at once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,43 +30,43 @@ class FourierSignature(ImageDescriptor):
     """Low frequencies along the rows: their magnitudes for the position, the complex values for the heading.
 
     The image (H, W) is averaged down to a few rows: row r is the mean of rows r H / n ... (r + 1) H / n - 1. Each has
-    the coefficients F[r, u] = (1 / W) sum_x f[r, x] exp(-2 pi i u x / W), of which u = 0, 1, ... are kept, the mean
-    (u = 0) among them. With `circular=False` a row is followed by its mirror image first, W being 2 W then, so that
-    the step from its last column to its first is no edge.
+    the coefficients F[r, u] = (1 / W) sum_x f[r, x] exp(-2 pi i u x / W), of which u = 0, 1, ... are kept, including
+    the mean (u = 0). With `circular=False` each row is first extended by its mirror image, which makes W twice as
+    large, so that the step from its last column to its first is no edge.
 
     Position (B, rows * columns): value r * columns + u is |F[r, u]|. Orientation (B, orientation_columns,
-    orientation_rows), complex64: value [u, r] is F[r, u], of an average to orientation_rows; its argument is the phase
-    of [T]. Unlike that of the other descriptors it does not move along an axis when the robot turns left by s columns;
-    it is multiplied by exp(-2 pi i u s / W), and `Description.spectrum` has no meaning for it.
+    orientation_rows), complex64: value [u, r] is F[r, u] of the image averaged to orientation_rows; its argument is the
+    phase of [T]. Unlike that of the other descriptors it does not move along an axis when the robot turns left by s
+    columns; it is multiplied by exp(-2 pi i u s / W), and `Description.spectrum` has no meaning for it.
 
-    The relative heading is one of `turns` equal parts of a full turn. `heading` says how it is found:
+    The relative heading is a multiple of 1 / `turns` of a full turn. `heading` selects how it is found:
 
-    - "correlation": where the circular cross-correlation of the rows, of which no more is known than the kept
-      frequencies, summed over the rows, is largest. By the shift theorem that is, for query Q and reference R,
+    - "correlation": where the circular cross-correlation of the rows, known only by their kept frequencies, summed
+      over the rows, is largest. By the shift theorem that is, for query Q and reference R,
       c[t] = sum_r sum_u w_u Re(Q[r, u] conj(R[r, u]) exp(2 pi i u t / turns)), w_0 = 1 and all other w_u = 2. With
       `whitened` Q and R are coefficients divided by their magnitudes, and 0 where these are below 1e-6 of the image's
-      largest: else the lowest frequencies decide, which something dark in front of the camera changes most. The
-      aligned distance is, whitened or not, the Euclidean one of the rows at that turn, divided by sqrt(W), that is
-      sqrt(sum w |Q|^2 + sum w |R|^2 - 2 c) with the coefficients themselves.
+      largest: otherwise the lowest frequencies dominate, which change most when something dark is in front of the
+      camera. The aligned distance, whitened or not, is the Euclidean one of the rows at that turn, divided by sqrt(W),
+      that is sqrt(sum w |Q|^2 + sum w |R|^2 - 2 c) with the coefficients themselves.
     - "phase_product": where the sum over all elements of the product of two phase matrices in (-pi, pi] is largest,
       that of the reference and that of the query turned back by t, whose phases are those of
       Q[r, u] exp(2 pi i u t / turns) ([T] eq. 3.3-3.6, read with the matrix of the map's image as the other
-      factor). The aligned distance is the Euclidean one of the two phase matrices. Phases next to pi and -pi count as
-      far apart, so that noise matters more here, and the largest sum need not be at the true turn.
+      factor). The aligned distance is the Euclidean one of the two phase matrices. Phases close to pi and -pi count
+      as far apart, so noise matters more here, and the largest sum need not be at the true turn.
 
     Args:
         rows: rows in the position part, k1 in [T] table 3.1. They divide the height of an image.
         columns: frequencies in the position part, k2.
         orientation_rows: rows in the orientation part, k3. They divide the height of an image.
         orientation_columns: frequencies in the orientation part, k4.
-        turns: how many turns are compared; a multiple or a divisor of the width of an image, so that whole columns
+        turns: number of turns compared; a multiple or a divisor of the width of an image, so that whole columns
             are whole turns. [T] compares one for each of its 512 columns.
         heading: "correlation" or "phase_product".
-        whitened: whether a correlation is that of phases alone; a product of phases always is. This is an addition to
-            the seeds that bars across the picture mislead much less; False is the plain correlation.
+        whitened: whether the correlation uses phases alone; a product of phases always does. This addition to the
+            papers is much less misled by bars across the image; False is the plain correlation.
 
-    The defaults are the best of [T] 3.5.1 for the position; for the heading, [T] 3.5.3 only asks for an intermediate or
-    high number of rows.
+    The defaults are the best of [T] 3.5.1 for the position; for the heading, [T] 3.5.3 only recommends an intermediate
+    or high number of rows.
 
     Raises:
         AnalyticError: numbers that are not positive, more frequencies than turns can resolve, an unknown `heading`.
@@ -93,7 +93,7 @@ class FourierSignature(ImageDescriptor):
     whitened: bool = True
 
     def resolution(self, width: int) -> float:
-        """Return the turn of one column, or that of one of `turns` if there are fewer of these, rad."""
+        """Return the angle of one column, or of one of the `turns` if there are fewer of these, rad."""
         return 2 * pi / min(width, self.turns)
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -104,7 +104,7 @@ class FourierSignature(ImageDescriptor):
         """Return the relative heading and the aligned distance of every query to every reference; see the class."""
         self.check_turns()
         self.check(queries, references)
-        self._steps(queries, references)  # both have an orientation part
+        self._steps(queries, references)  # checks that both have an orientation part
         if self.heading == "correlation":
             step, distance = self._correlated(queries, references)
         else:
@@ -222,7 +222,7 @@ def _signature(grey: Tensor, rows: int, wraps: bool) -> Tensor:
     """Return the coefficients (B, rows, W // 2 + 1), complex128, of images (B, H, W)."""
     import torch
 
-    # In double precision a coefficient near zero, too, keeps its magnitude when the robot turns.
+    # In double precision even a coefficient near zero keeps its magnitude when the robot turns.
     few = grey.unflatten(1, (rows, -1)).mean(dim=2).to(torch.float64)
     if not wraps:
         few = torch.cat([few, few.flip(2)], dim=2)
@@ -240,13 +240,13 @@ def _white(description: Description) -> NDArray[np.complex64]:
 
 
 def _power(description: Description) -> NDArray[np.float64]:
-    """Return the mean squares of rows of which only the kept frequencies are known, summed over the rows (B,)."""
+    """Return the mean squares of rows known only by their kept frequencies, summed over the rows (B,)."""
     squares = np.square(np.abs(description.turnable), dtype=np.float64).sum(axis=2)
     return 2 * squares.sum(axis=1) - squares[:, 0]
 
 
 def _between_rows(one: NDArray[np.complex64], other: NDArray[np.complex64]) -> float:
-    """Return the distance of rows, in the sense of `_power`, by their coefficients (U, R)."""
+    """Return the distance of rows, in the sense of `_power`, from their coefficients (U, R)."""
     values, known = one.view(np.float32), np.ascontiguousarray(other).view(np.float32)
     return sqrt(2 * norm(values, known) ** 2 - norm(values[:1], known[:1]) ** 2)
 

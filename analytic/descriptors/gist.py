@@ -1,4 +1,4 @@
-"""Gist: how strongly a bank of Gabor filters answers, in bands and in windows ([T] 3.2.3, 3.3.3; [I] 3.2; [C] 2.3)."""
+"""Gist: how strongly a bank of Gabor filters responds, in bands and in windows ([T] 3.2.3, 3.3.3; [I] 3.2; [C] 2.3)."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 LEVELS = 2
-CENTRE = 0.25  # cycles per pixel of the level's own picture
+CENTRE = 0.25  # cycles per pixel of the level's image
 _FLOOR = 2.0**-9
 _FAINT = 1e-3
-_HELD = 1 << 18  # values of responses held at once
+_HELD = 1 << 18  # values of responses in memory at once
 _HELD_ELSEWHERE = 1 << 25
 
 
@@ -30,26 +30,26 @@ _HELD_ELSEWHERE = 1 << 25
 class Gist(ImageDescriptor):
     """Mean magnitude of Gabor responses at two resolutions: in horizontal bands, and in vertical windows.
 
-    The picture, H rows i counted downwards and W columns j, is continued in elevation by reflection, each end row
+    The image, H rows i counted downwards and W columns j, is extended in elevation by reflection, with each end row
     repeated once (row -1 - i is row i, row 2 H - 1 - i is row i: a period of 2 H rows), and wraps around in azimuth.
-    With `circular=False` it is reflected in the same way in azimuth (a period of 2 W columns). All filtering is that
-    of the periodic picture, by its discrete Fourier transform, so that nothing else is assumed at the borders.
+    With `circular=False` it is reflected in the same way in azimuth (a period of 2 W columns). All filters act on the
+    periodic image, through its discrete Fourier transform, so nothing else is assumed at the borders.
 
     Filter k of m has the orientation theta = pi k / m, k = 0 ... m - 1, and the centre frequency f (cos theta,
-    sin theta) in cycles per pixel to the right and downwards: theta = 0 answers to upright edges. Its transfer
+    sin theta) in cycles per pixel to the right and downwards: theta = 0 responds to upright edges. Its transfer
     function is a round (aspect ratio 1) Gaussian about this centre, one octave wide at half its height, lowered so
-    that it is 0 from the distance f on, which takes in the constant picture:
+    that it is 0 from the distance f on, and so for a constant image:
 
         G(d) = 2 max(0, (2^(-9 (d / f)^2) - 2^-9) / (1 - 2^-9)),    d = distance to the centre in the frequency plane,
 
     at the frequencies u / 2H and v / W (v / 2W) in [-1/2, 1/2). It passes one of each pair of opposite frequencies, so
-    that the response is complex, its real and imaginary part being the even and the odd filter. A wave at the centre
-    frequency with amplitude a has a response of magnitude a.
+    the response is complex, with the even filter as its real part and the odd one as its imaginary part. A wave at the
+    centre frequency with amplitude a has a response of magnitude a.
 
-    Level 0 is the picture itself, with f = 1/4. Level 1 is the picture at half resolution, its frequencies from 1/4
-    on removed, with a filter of 1/4 cycles per pixel there, that is f = 1/8 here; as this filter passes nothing above
-    1/4, filtering the picture itself with f = 1/8 gives the same response. It is read at all H x W pixels, as that of
-    level 0: a turn by any number of columns then only moves it, where the picture of W / 2 columns would change.
+    Level 0 is the image itself, with f = 1/4. Level 1 is the image at half resolution, without its frequencies from
+    1/4 on, with a filter of 1/4 cycles per pixel there, that is f = 1/8 here; as this filter passes nothing above 1/4,
+    filtering the image itself with f = 1/8 gives the same response. It is read at all H x W pixels, as at level 0: a
+    turn by any number of columns then only moves it, whereas the image of W / 2 columns would change.
 
     With R(level, k; i, j) the magnitude of the response:
 
@@ -57,31 +57,31 @@ class Gist(ImageDescriptor):
     `orientations`, over the rows b H / blocks ... (b + 1) H / blocks - 1 and all columns.
     Orientation (W / step, orientation_levels * orientation_filters): value [n, level * orientation_filters + k] is
     the mean of R, filter k of `orientation_filters`, over all rows and the columns n step ... n step + window - 1,
-    which wrap around. With `circular=False` windows end at the last column, and the mean is over what they have.
+    which wrap around. With `circular=False` windows end at the last column, and the mean is over the columns they have.
     With `normalized` the values o of each window n become (o - m) / sqrt(|o - m|^2 + 0.001^2), m being the mean of
-    the window's values and |.| the Euclidean length: what is left is which orientations prevail in a window. All
-    filters answer to noise alike, and the edge of something that stands in the way counts as any other edge, in the
-    few windows that hold it; among plain means both can outweigh the rest of the picture.
+    the window's values and |.| the Euclidean length: this leaves which orientations prevail in a window. All
+    filters respond to noise alike, and the edge of an obstacle counts like any other edge, in the few windows that
+    contain it; with plain means both can outweigh the rest of the image.
 
-    The position part, and plain means, scale with contrast and ignore an offset of the grey values. [T] 3.5.1 finds
-    its best result by Pearson's correlation, the default distance; it ignores contrast as well.
+    The position part, and plain means, scale with contrast and ignore an offset of the grey values. [T] 3.5.1 has its
+    best result with Pearson's correlation, the default distance, which also ignores contrast.
 
     Args:
         blocks: horizontal bands, k7 of [T] table 3.1. They divide the height of an image.
         orientations: filters of the position part, m1, for 0 to 180 degrees.
-        window: width of a vertical window in columns, l2. Wide ones, which [T] 3.5.3 finds best for plain means,
-            blur the heading of normalized ones.
+        window: width of a vertical window in columns, l2. Wide windows, which [T] 3.5.3 finds best for plain
+            means, blur the heading of normalized ones.
         step: columns between the windows, d2; it divides the width of an image. It is the angular resolution.
         orientation_filters: filters of the orientation part, m2.
         orientation_levels: 1 (level 0 alone) or 2.
         normalized: whether the windows of the orientation part are normalized.
 
     The defaults are the best of [T] 3.5.1 for the position, and those of [I] 6.1 for the heading, whose
-    mapper has blocks=16 and orientations=16. The time goes with the number of different orientations.
+    mapper has blocks=16 and orientations=16. The time grows with the number of different orientations.
 
     Raises:
-        AnalyticError: numbers that are not positive, more levels than 2, or a single filter in windows that are
-            normalized, of which nothing would be left.
+        AnalyticError: numbers that are not positive, more than 2 levels, or a single filter in normalized windows,
+            which would leave nothing.
 
     Example:
         >>> import analytic
@@ -105,7 +105,7 @@ class Gist(ImageDescriptor):
     normalized: bool = True
 
     def resolution(self, width: int) -> float:
-        """Return the turn of one step, rad."""
+        """Return the angle of one step, rad."""
         return 2 * pi * self.step / width
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -147,7 +147,7 @@ class Gist(ImageDescriptor):
         tall = np.concatenate([grey, grey[::-1]])
         picture = tall if self.circular else np.concatenate([tall, tall[:, ::-1]], axis=1)
         transformed = cv2.dft(picture, flags=cv2.DFT_COMPLEX_OUTPUT).view(np.complex64)[..., 0]
-        # A transform back is one forth of the conjugate, up to what a magnitude does not show.
+        # The inverse transform equals the forward one of the conjugate, up to scale and what a magnitude does not show.
         spectrum = np.fft.fftshift(transformed.conj())
         rows = np.empty((LEVELS, len(chosen.angles), 2 * height), dtype=np.float32)
         columns: list[NDArray[np.float32]] = []
@@ -178,7 +178,7 @@ class Gist(ImageDescriptor):
         return position.reshape(-1).astype(np.float32), orientation.astype(np.float32)
 
     def _describe_few(self, grey: Tensor, most: int) -> tuple[Tensor, Tensor]:
-        """Return the parts of a few images, holding that many of their responses at once."""
+        """Return the parts of a few images, with `most` of their responses in memory at once."""
         import torch
 
         count, height, width = grey.shape
@@ -189,7 +189,7 @@ class Gist(ImageDescriptor):
         for level in range(LEVELS):
             filters = bank(*responses.shape, CENTRE / 2**level, chosen.angles, str(grey.device))
             for few in responses.chunks(len(chosen.angles)):
-                # Two halves of rows: those of the picture, and those of its reflection.
+                # Two halves of rows: those of the image, and those of its reflection.
                 halves = responses(filters, few)[..., :width].unflatten(2, (2, height))
                 bands.append(halves.mean(dim=-1))
                 if level < self.orientation_levels:
@@ -208,13 +208,13 @@ class Gist(ImageDescriptor):
 
 
 class Chosen(NamedTuple):
-    """Which filters are computed, and where those of each part are found among them.
+    """Which filters are computed, and where to find those of each part among them.
 
     Attributes:
-        angles: orientations in [0, pi / 2]; the others are these, reflected.
-        columns: places of the angles that the orientation part needs.
-        position: for each filter of the position part its place, and 1 if it is the reflected one.
-        orientation: the same for the orientation part, with the place counted in `columns`.
+        angles: orientations in [0, pi / 2]; the others are reflections of these.
+        columns: indices of the angles that the orientation part needs.
+        position: for each filter of the position part its index, and 1 if it is the reflected one.
+        orientation: the same for the orientation part, with indices into `columns`.
     """
 
     angles: tuple[float, ...]
@@ -225,10 +225,10 @@ class Chosen(NamedTuple):
 
 @lru_cache(maxsize=32)
 def choose(orientations: int, orientation_filters: int) -> Chosen:
-    """Return what has to be computed for two sets of orientations.
+    """Choose the filters to compute for two sets of orientations.
 
-    The picture is its own reflection, so that the response of the orientation pi - theta in its rows is that of theta
-    in the reflected rows, up to its sign in phase: one transform of the 2 H rows gives two orientations.
+    The image is its own reflection, so the response of the orientation pi - theta in its rows is that of theta in the
+    reflected rows, up to the sign of its phase: one transform of the 2 H rows gives two orientations.
     """
     wanted = [[Fraction(k, m) for k in range(m)] for m in (orientations, orientation_filters)]
     folded = [sorted({min(share, 1 - share) for share in shares}) for shares in wanted]
@@ -251,7 +251,7 @@ class Bank(NamedTuple):
 
     Attributes:
         values: (filters, rows, columns) float32.
-        corners: row and column of each cut in the plane whose zero is in the middle, as fftshift gives it.
+        corners: row and column of each cut-out in the plane with its zero in the middle, as fftshift returns it.
     """
 
     values: Tensor
@@ -260,7 +260,7 @@ class Bank(NamedTuple):
 
 @lru_cache(maxsize=8)
 def bank(height: int, width: int, frequency: float, angles: tuple[float, ...], device: str) -> Bank:
-    """Return the filters of some orientations in [0, pi / 2] for periodic pictures of one size."""
+    """Return the filters of some orientations in [0, pi / 2] for periodic images of one size."""
     import torch
 
     values, corners = plain_bank(height, width, frequency, angles)
@@ -289,7 +289,7 @@ def plain_bank(
 
 @lru_cache(maxsize=8)
 def windows(width: int, window: int, step: int, circular: bool, device: str) -> Tensor:
-    """Return the matrix (W, W / step) that takes columns to the means of windows."""
+    """Return the matrix (W, W / step) that maps columns to the means of windows."""
     import torch
 
     return torch.from_numpy(plain_windows(width, window, step, circular)).to(device)
@@ -306,7 +306,7 @@ def plain_windows(width: int, window: int, step: int, circular: bool) -> NDArray
 
 
 def periodic(grey: Tensor, circular: bool) -> Tensor:
-    """Return images (B, H, W) continued to one period (B, 2H, W), or (B, 2H, 2W) of one that does not wrap around."""
+    """Extend images (B, H, W) to one period (B, 2H, W), or (B, 2H, 2W) if they do not wrap around."""
     import torch
 
     tall = torch.cat([grey, grey.flip(1)], dim=1)
@@ -314,9 +314,9 @@ def periodic(grey: Tensor, circular: bool) -> Tensor:
 
 
 class Responses:
-    """Magnitudes of the responses of periodic pictures (B, rows, columns) to filters, some at a time.
+    """Magnitudes of the responses of periodic images (B, rows, columns) to filters, some at a time.
 
-    They lie in memory taken once: that of one filter on one panorama stays in the cache.
+    They use memory allocated once: the response of one filter on one panorama stays in the cache.
     """
 
     def __init__(self, pictures: Tensor, most: int) -> None:
@@ -345,7 +345,7 @@ class Responses:
             self.cut = (down, right)
         for place, a in enumerate(few):
             top, left = filters.corners[a]
-            # The cut lies in the corner of the plane, not where it was: moving frequencies leaves magnitudes alone.
+            # The cut-out is put into the corner of the plane: moving frequencies does not change magnitudes.
             seen = self.spectrum[:, top : top + down, left : left + right]
             torch.mul(seen, filters.values[a], out=product[place, :, :down, :right])
         parts = torch.view_as_real(torch.fft.ifft2(product))

@@ -25,15 +25,15 @@ class Hog(ImageDescriptor):
 
     Gradients are central differences of the grey values f (row i, column j): Dx = (f[i, j + 1] - f[i, j - 1]) / 2 and
     Dy = (f[i + 1, j] - f[i - 1, j]) / 2, rows counted downwards. The first and the last column are neighbours;
-    above the first and below the last row, that row is repeated, so that Dy is half the difference of two rows there.
+    the first and the last row are repeated beyond the border, so that Dy is half the difference of two rows there.
     With `circular=False` the first and the last column are repeated as well.
 
     Each pixel adds its magnitude |G| = sqrt(Dx^2 + Dy^2) ([T] eq. 3.1) to one bin, that of its direction
-    theta = atan2(Dy, Dx) over 360 degrees: of b bins it is bin floor(theta b / (2 pi) + 1 / 2) mod b. Bin t therefore
-    is centred on 2 pi t / b, and bin 0 on a gradient to the right. The edges that a building has most of, upright and
-    level ones, fall in the middle of a bin and not on the border of two, where rounding or the least noise would
-    decide. A pixel without gradient adds nothing. Nothing is interpolated and nothing is normalized; the
-    default distance, Pearson's, with which [T] 3.5.1 has its best result, ignores gain and offset.
+    theta = atan2(Dy, Dx) over 360 degrees: of b bins it is bin floor(theta b / (2 pi) + 1 / 2) mod b. Bin t is
+    therefore centred on 2 pi t / b, and bin 0 on a gradient to the right. The most common edges of a building, upright
+    and horizontal ones, fall in the middle of a bin and not on the border of two, where rounding or the slightest noise
+    would decide. A pixel without gradient adds nothing. Nothing is interpolated or normalized; the default distance,
+    Pearson's, with which [T] 3.5.1 has its best result, ignores gain and offset.
 
     Position (B, rows * bins): value r * bins + t is the sum over bin t in band r, bands counted from above, each
     H / rows rows high and as wide as the image. Orientation (B, W / step, orientation_bins): value [k, t] is the sum
@@ -41,20 +41,20 @@ class Hog(ImageDescriptor):
     `circular=False` windows end at the last column.
 
     The relative heading is the turn, in steps of windows, at which the circular correlation of the two orientation
-    parts along the windows, summed over the bins, is largest: the scalar product of [T] 3.3.2. With `whitened` it is
-    that of phases: the discrete Fourier transform of each bin along the windows, divided by its magnitude frequency
-    by frequency, takes the place of the histograms; magnitudes below 1e-5 of the image's largest count as zero. No
-    part of the picture then outweighs the others, as the upright edge of a person in front of the camera would. The
-    aligned distance is the Euclidean one of the histograms at that turn, whitened or not.
+    parts along the windows, summed over the bins, is largest: the scalar product of [T] 3.3.2. With `whitened` it uses
+    phases: the discrete Fourier transform of each bin along the windows, divided by its magnitude at each frequency,
+    replaces the histograms; magnitudes below 1e-5 of the image's largest count as zero. No part of the image then
+    outweighs the others, as the upright edge of a person in front of the camera otherwise would. The aligned distance
+    is the Euclidean one of the histograms at that turn, whitened or not.
 
     Args:
         rows: horizontal bands, k5 in [T] table 3.1. They divide the height of an image.
         bins: directions in the position part, b1.
-        window: width of a vertical window in columns, l1. [T] 3.5.3 finds wide ones best.
+        window: width of a vertical window in columns, l1. [T] 3.5.3 finds wide windows best.
         step: columns between the windows, d1; it divides the width of an image. It is the angular resolution.
         orientation_bins: directions in the orientation part, b2.
-        whitened: whether the heading comes from phases alone. This is an addition to the seeds that bars across the
-            picture mislead much less; False is the scalar product of [T] 3.3.2.
+        whitened: whether the heading comes from phases alone. This addition to the papers is much less misled by
+            bars across the image; False is the scalar product of [T] 3.3.2.
 
     The defaults are the best of [T] 3.5.1 for the position, and step and bins of [I] 6.1 for the heading; neither gives
     the width of its windows. The mapper of [I] 6.1 and [T] 4.5.1 has rows=16, bins=16, step=2, orientation_bins=16.
@@ -83,7 +83,7 @@ class Hog(ImageDescriptor):
     whitened: bool = True
 
     def resolution(self, width: int) -> float:
-        """Return the turn of one step, rad."""
+        """Return the angle of one step, rad."""
         return 2 * pi * self.step / width
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -143,7 +143,7 @@ def window_sums(columns: Tensor, window: int, step: int, circular: bool) -> Tens
     import torch
 
     width = columns.shape[1]
-    # The column before the first is where a running sum starts; it counts in no window.
+    # The running sum starts with a column of zeros, which counts in no window.
     ends = columns[:, :window] if circular else torch.zeros_like(columns[:, :window])
     total = torch.cat([torch.zeros_like(columns[:, :1]), columns, ends], dim=1).cumsum(dim=1, dtype=torch.float64)
     return (total[:, window : window + width : step] - total[:, :width:step]).to(torch.float32)
@@ -168,9 +168,9 @@ def plain_histograms(
     """Return what `histograms` returns, without torch.
 
     Args:
-        place: (B, H, W) of the direction.
+        place: (B, H, W) place of the direction.
         magnitude: (B, H, W).
-        cell: of each pixel, (H, 1) or (1, W).
+        cell: cell of each pixel, (H, 1) or (1, W).
         cells: number of cells.
         bins: number of bins.
     """
@@ -200,8 +200,8 @@ def differences(grey: Tensor, circular: bool) -> tuple[Tensor, Tensor]:
 def direction(angle: Tensor, bins: int) -> Tensor:
     """Return the places 0 ... bins of angles (B, H, W) in [-pi, pi]: place p is bin p - bins // 2.
 
-    The first place and the last are one bin, which the angle -pi = pi cuts in two. What lies between whole places is
-    cut off, which rounds down since nothing is negative.
+    The first place and the last are the same bin, which the angle -pi = pi cuts in two. Fractions are truncated, which
+    rounds down since nothing is negative.
     """
     import torch
 
@@ -213,7 +213,7 @@ def histograms(place: Tensor, magnitude: Tensor, cells: int, bins: int) -> Tenso
 
     Args:
         place: (B, H, W), cell * (bins + 1) + the place of the direction.
-        magnitude: (B, H * W), of differences: twice that of the gradients.
+        magnitude: (B, H * W) of the differences: twice that of the gradients.
         cells: number of cells.
         bins: number of bins.
     """

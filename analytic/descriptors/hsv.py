@@ -1,4 +1,4 @@
-"""Histograms of colours: how often each hue, saturation and brightness occurs in bands and in windows of a panorama."""
+"""Colour histograms: how often each hue, saturation and brightness occurs in bands and in windows of a panorama."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ from analytic.filters import homomorphic_colours, homomorphic_colours_array
 if TYPE_CHECKING:
     from torch import Tensor
 
-_TIE = 1e-4  # of a bin; shares of 8-bit values are equal to an edge, or further from it than this
+_TIE = 1e-4  # of a bin; an 8-bit value is exactly on an edge, or further from it than this
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hsv(ImageDescriptor):
     """Histograms of hue, saturation and value: in horizontal bands for the position, in windows for the heading.
 
-    Colours go into the HSV cone: the value v is the largest of red, green and blue, the saturation s = (v - m) / v with
-    m the smallest (0 for black), and the hue h in [0, 1) the angle on the colour circle from red by way of green and
-    blue, as a share of it (0 for grey).
+    Colours are converted to the HSV cone: the value v is the largest of red, green and blue, the saturation s = (v - m)
+    / v with m the smallest (0 for black), and the hue h in [0, 1) the angle on the colour circle from red by way of
+    green and blue, as a share of the circle (0 for grey).
 
-    Of n bins, hue takes bin floor(n h), saturation bin floor(n s) and value bin floor(n v), the last one if that is n.
-    Edges lie 1e-4 of a bin lower, so that rounding does not decide about the colours of 8-bit images that lie on one.
+    With n bins, hue is in bin floor(n h), saturation in bin floor(n s) and value in bin floor(n v), or in the last one
+    if that is n. Edges are lowered by 1e-4 of a bin, so that rounding does not decide for 8-bit colours on an edge.
     Each band has two histograms, one of hue and saturation together and one of values, as shares of its pixels:
 
     Position (B, rows * (hues * saturations + values)): band after band from above, first the share of pixels with hue
     bin i and saturation bin j at i * saturations + j, then a quarter of the shares of the value bins. Each entry is the
     square root of that, so that one wide wall does not outweigh the many small things by which two places differ;
-    values weigh little because light changes them most.
+    values have little weight because light changes them most.
 
     Orientation (B, W / step, hues + values): for each window, as high as the image, of the columns k * step to
     k * step + window - 1, which wrap around: the sums of saturation in each hue bin, then the numbers of pixels in each
     value bin, both divided by the number of pixels in a full window. With `circular=False` windows end at the last
-    column. The relative heading is found from phases, as that of `hog` with `whitened`.
+    column. The relative heading is found from phases, as in `hog` with `whitened`.
 
-    Hue and saturation do not change with the brightness of the light but with its colour; nothing is done about that.
-    A grey image has hue and saturation 0, so that only values distinguish its place. With `homomorphic` the three
-    channels of a pixel get the same gain, which leaves its hue.
+    Hue and saturation do not change with the brightness of the light but with its colour; this is not corrected.
+    A grey image has hue and saturation 0, so only values distinguish its place. With `homomorphic` the three channels
+    of a pixel get the same gain, which preserves its hue.
 
-    The thesis has no descriptor of colours: this one is an addition. Its defaults were chosen on photographs of a
+    The thesis has no colour descriptor: this one is an addition. Its defaults were chosen on photographs of a
     corridor and in a simulated building; `analytic/descriptors/README.md` has the figures.
 
     Args:
         rows: horizontal bands. They divide the height of an image.
-        hues: bins of hue.
-        saturations: bins of saturation.
-        values: bins of value.
+        hues: number of hue bins.
+        saturations: number of saturation bins.
+        values: number of value bins.
         window: width of a vertical window in columns.
         step: columns between the windows; it divides the width of an image. It is the angular resolution.
 
@@ -83,7 +83,7 @@ class Hsv(ImageDescriptor):
     step: int = 2
 
     def resolution(self, width: int) -> float:
-        """Return the turn of one step, rad."""
+        """Return the angle of one step, rad."""
         return 2 * pi * self.step / width
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -175,7 +175,7 @@ def _plain_bins(share: NDArray[np.float32], count: int) -> NDArray[np.int64]:
 def _plain_sums(
     cell: NDArray[np.int64], cells: int, place: NDArray[np.int64], bins: int, weight: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Return what `_sums` returns, without torch; no weight is a weight of 1."""
+    """Return what `_sums` returns, without torch; no weight means 1."""
     index = (np.arange(len(place))[:, None, None] * cells + cell) * bins + place
     found = np.bincount(index.ravel(), None if weight is None else weight.ravel(), len(place) * cells * bins)
     return found.reshape(len(place), cells, bins).astype(np.float32)

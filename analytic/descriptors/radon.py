@@ -1,4 +1,4 @@
-"""Two descriptors of the Radon transform of an omnidirectional image ([T] 3.2.6, 3.3.6)."""
+"""Two descriptors based on the Radon transform of an omnidirectional image ([T] 3.2.6, 3.3.6)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from analytic.errors import AnalyticError
 if TYPE_CHECKING:
     from torch import Tensor
 
-_LEAST = 1e-9  # of the largest magnitude: below it a coefficient is rounding and keeps less than the length 1
+_LEAST = 1e-9  # of the largest magnitude: a coefficient below it is rounding error and is not scaled to length 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,19 +40,19 @@ class RadonFourier(ImageDescriptor):
 
     Position (T * lines,): value u * lines + k is |c[u, k]|. As q is real, the values of u and T - u are equal; both are
     kept, so that the size is the one of [T] table 3.2. Those above the frequencies of the transform are 0.
-    Orientation (T, orientation_lines): the matrix that has the same phases and no magnitudes, from the mean lines of
+    Orientation (T, orientation_lines): the matrix with the same phases but no magnitudes, from the mean lines of
     `orientation_lines`: value [t, k] is
 
         p[t, k] = (1 / T) sum_u g[u, k] exp(2 pi i u t / T),    g = c[u, k] / max(|c[u, k]|, 1e-9 max over u |c[u, k]|),
 
     and 0 for a line of zeros. It moves by one along t when the robot turns left by `step` degrees, and its circular
     correlation is that of the phases of [T] 3.3.1. With the magnitudes left in, the slow changes that an occlusion
-    adds would decide.
+    adds would dominate.
 
     The default distance is Manhattan's, with which [T] 3.5.1 has its best result. A turn by any number of columns
-    leaves the position part; one that is no multiple of `step` is found to within half a step.
+    leaves the position part unchanged; one that is not a multiple of `step` is found to within half a step.
 
-    With `circular=False` each row of a panorama is followed by its mirror image first, and there is no heading.
+    With `circular=False` each row of a panorama is first extended by its mirror image, and there is no heading.
 
     Args:
         step: degrees between orientations, p1 of [T] table 3.1; divides 360, at most 120. It is the angular resolution.
@@ -85,7 +85,7 @@ class RadonFourier(ImageDescriptor):
     source: str = "panorama"
 
     def resolution(self, width: int) -> float:
-        """Return the turn by one step, rad."""
+        """Return the angle of one step, rad."""
         return 2 * pi / steps(self.step)
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -136,18 +136,18 @@ class RadonFourier(ImageDescriptor):
 
 @dataclass(frozen=True, kw_only=True)
 class RadonPoc(AlignedDescriptor):
-    """The Radon transform, compared by phase-only correlation: similarity is its peak, the heading the peak's place.
+    """The Radon transform, compared by phase-only correlation: the peak is the similarity, its place the heading.
 
     Let r (T, N), T = 360 / step and N = size / 2, be the Radon transform that `analytic.descriptors.radon_transform`
     defines, and F[u, v] its two-dimensional discrete Fourier transform. Phase-only correlation of a query Q and a
     reference R is the inverse transform of their product without magnitudes, Q conj(R) / (|Q| |R|). As turning the
-    robot moves r along its orientations alone, no other shift is looked at: the correlation for a turn by s steps is
+    robot moves r along its orientations alone, no other shift is considered: the correlation for a turn by s steps is
 
         poc[s] = (1 / A) sum over u, v of gQ[u, v] conj(gR[u, v]) exp(2 pi i u s / T),
         g[u, v] = F[u, v] / max(|F[u, v]|, 1e-9 max |F|),
 
-    1 / A making that of an image with itself 1 at s = 0: A = sqrt(sum |gQ|^2 sum |gR|^2). Frequencies u that the
-    transform does not hold (it is limited to |u| <= M) are 0 and add nothing.
+    where 1 / A makes that of an image with itself 1 at s = 0: A = sqrt(sum |gQ|^2 sum |gR|^2). Frequencies u that the
+    transform does not contain (it is limited to |u| <= M) are 0 and add nothing.
 
     Each factor g depends on one image alone. A description therefore holds the matrix of phases, which is
     x = inverse transform of g, divided by its Euclidean length; zeros for a black image. By Parseval's theorem poc[s]
@@ -155,12 +155,12 @@ class RadonPoc(AlignedDescriptor):
 
     Position (T * N,): value t * N + k is x[t, k]. Orientation (T, N): the same matrix.
     The distance is 1 - max over s of poc[s], in [0, 2]: "cosine" at the best turn, as the lengths are 1. Other
-    distances are taken at that turn. r itself is what `radon_transform` returns.
+    distances are computed at that turn. r itself is what `radon_transform` returns.
 
-    Turns by multiples of `step` leave the distances. Those by another angle lower the peak, and are found to
-    within half a step.
+    Turns by multiples of `step` leave the distances unchanged. Turns by other angles lower the peak, and are found
+    to within half a step.
 
-    With `circular=False` each row of a panorama is followed by its mirror image first, only s = 0 is compared, and
+    With `circular=False` each row of a panorama is first extended by its mirror image, only s = 0 is compared, and
     there is no heading.
 
     Args:
@@ -189,7 +189,7 @@ class RadonPoc(AlignedDescriptor):
     source: str = "panorama"
 
     def resolution(self, width: int) -> float:
-        """Return the turn by one step, rad."""
+        """Return the angle of one step, rad."""
         return 2 * pi / steps(self.step)
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -231,7 +231,7 @@ def _plainly_at_least(size: NDArray[np.float64], largest: NDArray[np.float64]) -
 
 
 def _at_least(size: Tensor, largest: Tensor) -> Tensor:
-    """Return magnitudes to divide by: none is zero, or small compared with the largest."""
+    """Return magnitudes that are safe to divide by: none is zero, or small compared with the largest."""
     import torch
 
     return size.maximum((_LEAST * largest).clamp_min_(torch.finfo(size.dtype).tiny))

@@ -1,30 +1,30 @@
-"""The Radon transform of an omnidirectional image, computed where a turn of the robot is a shift: in polar coordinates.
+"""The Radon transform of an omnidirectional image, in polar coordinates, where a turn of the robot is a shift.
 
-The omnidirectional image fills a disc of the radius R = size / 2, in pixels of an image of size x size. A point of it
-has the radius rho and the angle alpha, counted counter-clockwise as one looks at the picture, from the direction
-straight down. A camera that looks up into its mirror shows the robot's front at the upper rim and its left on the
+The omnidirectional image fills a disc of the radius R = size / 2, in pixels of an image of size x size. A point in it
+has the radius rho and the angle alpha, counted counter-clockwise as seen in the image, from the direction straight
+down. A camera that looks up into its mirror shows the robot's front at the upper rim and its left on the
 right; alpha then grows with the columns of the panorama, alpha = 2 pi (c + 1/2) / W at the middle of column c, and a
-turn of the robot to the left by delta turns the picture counter-clockwise by delta.
+turn of the robot to the left by delta turns the image counter-clockwise by delta.
 
 **From a panorama** (H, W): the ring 0.2 R <= rho < R. Row i lies at the radius R - (i + 1/2) 0.8 R / H: the upper row
-outside, as a ring is unwrapped by default. Between the middles of rows the picture is linear in rho, and constant
-from the first and the last middle to the rim of the ring. Outside of the ring it is 0.
-With `circular=False` each row is followed by its mirror image, so that the seam is no edge; W is twice as large then.
+is outermost, as in the default unwrapping. Between the centres of rows the image is linear in rho, and constant from
+the first and the last centre to the rim of the ring. Outside the ring it is 0.
+With `circular=False` each row is extended by its mirror image, so that the seam is no edge; W is then twice as large.
 
 **From an omnidirectional image** (S, S): its inscribed disc, scaled to R. It is first sampled at H = S // 2 radii
 (i + 1/2) S / (2 H) pixels, outermost first, and W = 4 ceil(pi S / 4) angles 2 pi (c + 1/2) / W, bilinearly between the
-middles of pixels: the point lies rho sin(alpha) to the right of and rho cos(alpha) below the picture's middle. That
-is a panorama as above, but with the disc rho < R in place of the ring: the row radii are R - (i + 1/2) R / H.
+centres of pixels: the point lies rho sin(alpha) to the right of and rho cos(alpha) below the centre of the image. This
+is a panorama as above, but with the disc rho < R instead of the ring: the row radii are R - (i + 1/2) R / H.
 
 Along the angle a row is the trigonometric polynomial through its W values, of which the frequencies m = 0 ... M are
-kept, M = min((T - 1) // 2, (W - 1) // 2), T = 360 / step being the number of orientations: what neither T
-orientations nor W columns can carry is left out. So the transform commutes with turns by any angle:
+kept, M = min((T - 1) // 2, (W - 1) // 2), T = 360 / step being the number of orientations: frequencies that T
+orientations or W columns cannot represent are left out. The transform therefore commutes with turns by any angle:
 
     f(rho, alpha) = sum over |m| <= M of P[rho, m] exp(i m alpha),
     P[row, m] = (1 / W) sum_c p[row, c] exp(-i m 2 pi (c + 1/2) / W).
 
 **Lines.** Orientation t has the direction phi = 2 pi t / T, line k = 0 ... size / 2 - 1 the distance d = k + 1/2
-pixels from the middle: the points with rho cos(alpha - phi) = d. These are half of all lines, the other half being
+pixels from the centre: the points with rho cos(alpha - phi) = d. These are half of all lines, the other half being
 those of the opposite directions. A line is summed at points half a pixel apart, l = +-1/4, +-3/4, ... pixels from
 its foot, as far as rho = sqrt(d^2 + l^2) < R:
 
@@ -60,11 +60,11 @@ def radon_transform(
     """Return the Radon transform r (B, 360 / step, size / 2) of grey or colour images; see the module.
 
     Args:
-        batch: as `ImageDescriptor.describe` takes it; square images for the source "omnidirectional".
+        batch: images, as for `ImageDescriptor.describe`; square images for the source "omnidirectional".
         step: degrees between orientations, p1 of [T] table 3.1.
         size: side of the omnidirectional image in pixels, Nx.
         source: "panorama" or "omnidirectional".
-        device: where torch computes, or "numpy"; see `ImageDescriptor`.
+        device: the torch device, or "numpy"; see `ImageDescriptor`.
 
     Raises:
         AnalyticError: images that `describe` does not take, a step that does not divide 360, an odd size, images of
@@ -96,7 +96,7 @@ def steps(step: float) -> int:
 
 
 def check_geometry(name: str, step: float, size: int, source: str) -> None:
-    """Raise AnalyticError unless step, size and source fit each other."""
+    """Raise AnalyticError unless step, size and source are valid."""
     if not 0 < step <= 120 or abs(steps(step) * step - 360) > 1e-6:
         near = divisors_near(360, int(min(max(step, 1), 119)) if step == step else 1)
         raise AnalyticError(
@@ -131,8 +131,8 @@ def harmonics(
         grey: (B, H, W).
         step: degrees between orientations.
         size: side of the disc in pixels.
-        lines: how many are kept; it divides size / 2. Line k of them is the mean of as many neighbours.
-        source: what the images are.
+        lines: number of lines kept; it divides size / 2. Each is the mean of size / 2 / lines neighbours.
+        source: "panorama" or "omnidirectional".
         circular: whether the columns of a panorama wrap around.
     """
     import torch
@@ -142,7 +142,7 @@ def harmonics(
     else:
         polar, inner = grey if circular else torch.cat([grey, grey.flip(2)], dim=2), INNER
     height, width = int(polar.shape[1]), int(polar.shape[2])
-    # In double precision a coefficient near zero, too, keeps its magnitude and phase when the robot turns.
+    # In double precision even a coefficient near zero keeps its magnitude and phase when the robot turns.
     kernel, phase = _operator(height, width, size, lines, steps(step), inner, str(grey.device))
     found = torch.fft.rfft(polar.to(torch.float64), dim=2)[:, :, : len(phase)] * phase
     parts = torch.view_as_real(found.permute(2, 1, 0).contiguous()).flatten(2)  # (M + 1, H, 2 B)
@@ -151,7 +151,7 @@ def harmonics(
 
 
 def orientations(found: Tensor, count: int) -> Tensor:
-    """Return what has the given coefficients (M + 1, B, F) along T orientations, (B, T, F), float64."""
+    """Return the values (B, T, F), float64, that have the given coefficients (M + 1, B, F) along T orientations."""
     import torch
 
     return torch.fft.irfft(found.transpose(0, 1), n=count, dim=1, norm="forward")
@@ -179,7 +179,7 @@ def plain_orientations(found: NDArray[np.complex128], count: int) -> NDArray[np.
 
 
 def _plainly_unwrapped(image: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return what `_unwrapped` returns, without torch: bilinear samples, those beyond the border being the border's."""
+    """Return what `_unwrapped` returns, without torch: bilinear samples, repeating the border beyond it."""
     side = image.shape[1]
     place = np.clip(((_plain_grid(side) + 1) * side - 1) / 2, 0, side - 1)
     first = np.minimum(place.astype(np.int64), max(side - 2, 0))
@@ -232,7 +232,7 @@ def _plain_operator(
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Return the share of each row in each line by frequency (M + 1, lines, H), and the columns' phases (M + 1,).
 
-    As a line is symmetric about its foot, the sum of exp(i m alpha) along it is one of cosines: all shares are real.
+    As a line is symmetric about its foot, the sum of exp(i m alpha) along it is a sum of cosines: all shares are real.
     """
     outer = size / 2
     frequency = np.arange(min((count - 1) // 2, (width - 1) // 2) + 1)
@@ -250,6 +250,6 @@ def _plain_operator(
 
 
 def _rows(radius: NDArray[np.float64], height: int, outer: float, inner: float) -> NDArray[np.float64]:
-    """Return the weight of each row at some radii (H, n), linear between the middles of rows."""
+    """Return the weight of each row at given radii (H, n), linear between the centres of rows."""
     row = np.clip((outer - radius) / (outer * (1 - inner)) * height - 0.5, 0, height - 1)
     return np.maximum(0, 1 - np.abs(row - np.arange(height)[:, None]))

@@ -22,11 +22,11 @@ DESCRIPTORS: dict[str, tuple[str, str]] = {
 
 
 def descriptor(name: str, **params: Any) -> ImageDescriptor:
-    """Return the descriptor of that name.
+    """Make a descriptor by name.
 
     Args:
         name: one of DESCRIPTORS.
-        params: see the class; the defaults are what [T] found best.
+        params: parameters of its class; the defaults are those that [T] found best.
 
     Raises:
         AnalyticError: an unknown name or parameter, or a value that fits no image.

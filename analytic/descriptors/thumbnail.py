@@ -17,7 +17,7 @@ from analytic.images import as_grey
 class Thumbnail(Descriptor):
     """The grey image, averaged down to a few pixels.
 
-    It has no position part in the strict sense: turning the robot shifts it. Tables list it to show what one gets
+    It has no position part in the strict sense: turning the robot shifts it. Tables list it to show the result
     without any method.
 
     Args:

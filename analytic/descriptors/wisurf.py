@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 CELLS = 4  # subregions along each side of a window
 VALUES = 4 * CELLS * CELLS
 _SIGMA = 3.3 / 20  # SURF's Gaussian, in sides of its window
-_LEAST = 1e-6  # a window of less contrast than this keeps a vector shorter than 1
-_PIXELS = {"cpu": 1 << 18}  # in work at once: what stays in the cache
+_LEAST = 1e-6  # the vector of a window with less contrast than this stays shorter than 1
+_PIXELS = {"cpu": 1 << 18}  # processed at once: those that stay in the cache
 _PIXELS_ELSEWHERE = 1 << 23
 
 
 @dataclass(frozen=True, kw_only=True)
 class WiSurf(AlignedDescriptor):
-    """A SURF vector of 64 values for each of a row of square windows, in each of some horizontal bands.
+    """A SURF vector of 64 values for each square window in a row of windows, in each of several horizontal bands.
 
     An image (H, W) is cut into `rows` bands of h = H / rows pixel rows. Band r has `windows` windows of h x h pixels:
     window j covers the pixel rows r h ... (r + 1) h - 1 and the columns j step ... j step + h - 1, step = W / windows,
@@ -39,23 +39,23 @@ class WiSurf(AlignedDescriptor):
         dx(i, j) = m(i - a ... i + a, j + 1 ... j + a) - m(i - a ... i + a, j - a ... j - 1),
         dy(i, j) = m(i + 1 ... i + a, j - a ... j + a) - m(i - a ... i - 1, j - a ... j + a).
 
-    SURF's wavelet at the scale at which a window of h pixels is its own has h / 10 pixels; this one has 2 a + 1, of
-    which it leaves out the middle. Boxes reach into the bands above and below. Beyond the first and the last row of
-    the image, that row is repeated; columns wrap around. The sums over boxes are those that an integral image gives,
-    put together from sums of neighbours instead: the total of an image takes no digits from them, a flat wall answers
-    with 0, and a turn moves the responses without changing them.
+    SURF's wavelet, at the scale at which SURF's window has h pixels, has h / 10 pixels; this one has 2 a + 1, without
+    the middle one. Boxes reach into the bands above and below. Beyond the first and the last row of the image, that row
+    is repeated; columns wrap around. The sums over boxes are those of an integral image, but are combined from sums of
+    neighbours: the total of an image costs them no precision, a flat wall has the response 0, and a turn moves the
+    responses without changing them.
 
     A window has 4 x 4 subregions of h / 4 x h / 4 pixels. Pixel (y, x) of a window, both from 0 to h - 1, has the
-    weight w(y) w(x), w(x) proportional to exp(-(x - (h - 1) / 2)^2 / (2 sigma^2)), with the sum of w(x) over the
-    window 1 and sigma = 0.165 h, which is SURF's 3.3 of 20. Subregion (u, v), u counted downwards and v to the right,
+    weight w(y) w(x), w(x) proportional to exp(-(x - (h - 1) / 2)^2 / (2 sigma^2)), where w(x) sums to 1 over
+    the window and sigma = 0.165 h, which is SURF's 3.3 of 20. Subregion (u, v), u counted downwards and v to the right,
     gives four sums over its pixels: of weight * dx, weight * dy, weight * |dx|, weight * |dy|. They are the values
-    4 (4 u + v) + 0, 1, 2, 3 of the window's vector z, which is divided by max(|z|, 1e-6), |z| its Euclidean length:
-    the length is 1, but that of a window without contrast 0.
+    4 (4 u + v) + 0, 1, 2, 3 of the window's vector z, which is divided by max(|z|, 1e-6), |z| being its Euclidean
+    length: the length becomes 1, or 0 for a window without contrast.
 
     Orientation (windows, rows * 64): value [j, r * 64 + k] is value k of window j in band r.
-    Position (windows * rows * 64,): the same in the same order, value (j * rows + r) * 64 + k. `pairwise`, `align` and
-    `localize` first turn each pair to its largest correlation. The default distance, Manhattan's, is the best of [T]
-    3.5.1, followed by "correlation".
+    Position (windows * rows * 64,): the same values in the same order, value (j * rows + r) * 64 + k. `pairwise`,
+    `align` and `localize` first turn each pair to its largest correlation. The default distance, Manhattan's, is the
+    best of [T] 3.5.1, followed by "correlation".
 
     With `circular=False` the first and the last column are repeated beyond the borders for the wavelets, pixels of a
     window beyond the last column count as having no response, and descriptions are compared without any turn.
@@ -65,7 +65,7 @@ class WiSurf(AlignedDescriptor):
         windows: windows per band, w1, at least 2; it divides the width, and the step between windows is sp1. The
             angular resolution is one window.
 
-    The defaults are the best of [T] 3.5.1, which recommends 128 windows or more; size and time go with their number.
+    The defaults are the best of [T] 3.5.1, which recommends 128 windows or more; size and time grow with their number.
 
     Raises:
         AnalyticError: fewer than 1 x 2 windows.
@@ -87,7 +87,7 @@ class WiSurf(AlignedDescriptor):
     windows: int = 512
 
     def resolution(self, width: int) -> float:
-        """Return the turn by one window, rad."""
+        """Return the angle of one window, rad."""
         return 2 * pi / self.windows
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -193,7 +193,7 @@ def wavelets(grey: Tensor, reach: int, circular: bool) -> tuple[Tensor, Tensor]:
 
     Args:
         grey: images.
-        reach: a, pixels that a box reaches from the middle.
+        reach: a, how far a box reaches from the middle in pixels.
         circular: whether columns wrap around.
     """
     import torch
@@ -216,7 +216,7 @@ def wavelets(grey: Tensor, reach: int, circular: bool) -> tuple[Tensor, Tensor]:
 def _runs(values: Tensor, length: int, dim: int) -> Tensor:
     """Return the sums of every `length` neighbours along an axis, which becomes shorter by length - 1.
 
-    Sums of 2, 4, 8 ... neighbours are put together, so that the work grows with the logarithm of the length.
+    Sums of 2, 4, 8 ... neighbours are combined, so that the work grows with the logarithm of the length.
     """
     size = values.shape[dim] - length + 1
     total, start, power = None, 0, 1
@@ -235,7 +235,7 @@ def _runs(values: Tensor, length: int, dim: int) -> Tensor:
 
 
 def _heights(height: int, rows: int) -> str:
-    """Return what to do about a height that 4 * rows does not divide."""
+    """Return the advice for a height that 4 * rows does not divide."""
     unit = CELLS * rows
     below = height // unit * unit
     sizes = " or ".join(str(size) for size in (below, below + unit) if size)

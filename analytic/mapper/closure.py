@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from analytic.descriptors.base import Description, Descriptor
 from analytic.mapper.node import Node
 
-_NEAREST = 1e-6  # of the largest distance: what an equal image counts as, since its similarity would be infinite
-_ROUNDING = 1e-9  # of the mean: a deviation that counts as none, or a robot that stands still would not close
+_NEAREST = 1e-6  # of the largest distance: the distance of an equal image, whose similarity would otherwise be infinite
+_ROUNDING = 1e-9  # of the mean: a deviation that counts as none; otherwise a robot that stands still would not close
 
 
 @dataclass(frozen=True)
 class Closure:
-    """The node-level comparison of a frame with a node, by the mode that it fits best.
+    """The node-level comparison of a frame with a node, using the mode that it fits best.
 
     Attributes:
-        node: id.
+        node: id of the node.
         mode: index of that mode.
-        distance: squared Mahalanobis distance to its mean.
-        mean: of the distances of its held-out frames.
-        std: of them.
-        deviation: |distance - mean|, or how much the distance exceeds the mean if only that counts; 0 for rounding.
+        distance: squared Mahalanobis distance to the mean of the mode.
+        mean: mean distance of its held-out frames.
+        std: standard deviation of these distances.
+        deviation: |distance - mean|, or how much the distance exceeds the mean if only that counts; 0 within rounding.
     """
 
     node: int
@@ -52,7 +52,7 @@ class Closures:
 
     Attributes:
         nodes: (n,) ids.
-        modes: (n,) this and the other arrays as in `Closure`.
+        modes: (n,) mode indices; these and the other arrays are as in `Closure`.
     """
 
     nodes: NDArray[np.int64]
@@ -79,7 +79,7 @@ class Closures:
         return np.flatnonzero(self.deviations <= x * self.stds)
 
     def nearest(self) -> Closure:
-        """Return the comparison with the node that would close with the smallest x; of equals the oldest."""
+        """Return the comparison with the node that would close with the smallest x; ties go to the oldest."""
         rows = [self.row(row) for row in range(len(self))]
         return min(rows, key=lambda closure: (closure.ratio, closure.node))
 
@@ -95,22 +95,22 @@ def point_of(description: Description) -> NDArray[np.float64]:
 
 
 def node_level(point: NDArray[np.float64], node: Node, two_sided: bool) -> Closure:
-    """Compare a position descriptor (D,) with a node (eq. 3); of equal modes, the older counts."""
+    """Compare a position descriptor (D,) with a node (eq. 3); ties go to the older mode."""
     return node_levels(point, [node], two_sided).row(0)
 
 
 def node_levels(point: NDArray[np.float64], nodes: Sequence[Node], two_sided: bool) -> Closures:
-    """Compare a position descriptor (D,) with each of some nodes (eq. 3).
+    """Compare a position descriptor (D,) with each of several nodes (eq. 3).
 
     A mode keeps what it needs for this from frame to frame, so only a mode that has changed is prepared again. The
-    distance to one mode is computed apart from all others: it is the same whichever nodes there are, in any order.
+    distance to each mode is computed separately: it does not depend on the other nodes or their order.
     """
     distances = np.array([mode.metric.distance(point) for node in nodes for mode in node.modes])
     return _closures(distances, nodes, two_sided)
 
 
 def node_levels_of(points: NDArray[np.float64], nodes: Sequence[Node], two_sided: bool) -> list[Closures]:
-    """Compare each position descriptor (n, D) with each of some nodes (eq. 3), all frames at once."""
+    """Compare each position descriptor (n, D) with each of several nodes (eq. 3), all frames at once."""
     distances = np.array([mode.metric.distances(points) for node in nodes for mode in node.modes])
     return [_closures(column, nodes, two_sided) for column in distances.T]
 
@@ -142,13 +142,13 @@ def _ratio(deviation: float, std: float) -> float:
 
 @dataclass(frozen=True)
 class Similarity:
-    """The similarity of a frame to the frames of some nodes, in one row for all.
+    """The similarity of a frame to the frames of several nodes, in one array for all nodes.
 
     Attributes:
         frames: (n,) numbers of the frames compared.
         values: (n,) products of the normalized inverse distances.
-        nodes: (n,) the node of each.
-        modes: (n,) the mode of each within its node.
+        nodes: (n,) the node of each frame.
+        modes: (n,) the mode of each frame within its node.
     """
 
     frames: NDArray[np.int64]
@@ -157,7 +157,7 @@ class Similarity:
     modes: NDArray[np.int64]
 
     def best(self, node: int | None = None) -> int:
-        """Return the row of the most similar frame, of one node or of all (eq. 7); of equals the oldest frame's."""
+        """Return the row of the most similar frame, of one node or of all (eq. 7); ties go to the oldest frame."""
         values = self.values if node is None else np.where(self.nodes == node, self.values, -1.0)
         rows = np.flatnonzero(values == values.max())
         return int(rows[self.frames[rows].argmin()])
@@ -184,16 +184,16 @@ def image_level(
 ) -> Similarity:
     """Compute the similarity of a frame to the frames of nodes (eq. 5-6), position times aligned orientation.
 
-    Each of the two is the inverse distance, normalized to sum 1. A frame at distance 0 counts as one at a millionth of
-    the largest distance.
+    Each of the two is the inverse distance, normalized to a sum of 1. A frame at distance 0 counts as one at a
+    millionth of the largest distance.
 
     Args:
-        descriptor: which measures distances.
+        descriptor: the descriptor that measures distances.
         query: one frame.
         nodes: the candidates.
-        distance: between position descriptors; None is the descriptor's own.
+        distance: name of the distance between position descriptors; None is the descriptor's own.
         orientation: whether orientation parts are compared; otherwise position alone counts.
-        leave_out: a frame that is not compared, the query itself.
+        leave_out: a frame that is not compared: the query itself.
     """
     galleries = [
         (node.id, index, mode.gallery)
@@ -227,12 +227,12 @@ def prominences(curve: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the topographic prominence (n,) of each sample of a curve that is 0 before and after; 0 off the peaks.
 
     It is the height above the higher of the two lowest points that lie between the peak and something higher, or the
-    end, on either side. Of a flat peak the first sample counts.
+    end, on either side. For a flat peak, the first sample counts.
     """
     from scipy.signal import peak_prominences
 
     padded = np.concatenate([[0.0], curve, [0.0]])
-    # A flat run is a peak if it falls on both sides: compare with the next sample that differs.
+    # A flat run is a peak if the curve falls on both sides: compare with the next sample that differs.
     starts = np.flatnonzero(np.diff(padded, prepend=np.nan) != 0)
     levels = padded[starts]
     peaks = starts[1:-1][(levels[1:-1] > levels[:-2]) & (levels[1:-1] > levels[2:])]
@@ -245,7 +245,7 @@ def prominences(curve: NDArray[np.float64]) -> NDArray[np.float64]:
 def similarity_curve(
     similarity: Similarity, labels: NDArray[np.int64], candidates: Collection[int]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Arrange similarities in capture order, with a zero wherever frames of other nodes lie between ([I] fig. 6c).
+    """Arrange similarities in capture order, with a zero wherever frames of other nodes lie in between ([I] fig. 6c).
 
     Args:
         similarity: to the frames of the candidates.

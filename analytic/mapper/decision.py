@@ -1,4 +1,4 @@
-"""What the mapper answers, and the log of its answers.
+"""The decisions of the mapper, and their log.
 
 The log has one line of JSON for each frame, from which a run can be replayed and explained.
 """
@@ -45,8 +45,8 @@ class Change:
 
     Attributes:
         reason: NEW_NODE, NODE_PARKED, PARKED_FORGOTTEN, NODES_MERGED or REASSIGNED.
-        node: what was created, parked, forgotten or kept, or where frames went; None if they lost their node.
-        frames: those concerned.
+        node: the node that was created, parked, forgotten or kept, or that frames moved to; None if they lost theirs.
+        frames: the frames concerned.
         scores: what was measured, and the limit.
     """
 
@@ -61,10 +61,10 @@ class Decision:
     """Where one frame belongs, and why.
 
     Attributes:
-        node: its node, or None.
-        reason: why.
+        node: the node of the frame, or None.
+        reason: why it belongs there.
         scores: what was measured, and the limits: plain numbers, by name.
-        frame: its number in the map, from 0.
+        frame: number of the frame in the map, from 0.
         changes: what else changed, in order.
     """
 
@@ -82,9 +82,9 @@ class Location:
     Attributes:
         node: the coarse answer.
         frame: the most similar frame in that node.
-        pose: what was given with that frame.
+        pose: the pose that was given with that frame.
         heading: how far the robot has turned left since that frame, rad in (-pi, pi]; None without orientation.
-        closes: whether the node passed the node-level condition; otherwise it is merely the least unlike.
+        closes: whether the node passed the node-level condition; otherwise it merely comes closest.
         scores: as in a decision.
     """
 
@@ -97,14 +97,14 @@ class Location:
 
 
 class EventLog:
-    """The log of a run, in memory and, if asked for, in a file. A copy keeps only the lines; the file stays here.
+    """The log of a run, in memory and, if asked for, in a file. A copy keeps only the lines, not the file.
 
     Args:
-        lines: of the run so far.
+        lines: lines of the run so far.
         target: a path, which is overwritten with the whole run, or an open text file; None for memory alone.
 
     Attributes:
-        lines: of the run, and perhaps one that an interrupted call left behind.
+        lines: lines of the run, and perhaps one that an interrupted call left behind.
 
     Raises:
         AnalyticError: a path that cannot be written.
@@ -124,7 +124,7 @@ class EventLog:
     def write(self, line: str, before: int) -> None:
         """Write one line after the first `before` lines.
 
-        Whatever follows those is removed first, in memory and at the path: part of a line that did not fit on a full
+        Anything after those is removed first, in memory and at the path: part of a line that did not fit on a full
         disk, or the line of a call that was interrupted.
         """
         del self.lines[before:], self._ends[before:]
@@ -164,7 +164,7 @@ def line_of(decision: Decision, poses: list[Any]) -> str:
 
     Args:
         decision: on one frame, or on several that were added at once; then its `frame` is the last.
-        poses: of those frames.
+        poses: poses of those frames.
     """
     frames = list(range(decision.frame - len(poses) + 1, decision.frame + 1))
     event = {
@@ -182,7 +182,7 @@ def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
     """Rebuild the node of each frame (n,), -1 for none, from the lines of a log.
 
     Args:
-        events: lines of JSON, or what they hold; a header may come first, and empty lines are passed over.
+        events: lines of JSON, or their contents; a header may come first, and empty lines are skipped.
 
     Raises:
         AnalyticError: a line that is not an event, frames out of order, or a log of a newer version.

@@ -1,7 +1,7 @@
 """The frames of a node: their position descriptors, those furthest from the centre, and those compared with images.
 
-All three are values: adding a frame gives another one, and the first stays as it was. Both may share a buffer, whose
-further rows the shorter one does not see.
+All three are immutable: adding a frame returns a new object and leaves the old one unchanged. Both may share a buffer,
+whose additional rows the shorter one does not see.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from analytic.description import spectrum
 from analytic.descriptors.base import Description
 
 BLOCK = 128  # frames
-_GROWTH = 1.25  # of the room; memory counts more than the copies
+_GROWTH = 1.25  # of the capacity; memory matters more than copying
 _RIM = 32  # frames of a new rim
-_MOST_RIM = 128  # frames of a rim, which every new frame joins, before a new one is taken
+_MOST_RIM = 128  # frames of a rim, which every new frame joins, before a new one is formed
 _ROUNDING = 1e-9
-_FIRST = 16  # frames that a block has room for at first: room that is not used must weigh little
+_FIRST = 16  # initial capacity of a block in frames: unused capacity must cost little
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ class Rows:
 
     @property
     def array(self) -> NDArray[np.float64]:
-        """Return them as an array (n, D)."""
+        """The rows as an array (n, D)."""
         return self.buffer[: self.count]
 
     def add(self, row: NDArray[np.float64]) -> Rows:
-        """Return them with one more (D,); of two made from these rows, only the later may be used."""
+        """Return the rows with one more (D,); of two results made from these rows, only the later may be used."""
         buffer = self.buffer
         if self.count == len(buffer):
             buffer = np.empty((max(16, int(self.count * _GROWTH)), buffer.shape[1]))
@@ -54,17 +54,17 @@ class Rows:
 
 @dataclass(frozen=True)
 class Rim:
-    """The frames of a node that may be the furthest from its centre, so that not every image needs a look at them all.
+    """The frames of a node that may be the furthest from its centre, so that not every image is compared with all.
 
     Once all distances to the centre have been computed, the furthest frames form the rim, and the rest lie within a
-    radius of that centre. When the centre has moved by s since, none of the rest is further from it than the radius
-    plus s. As long as a frame of the rim is, the furthest of the rim is the furthest of all; otherwise a new rim is
-    taken.
+    radius of that centre. If the centre has moved by s since then, none of the rest is further from it than the
+    radius plus s. As long as a frame of the rim is, the furthest of the rim is the furthest of all; otherwise a new rim
+    is formed.
 
     Attributes:
-        anchor: (D,) the centre when the rim was taken.
-        members: (k,) rows of these frames.
-        radius: about the anchor, within which all other frames lie.
+        anchor: (D,) the centre when the rim was formed.
+        members: (k,) rows of the frames of the rim.
+        radius: radius around the anchor within which all other frames lie.
     """
 
     anchor: NDArray[np.float64]
@@ -85,18 +85,18 @@ class Rim:
         return replace(self, members=np.append(self.members, row))
 
     def furthest(self, rows: NDArray[np.float64], centre: NDArray[np.float64]) -> float:
-        """Return the largest distance of its frames, of (n, D), to a centre (D,)."""
+        """Return the largest distance of the frames of the rim, among (n, D), to a centre (D,)."""
         # Row by row, so that the value does not depend on which others are in the rim.
         return float(np.sqrt(np.square(rows[self.members] - centre).sum(axis=1).max()))
 
     def holds(self, furthest: float, centre: NDArray[np.float64]) -> bool:
-        """True if no frame outside the rim can be further from a centre (D,) than its furthest."""
+        """Whether no frame outside the rim can be further from a centre (D,) than the furthest inside."""
         reach = (self.radius + float(np.linalg.norm(centre - self.anchor))) * (1 + _ROUNDING)
         return furthest >= reach and len(self.members) <= _MOST_RIM
 
 
 class _Buffers:
-    """Room for the frames of one block; the spectra are computed when a descriptor asks for them."""
+    """Storage for the frames of one block; the spectra are computed when a descriptor asks for them."""
 
     def __init__(self, like: Description, room: int) -> None:
         self.room = room
@@ -161,9 +161,9 @@ class Gallery:
     """The frames that images are compared with, in blocks of bounded size that fill up one after the other.
 
     Attributes:
-        frames: (n,) in the order in which they came in.
-        blocks: their descriptions, all but the last full.
-        size: frames of a full block.
+        frames: (n,) numbers of the frames, in the order in which they were added.
+        blocks: their descriptions; all blocks but the last are full.
+        size: number of frames in a full block.
     """
 
     frames: NDArray[np.int64]
@@ -182,7 +182,7 @@ class Gallery:
         return len(self.frames)
 
     def add(self, frame: int, description: Description) -> Gallery:
-        """Return the gallery with one frame more; of two galleries made from this one, only the later may be used."""
+        """Return the gallery with one more frame; of two galleries made from this one, only the later may be used."""
         rows = len(self.frames) % self.size
         full = self.blocks[:-1] if rows else self.blocks
         buffers = self._buffers(len(full)) if rows else _Buffers(description, min(_FIRST, self.size))
@@ -192,7 +192,7 @@ class Gallery:
         return Gallery(np.append(self.frames, frame), (*full, _Block.of(buffers, rows + 1)), self.size)
 
     def keep(self, rows: NDArray[Any] | Sequence[int]) -> Gallery:
-        """Return the gallery of some rows, in that order, in blocks of its own."""
+        """Return the gallery of some rows, in that order, in separate blocks."""
         kept = np.arange(len(self))[rows].tolist()
         blocks = []
         for start in range(0, len(kept), self.size):
@@ -248,7 +248,7 @@ def spread(gallery: Gallery, frame: int, description: Description, limit: int) -
     """Add a frame to a gallery of at most `limit` frames.
 
     A full gallery takes the frame only if it is further from all others than the closest two are from each other; the
-    later of those two then goes. The frames that stay cover the node as evenly as one look at each frame allows.
+    later of those two then goes. The frames that stay cover the node as evenly as a single pass over the frames allows.
     """
     if len(gallery) < limit:
         return gallery.add(frame, description)
@@ -260,7 +260,7 @@ def spread(gallery: Gallery, frame: int, description: Description, limit: int) -
 
 
 def thin(gallery: Gallery, limit: int | None) -> Gallery:
-    """Take the later frame of the closest pair out of a gallery until it has at most `limit` frames."""
+    """Remove the later frame of the closest pair from a gallery until it has at most `limit` frames."""
     while limit is not None and len(gallery) > limit:
         gallery = gallery.keep(np.delete(np.arange(len(gallery)), gallery.closest[1]))
     return gallery

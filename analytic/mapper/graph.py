@@ -35,7 +35,7 @@ class NodeGraph:
     Attributes:
         nodes: for each id, the number of its frames and modes and, if its frames have coordinates, their mean x and y.
         edges: for each pair of ids, the smaller first, how often the robot went between them.
-        loops: (frame, matched frame) wherever a place was found again after another one.
+        loops: (frame, matched frame) wherever the robot returned to a place from another one.
 
     Examples:
         >>> labels = np.array([0, 0, 1, -1, 0])
@@ -116,7 +116,7 @@ def coordinates(pose: Any) -> tuple[float, float] | None:
 def write(path: str | Path, data: bytes) -> None:
     """Write a file under a temporary name and rename it; one process at a time.
 
-    The name is always the same, so that what a killed process left is gone when the file is written again.
+    The name is always the same, so that leftovers of a killed process disappear when the file is written again.
 
     Raises:
         AnalyticError: a path that cannot be written.

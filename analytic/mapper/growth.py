@@ -1,4 +1,4 @@
-"""How a map grows: new nodes ([I] 4.5; [T] 4.6), frames evaluated again ([T] 4.6), merging ([I] 4.6)."""
+"""How a map grows: new nodes ([I] 4.5; [T] 4.6), re-evaluated frames ([T] 4.6), merging ([I] 4.6)."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from analytic.mapper.decision import NONE, Reason
 from analytic.mapper.node import Node
 from analytic.mapper.state import State, mean_distance
 
-_ROUNDING = 1e-6  # far above that of the distances
+_ROUNDING = 1e-6  # far above the rounding of the distances
 
 
 def first_node(state: State) -> Node | None:
-    """Form the node that the map starts with, as soon as there are enough frames ([I] 6)."""
+    """Form the first node of the map, as soon as there are enough frames ([I] 6)."""
     if len(state.pending) < state.rules.first_node:
         return None
     return _create(state, state.form(state.pending), trigger="first frames")
 
 
 def grow_version_1(state: State) -> Node | None:
-    """Form a node of frames without one, if there are enough in a row; park it if it is too similar to the map."""
+    """Form a node from enough consecutive frames without one; park it if it is too similar to the map."""
     if len(state.pending) < state.rules.new_node:
         return None
     node = state.form(state.pending)
@@ -90,7 +90,7 @@ def grow_version_2(state: State) -> Node | None:
 
 
 def changes_of_node(labels: NDArray[np.int64]) -> int:
-    """Count how often the node changes along labels (n,), frames without one left out."""
+    """Count how often the node changes along labels (n,), skipping frames without one."""
     assigned = labels[labels != NONE]
     return int((assigned[1:] != assigned[:-1]).sum())
 
@@ -101,7 +101,7 @@ def _unassigned(state: State, window: int) -> list[int]:
 
 
 def _create_if_distinct(state: State, frames: Sequence[int], trigger: str) -> Node | None:
-    """Form a node of recent frames, taken from their nodes, if it is different enough from the map.
+    """Form a node from recent frames, which leave their nodes, if it is different enough from the map.
 
     Frames whose node would become too small stay there; if too few frames are left, nothing changes.
     """
@@ -133,7 +133,7 @@ def _distinctness(state: State, centre: NDArray[np.float64]) -> tuple[float, flo
 def reconsider(state: State, descriptor: Descriptor, created: int, orientation: bool) -> None:
     """Evaluate the frames of a new node and the window before it again, and move those more similar to another node.
 
-    The mean similarity decides, and at equality a frame stays where it is. A frame of the new node may go to any node
+    The mean similarity decides, and in a tie a frame stays where it is. A frame of the new node may go to any node
     whose node-level and centroid conditions it passes. A frame of the window stays in its node or moves to the new one;
     without a node, it goes to the most similar of all, so that no gaps are left before a new node. All frames are
     evaluated before any moves.
@@ -155,7 +155,7 @@ def reconsider(state: State, descriptor: Descriptor, created: int, orientation: 
 def _best(
     state: State, descriptor: Descriptor, frame: int, description: Description, options: list[int], orientation: bool
 ) -> int:
-    """Return the node with the highest mean similarity to a frame, of equals its own, or else the oldest."""
+    """Return the node with the highest mean similarity to a frame; ties go to its own, or else to the oldest."""
     own = int(state.labels[frame])
     if len(options) < 2:
         return options[0]
@@ -165,7 +165,7 @@ def _best(
 
 
 def _open_to(state: State, descriptions: dict[int, Description]) -> dict[int, set[int]]:
-    """Return, for each of some frames, the nodes whose node-level and centroid conditions it passes."""
+    """Return, for each frame, the nodes whose node-level and centroid conditions it passes."""
     if not descriptions:
         return {}
     x = state.rules.x(len(state.nodes))
@@ -222,8 +222,8 @@ class Known:
         """Return nodes that cannot close by eq. 11 with another point (D,).
 
         The Mahalanobis distance is a norm, so the distances of two points differ by at most the distance between them,
-        which is at most their Euclidean distance over the root of the least variance. If the distance is beyond
-        mean +- y std even so, the condition fails, and nothing need be computed.
+        which is at most their Euclidean distance over the root of the least variance. If the distance is still
+        outside mean +- y std, the condition fails and nothing needs to be computed.
         """
         found = self.closures
         nodes = [state.nodes.get(node) for node in found.nodes.tolist()]
@@ -240,14 +240,14 @@ class Known:
 
 
 def merge_alike(state: State, node: int, known: Known | None = None) -> int:
-    """Merge a node that has changed with the nodes that are alike by eq. 10-11, and return the id that remains.
+    """Merge a node that has changed with the nodes that are similar by eq. 10-11, and return the id that remains.
 
     The changed node's representative is compared with every other node; the one with the smallest deviation for its
-    spread comes first, of equals the older. The older id stays. The merged node is compared with the rest again.
+    spread comes first; ties go to the older. The older id is kept. The merged node is compared with the rest again.
 
     Args:
         state: the map.
-        node: id.
+        node: id of the node that has changed.
         known: distances that save some comparisons; the same nodes are merged without them.
     """
     while True:

@@ -30,15 +30,15 @@ class IncrementalMapper:
     """A topological map that grows while the robot drives.
 
     Args:
-        descriptor: that makes the descriptions. If these have no orientation part, or it was made with
-            `circular=False`, images are compared by position alone.
+        descriptor: the descriptor that makes the descriptions. If these have no orientation part, or it was made
+            with `circular=False`, images are compared by position alone.
         version: 1 is [I] 4 and [T] 4.3; 2 the improved version of [T] 4.6.
-        log: a path or an open text file that gets one line of JSON per frame; the lines are also kept in memory.
+        log: a path or an open text file that receives one line of JSON per frame; the lines are also kept in memory.
         others: the thresholds of `analytic.mapper.Parameters`: omega=1.85, y=1.5, gamma=5, ...
 
     Attributes:
         descriptor: as given.
-        parameters: all of them.
+        parameters: all thresholds.
         extendable: whether frames may be added; False for a map that was loaded for queries.
 
     Raises:
@@ -82,7 +82,7 @@ class IncrementalMapper:
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        """The nodes, the oldest first."""
+        """The nodes, oldest first."""
         return tuple(self._state.ordered())
 
     @property
@@ -113,11 +113,11 @@ class IncrementalMapper:
         return graph.NodeGraph(nodes, graph.edges(labels), graph.loops(labels, self._state.matches))
 
     def add(self, description: Description, frame: Any = None) -> Decision:
-        """Add one frame and decide where it belongs. If anything fails, the map is as it was.
+        """Add one frame and decide where it belongs. If anything fails, the map is unchanged.
 
         Args:
-            description: of one image.
-            frame: an identifier or a pose to keep with it: a plain value, or a list or object of plain values. The
+            description: description of one image.
+            frame: an identifier or a pose to store with it: a plain value, or a list or object of plain values. The
                 first two numbers of a list, or the values "x" and "y", are coordinates in m.
 
         Raises:
@@ -137,9 +137,9 @@ class IncrementalMapper:
         """Teach a node another appearance of its place, from a revisit: a further mode with its own statistics.
 
         Args:
-            node: id.
-            descriptions: of at least `smallest_node` images, in capture order.
-            frames: identifiers or poses, as many; see `add`.
+            node: id of the node.
+            descriptions: descriptions of at least `smallest_node` images, in capture order.
+            frames: an identifier or a pose for each; see `add`.
 
         Raises:
             AnalyticError: an unknown node, too few images, and what `add` raises.
@@ -164,7 +164,7 @@ class IncrementalMapper:
         return decision
 
     def locate(self, description: Description) -> Location:
-        """Find one image in the map: its node and the most similar frame in it. Nothing changes.
+        """Find one image in the map: its node and the most similar frame in it. The map does not change.
 
         Nodes that pass the node-level condition compete; if none passes, the one that comes closest to passing wins.
 
@@ -191,13 +191,13 @@ class IncrementalMapper:
         extend: bool = False,
         log: str | Path | TextIO | None = None,
     ) -> IncrementalMapper:
-        """Load a map: for queries only, or to extend it; then it goes on as if it had never stopped.
+        """Load a map for queries only, or to extend it as if the run had never stopped.
 
         Args:
             path: as given to `save`.
-            descriptor: that of the map; may be left out if its name is in `analytic.DESCRIPTORS`.
+            descriptor: descriptor of the map; may be left out if its name is in `analytic.DESCRIPTORS`.
             extend: whether frames may be added.
-            log: as for the class; it gets the whole run.
+            log: as for the class; it receives the whole run.
 
         Raises:
             AnalyticError: a path that cannot be read, a file that is cut short, not a map or of a newer version, a
@@ -220,7 +220,7 @@ class IncrementalMapper:
     def _located(self, description: Description) -> Location:
         state, rules = self._state, self.parameters
         if not state.nodes:
-            raise AnalyticError(f"the map has no node yet after {len(self)} frames: add more before asking it")
+            raise AnalyticError(f"the map has no node yet after {len(self)} frames: add more before querying it")
         closures = closures_of(state, description)
         x = rules.x(len(closures))
         closing = closures.nodes[closures.closing(x)].tolist()
@@ -244,7 +244,7 @@ class IncrementalMapper:
         return Location(node, frame, self._poses[frame], heading, bool(closing), scores)
 
     def _commit(self, draft: State, decision: Decision, poses: list[Any]) -> None:
-        """Make a draft the map. Until its last line, poses and events beyond those of the map do not count."""
+        """Replace the map by a draft. Until the last line, poses and events beyond those of the map do not count."""
         draft.calls += 1
         self._log.write(line_of(decision, poses), draft.calls)
         self._poses[len(self) :] = poses
@@ -288,7 +288,7 @@ class IncrementalMapper:
                 raise AnalyticError(f"{len(description)} positions need as many orientation parts, got {len(part)}")
             if part.dtype.kind not in "fiub":
                 raise AnalyticError(
-                    f"the {name} part of a description must hold real numbers, got {part.dtype}: describe by another "
+                    f"the {name} part of a description must hold real numbers, got {part.dtype}: use another "
                     "descriptor, such as hog"
                 )
             # The fourth power of a larger value overflows.

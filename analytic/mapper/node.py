@@ -14,7 +14,7 @@ from analytic.mapper.frames import Gallery, Rim, Rows, spread, thin
 from analytic.mapper.parameters import Parameters
 from analytic.mapper.statistics import Metric, Model, Moments
 
-_LEAST_LEFT = 1e-2  # of the spread; below, removing frames leaves too few digits of the sums over the others
+_LEAST_LEFT = 1e-2  # of the spread; below it, removing frames leaves too little precision in the sums over the others
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Gaussian:
     """Mean and spread of the distances of a mode's held-out frames to its model ([I] 4.1).
 
     Attributes:
-        mean: of the squared Mahalanobis distances.
-        std: of the distances, with n - 1; 0 for fewer than two, so that nothing closes.
+        mean: mean of the squared Mahalanobis distances.
+        std: standard deviation of the distances, with n - 1; 0 for fewer than two, so that nothing closes.
     """
 
     mean: float
@@ -32,18 +32,18 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Mode:
-    """One appearance of a node. A value: what changes it returns another mode.
+    """One appearance of a node. Immutable: methods that change it return another mode.
 
     Attributes:
         rules: the parameters of the map.
         frames: (n,) numbers of its frames, in the order in which they joined.
-        held: (n,) whether a frame forms the Gaussian; the others model the mode.
+        held: (n,) whether a frame is held out for the Gaussian; the others model the mode.
         rows: (n, D) position descriptors of its frames.
         squares: (n,) their squared lengths.
         centre: (D,) mean of all its frames, the representative.
         model: mean and covariance of the frames that model it.
         gallery: the frames that images are compared with.
-        rim: the frames that may be the furthest from the centre, if they were looked for before.
+        rim: the frames that may be the furthest from the centre, if determined before.
     """
 
     rules: Parameters
@@ -78,7 +78,7 @@ class Mode:
         return len(self.frames)
 
     def add(self, frame: int, description: Description) -> Mode:
-        """Return the mode with one frame more."""
+        """Return the mode with one more frame."""
         x = description.position[0].astype(np.float64)
         held = self.rules.holds_out(int(self.held.sum()), len(self))
         limit = self.rules.exemplars
@@ -183,11 +183,11 @@ class Mode:
         return rim, rim.furthest(rows, self.centre)
 
     def shift(self, x: NDArray[np.float64]) -> float:
-        """Return the left side of eq. 9: how far the representative would move with one frame (D,) more."""
+        """Return the left side of eq. 9: how far the representative would move with one more frame (D,)."""
         return float(np.linalg.norm(x - self.centre)) / (len(self) + 1)
 
     def _split(self, rows: NDArray[np.float64]) -> tuple[NDArray[np.bool_], Model]:
-        """Return which of some frames (n, D) to hold out, and the model of the others."""
+        """Choose which frames (n, D) to hold out; return the flags and the model of the others."""
         flags: list[bool] = []
         for _ in rows:
             flags.append(self.rules.holds_out(sum(flags), len(flags)))
@@ -195,7 +195,7 @@ class Mode:
         return held, self._modelled(rows[~held])
 
     def _modelled(self, rows: NDArray[np.float64]) -> Model:
-        """Return the model of some frames (n, D)."""
+        """Return the model of frames (n, D)."""
         model = Model(Moments.none(rows.shape[1]), self.rules.shrinkage)
         for x in rows:
             model = model.add(x)
@@ -204,10 +204,10 @@ class Mode:
 
 @dataclass(frozen=True)
 class Node:
-    """A place of the map.
+    """A place in the map.
 
     Attributes:
-        id: never used twice.
+        id: number that is never used twice.
         modes: at least one.
     """
 

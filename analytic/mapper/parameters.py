@@ -20,27 +20,27 @@ class Parameters:
 
     Args:
         version: 1 is [I] 4 and [T] 4.3; 2 is the improved version of [T] 4.6.
-        omega: the least x of eq. 4, once there are many nodes.
+        omega: the smallest x of eq. 4, once there are many nodes.
         y: width of the merging condition, eq. 11; the larger, the more merging.
         gamma: how many times the mean prominence the best image must reach, eq. 8; version 1 only.
         x_start: x is max(omega, x_start - x_slope * nodes).
         x_slope: see `x_start`.
         two_sided: eq. 4 and 11 as published, |distance - mean| <= x * std; False drops the lower side, so that a frame
             nearer to a node than its own frames also closes.
-        merge: "changed" looks for merging whenever the contents of a node change ([T] 4.5.2), "created" only for a
+        merge: "changed" checks for merging whenever the contents of a node change ([T] 4.5.2), "created" only for a
             node that has just been created ([I] 4.6), "never" not at all.
-        distance: between position descriptors at image level, eq. 5; None is the descriptor's own.
+        distance: distance between position descriptors at image level, eq. 5; None is the descriptor's own.
         orientation: whether the aligned orientation parts are compared too, where the descriptor has them.
         shrinkage: "ledoit_wolf", or a fixed share of the identity in (0, 1].
         held_out: share of a node's frames that form the Gaussian of eq. 4 instead of its mean and covariance.
         first_node: frames that form the first node.
         new_node: consecutive frames without a node that form the next one; version 1.
-        parked_nodes: the most candidates that wait; beyond, the oldest is forgotten; version 1.
-        checked_unassigned: frames without a node, of the last `checked_window`, that ask for a new one; version 2.
+        parked_nodes: the most candidates that may wait; beyond that, the oldest is forgotten; version 1.
+        checked_unassigned: frames without a node, of the last `checked_window`, that call for a new one; version 2.
         checked_window: see `checked_unassigned`.
         forced_unassigned: frames without a node, of the last `forced_window`, that force a new one; version 2.
         forced_window: see `forced_unassigned`.
-        node_changes: changes of node in the last `changes_window` frames that ask for a new one; version 2.
+        node_changes: changes of node in the last `changes_window` frames that call for a new one; version 2.
         changes_window: see `node_changes`.
         window: frames before a new node that are evaluated again with its own; version 2.
         smallest_node: the fewest frames that a node keeps when others leave it, and that a mode needs.

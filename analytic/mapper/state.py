@@ -1,4 +1,4 @@
-"""Everything that a map consists of, and how far its nodes are apart."""
+"""The complete state of a map, and the distances between its nodes."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from analytic.mapper.parameters import Parameters
 
 Place = Sequence[NDArray[np.float64]]  # the representatives (D,) of one node, one for each mode
 
-_ROOM = 32  # rows of a first table
+_ROOM = 32  # rows of the initial table
 _GROWTH = 1.5
 
 
 class Spacing:
-    """A table of the distances between representatives of nodes, kept from one question to the next ([I] 4.5).
+    """A table of the distances between representatives of nodes, kept from one call to the next ([I] 4.5).
 
-    The mean distance among all nodes needs every pair, but between two questions only few representatives move, and
-    only their rows are computed. A representative is identified by its array, which never changes, so the table is
-    right for any state of the map: also for a draft that is given up and for a map that was loaded. Where in the table
-    a distance lies has no effect on its value. A copy of a table, for a copy of a map or for another process, starts
-    empty, since its arrays are different ones.
+    The mean distance among all nodes needs every pair, but between two calls only few representatives move, and only
+    their rows are computed. A representative is identified by its array, which never changes, so the table is valid for
+    any state of the map, including a discarded draft and a map that was loaded. The place of a distance in the table
+    has no effect on its value. A copy of a table, for a copy of a map or for another process, starts empty, since its
+    arrays are different objects.
     """
 
     def __init__(self) -> None:
         self._slots: dict[int, int] = {}  # from the identity of an array to its row
-        self._known: list[NDArray[np.float64] | None] = []  # holds on to the arrays, so that no identity is used twice
+        self._known: list[NDArray[np.float64] | None] = []  # keeps the arrays alive, so that no identity is used twice
         self._centres = np.empty((0, 0))
         self._apart = np.empty((0, 0))
 
     def __reduce__(self) -> tuple[type[Spacing], tuple[()]]:
-        """Return how copies are made: empty, since the identities of arrays are not those of their copies."""
+        """Make copies empty, since copied arrays have other identities."""
         return Spacing, ()
 
     def among(self, places: Sequence[Place]) -> float:
@@ -51,7 +51,7 @@ class Spacing:
         return float(np.mean(apart[np.triu(np.ones(apart.shape, dtype=bool), 1)]))
 
     def _refreshed(self, centres: list[NDArray[np.float64]]) -> list[int]:
-        """Return the rows of representatives, after computing those that are not known."""
+        """Return the rows of representatives, after computing the unknown ones."""
         wanted = {id(centre) for centre in centres}
         free = [slot for slot, known in enumerate(self._known) if known is None or id(known) not in wanted]
         for centre in centres:
@@ -60,7 +60,7 @@ class Spacing:
         return [self._slots[id(centre)] for centre in centres]
 
     def _put(self, slot: int, centre: NDArray[np.float64]) -> None:
-        # A row counts as unknown until it is complete, since an interrupted one may not be used again.
+        # A row counts as unknown until it is complete, since an interrupted one must not be used again.
         gone, self._known[slot] = self._known[slot], None
         self._slots.pop(id(gone), None)
         self._centres[slot] = centre
@@ -70,7 +70,7 @@ class Spacing:
         self._slots[id(centre)] = slot
 
     def _grown(self, size: int) -> int:
-        """Return a row more than there were."""
+        """Add a row and return its index."""
         slot, room = len(self._known), len(self._apart)
         if slot == room:
             room = max(_ROOM, int(_GROWTH * room))
@@ -84,19 +84,19 @@ class Spacing:
 
 @dataclass
 class State:
-    """A map between two frames. A frame is worked into a copy, which replaces the map when all went well.
+    """A map between two frames. A frame is added to a copy, which replaces the map if everything succeeds.
 
     Attributes:
         rules: the parameters of the map.
         nodes: by id. Their order has no meaning.
         parked: candidates of version 1, the oldest first.
         labels: (n,) node of each frame, -1 for none.
-        matches: (n,) the frame that each was most similar to when it came, -1 for none.
+        matches: (n,) the frame that each was most similar to when it was added, -1 for none.
         recent: the last frames and their descriptions.
         pending: the consecutive frames without a node up to the last one.
         next_id: id of the next node.
-        changes: made while a frame was worked in.
-        calls: of `add` and `maintain` that went well.
+        changes: changes made while a frame was added.
+        calls: number of successful calls of `add` and `maintain`.
         spacing: known distances between nodes, shared by all copies; a cache that affects no result.
     """
 
@@ -113,11 +113,11 @@ class State:
     spacing: Spacing = field(default_factory=Spacing, repr=False, compare=False)
 
     def copy(self) -> State:
-        """Return a state to work in; nodes and descriptions are values and are shared."""
+        """Return a working copy; nodes and descriptions are immutable and shared."""
         return replace(self, nodes=dict(self.nodes), labels=self.labels.copy(), changes=())
 
     def ordered(self) -> list[Node]:
-        """Return the nodes from the oldest id to the latest."""
+        """Return the nodes from the oldest id to the newest."""
         return [self.nodes[key] for key in sorted(self.nodes)]
 
     def append(self, description: Description, label: int, match: int) -> int:
@@ -138,7 +138,7 @@ class State:
         return [[mode.centre for mode in node.modes] for node in self.ordered() if node.id != without]
 
     def form(self, frames: Sequence[int]) -> Node:
-        """Return a node of recent frames, with the next id, that is not part of the map."""
+        """Return a node of recent frames, with the next id, that is not yet part of the map."""
         node = Node(self.next_id, (Mode.of(self.rules, frames, self.descriptions(frames)),))
         self.next_id += 1
         return node
@@ -170,7 +170,7 @@ class State:
         return sorted(left)
 
     def note(self, reason: Reason, node: int | None, frames: Sequence[int], **scores: float | bool | str) -> None:
-        """Keep a change for the decision and the log."""
+        """Record a change for the decision and the log."""
         self.changes = (*self.changes, Change(reason, node, tuple(int(frame) for frame in frames), scores))
 
 

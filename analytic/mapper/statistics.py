@@ -17,20 +17,20 @@ from analytic.errors import AnalyticError
 Array = NDArray[np.float64]
 
 _LEAST_SHRINKAGE = 1e-6  # two frames, or frames on one line, have intensity 0 and a covariance without inverse
-_LEAST_VARIANCE = 1e-12  # of frames that are all equal, relative to their mean square
+_LEAST_VARIANCE = 1e-12  # of equal frames, relative to their mean square
 _NO_VARIANCE = 1e-30  # of frames that are all zero
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Mean and scatter of a growing set of vectors, kept without looking at the vectors again.
+    """Mean and scatter of a growing set of vectors, updated without revisiting the vectors.
 
-    Besides the mean m and the scatter M = sum y y^T (y = x - m), two sums are kept for the shrinkage intensity:
-    b = sum |y|^2 y and f = sum |y|^4. Seen from m + d instead of m, with t = trace M and n vectors, they are
+    In addition to the mean m and the scatter M = sum y y^T (y = x - m), two sums are kept for the shrinkage intensity:
+    b = sum |y|^2 y and f = sum |y|^4. About m + d instead of m, with t = trace M and n vectors, they are
 
         M + n d d^T,    b - 2 M d - t d - n |d|^2 d,    f + 4 d^T M d + n |d|^4 - 4 b d + 2 t |d|^2,
 
-    because sum y = 0. Adding, removing and merging are this change of viewpoint and a sum.
+    because sum y = 0. Adding, removing and merging are this change of origin plus a sum.
 
     Attributes:
         count: n.
@@ -53,11 +53,11 @@ class Moments:
 
     @staticmethod
     def none(size: int) -> Moments:
-        """Return the moments of no vector of that size."""
+        """Return the moments of an empty set of vectors of that size."""
         return Moments(0, np.zeros(size), np.zeros((size, size)), np.zeros(size), 0.0)
 
     def add(self, x: Array) -> Moments:
-        """Return the moments with one vector (D,) more."""
+        """Return the moments with one more vector (D,)."""
         count = self.count + 1
         away = x - self.mean
         shift = away / count
@@ -116,7 +116,7 @@ class Model:
     """The frames that model a node: their moments, their shrunk covariance, and distances to them.
 
     Attributes:
-        moments: of those frames.
+        moments: moments of those frames.
         shrinkage: "ledoit_wolf" or a fixed intensity.
     """
 
@@ -124,7 +124,7 @@ class Model:
     shrinkage: str | float
 
     def add(self, x: Array) -> Model:
-        """Return the model with one frame (D,) more."""
+        """Return the model with one more frame (D,)."""
         return Model(self.moments.add(x), self.shrinkage)
 
     def remove(self, x: Array) -> Model:
@@ -164,19 +164,19 @@ class Model:
 
     @cached_property
     def factored(self) -> Factored:
-        """The squared Mahalanobis distances (d - mean)^T covariance^-1 (d - mean) as they are defined."""
+        """The squared Mahalanobis distances (d - mean)^T covariance^-1 (d - mean), computed as defined."""
         return Factored.of(self.moments.mean, self.covariance, self.least)
 
     @property
     def few(self) -> bool:
-        """True if there are so few frames that distances cost less without the covariance."""
+        """Whether there are so few frames that distances cost less without the covariance."""
         return 2 * self.moments.count <= len(self.moments.mean)
 
     def metric(self, rows: NDArray[np.float64] | None) -> Metric:
-        """Return the same distances in the form that costs less.
+        """Return the same distances in the cheaper form.
 
         Args:
-            rows: (n, D) the frames that model the node; needed only if they are few.
+            rows: (n, D) the frames that model the node; needed only if there are few.
         """
         if rows is None or not self.few:
             return self.factored
@@ -185,7 +185,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Factored:
-    """Squared Mahalanobis distances by the Cholesky factor of the covariance, D^2 / 2 products each.
+    """Squared Mahalanobis distances from the Cholesky factor of the covariance, D^2 / 2 products each.
 
     Attributes:
         mean: (D,).
@@ -202,7 +202,7 @@ class Factored:
         """Prepare the distances of a covariance (D, D).
 
         Raises:
-            AnalyticError: one that has no inverse.
+            AnalyticError: the covariance has no inverse.
         """
         return Factored(mean, least, _cholesky(covariance))
 
@@ -223,7 +223,7 @@ class Factored:
 
 @dataclass(frozen=True)
 class LowRank:
-    """The same distances by the frames that model the covariance, for at most half as many frames as dimensions.
+    """The same distances from the frames that model the covariance, for at most half as many frames as dimensions.
 
     The covariance of n frames with D numbers each is c I + s Y^T Y: Y (n, D) holds the frames about their mean, s is
     (1 - a) / n for the intensity a, and c the variance that shrinking adds to every direction. By Woodbury's identity
@@ -231,7 +231,7 @@ class LowRank:
         (c I + s Y^T Y)^-1 = (I - Y^T (c/s I + Y Y^T)^-1 Y) / c = (I - W^T W) / c,  W = L^-1 Y,  L L^T = c/s I + Y Y^T,
 
     the squared distance of z = d - mean is (|z|^2 - |W z|^2) / c: n D products and as much memory, without ever
-    forming the covariance. The difference loses no more digits than solving does: its error is eps |z|^2 / c, and
+    forming the covariance. The difference loses no more precision than solving does: its error is eps |z|^2 / c, and
     |z|^2 over the largest eigenvalue is the least that the distance can be, so relative to the distance the error is
     eps times the condition number of the covariance.
 
@@ -256,7 +256,7 @@ class LowRank:
             least: c.
 
         Raises:
-            AnalyticError: a covariance that has no inverse.
+            AnalyticError: the covariance has no inverse.
         """
         from scipy.linalg import blas
 

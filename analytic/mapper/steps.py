@@ -1,4 +1,4 @@
-"""What happens when a frame comes: place it ([I] algorithm 1; [T] 4.6), form a node if it is time, merge."""
+"""Process a frame: place it ([I] algorithm 1; [T] 4.6), form a node if it is time, merge."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class Placement:
 
     Attributes:
         reason: why it belongs to `node`, or to none.
-        node: id, or -1.
-        mode: index in the node.
+        node: id of the node, or -1.
+        mode: index of the mode in the node.
         match: the most similar frame, or -1.
         scores: what was measured.
-        closures: its node-level distances to every node.
+        closures: node-level distances of the frame to every node.
     """
 
     reason: Reason
@@ -52,12 +52,12 @@ class Placement:
 
 
 def step(state: State, descriptor: Descriptor, description: Description, orientation: bool) -> Decision:
-    """Work a frame into a state and decide where it belongs.
+    """Add a frame to a state and decide where it belongs.
 
     Args:
         state: a copy of the map, which is changed.
-        descriptor: of the map.
-        description: of the frame.
+        descriptor: descriptor of the map.
+        description: description of the frame.
         orientation: whether orientation parts are compared.
     """
     placement = place(state, descriptor, description, orientation) if state.nodes else Placement(Reason.FIRST_FRAMES)
@@ -71,7 +71,7 @@ def step(state: State, descriptor: Descriptor, description: Description, orienta
     changed = placement.node if created is None else created.id
     wanted = {"changed": changed != NONE, "created": created is not None}
     if wanted.get(state.rules.merge, False):
-        # What is known of the frame's distances holds for nodes that are as they were when it was placed.
+        # The distances of the frame are valid for nodes that have not changed since it was placed.
         known = Known(point_of(description), placement.closures) if created is None and placement.closures else None
         merge_alike(state, changed, known)
     label = int(state.labels[frame])
@@ -120,7 +120,7 @@ def _grow(state: State, placement: Placement, frame: int, description: Descripti
 def _reason(state: State, placed: Reason, frame: int) -> Reason:
     """Return why a frame is where it is: its placement, or the last change that moved it.
 
-    A merging moves only the frames of the node that vanishes.
+    Merging moves only the frames of the node that disappears.
     """
     reason = placed
     for change in state.changes:
@@ -130,12 +130,12 @@ def _reason(state: State, placed: Reason, frame: int) -> Reason:
 
 
 def place(state: State, descriptor: Descriptor, description: Description, orientation: bool) -> Placement:
-    """Find where a frame belongs; nothing changes.
+    """Find where a frame belongs, without changing anything.
 
     Args:
         state: the map, with at least one node.
-        descriptor: of the map.
-        description: of the frame.
+        descriptor: descriptor of the map.
+        description: description of the frame.
         orientation: whether orientation parts are compared.
     """
     rules = state.rules
@@ -179,7 +179,7 @@ def _stands_out(similarity: Similarity, row: int, state: State, found: Placement
     curve, where = similarity_curve(similarity, state.labels, found.scores["candidates"])
     heights = prominences(curve)
     prominence = float(heights[where[row]])
-    # In this order, so that a single peak among gamma frames reaches its own limit to the last digit.
+    # In this order, so that a single peak among gamma frames exactly reaches its own limit.
     least = state.rules.gamma / len(where) * float(heights.sum())
     found.scores |= {"prominence": prominence, "least_prominence": least}
     return prominence >= least

@@ -31,13 +31,13 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Stored:
-    """What a file holds.
+    """The contents of a file.
 
     Attributes:
         state: the map.
-        poses: what was given with each frame.
-        identity: of the descriptor.
-        lines: of the log.
+        poses: the pose that was given with each frame.
+        identity: identity of the descriptor.
+        lines: lines of the log.
     """
 
     state: State
@@ -108,7 +108,7 @@ def descriptor_of(identity: Mapping[str, Any], path: str | Path) -> Descriptor:
     """Make the descriptor that a map was built with, if it belongs to this package.
 
     Raises:
-        AnalyticError: a descriptor from elsewhere.
+        AnalyticError: a descriptor that is not part of this package.
     """
     if identity.get("name") not in DESCRIPTORS:
         raise AnalyticError(

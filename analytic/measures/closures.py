@@ -14,19 +14,19 @@ from analytic.errors import AnalyticError
 
 @dataclass(frozen=True)
 class ClosureScores:
-    """How many loop closures are right, and how many revisits were closed.
+    """How many loop closures are right, and how many revisits they close.
 
     Attributes:
-        precision: right closures / counted closures; NaN without any.
-        recall: revisits that a right closure joins to an earlier frame / revisits; NaN without any.
-        f1: harmonic mean of both; 0 where revisits exist and none was closed, NaN where there is none.
+        precision: right closures / counted closures; NaN if there are none.
+        recall: revisits that a right closure joins to an earlier frame / revisits; NaN if there are none.
+        f1: harmonic mean of both; 0 if revisits exist and none was closed, NaN if there are none.
         right: closures within the radius.
-        closures: closures counted: different pairs of frames, at least `gap` apart.
+        closures: closures counted: distinct pairs of frames, at least `gap` apart.
         closed: revisits that were closed.
         revisits: frames with an earlier frame, at least `gap` before, within the radius.
-        trivial: different pairs of frames less than `gap` apart, left out of everything.
-        radius: inclusive, in the positions' unit.
-        gap: in frames.
+        trivial: distinct pairs of frames less than `gap` apart, left out of everything.
+        radius: radius used, inclusive, in the positions' unit.
+        gap: gap used, in frames.
     """
 
     precision: float
@@ -56,7 +56,7 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
         gap: at least 1.
 
     Raises:
-        AnalyticError: other shapes, positions that are not finite, frames that do not exist, a closure of a frame with
+        AnalyticError: wrong shapes, positions that are not finite, frames that do not exist, a closure of a frame with
             itself, a radius or gap out of range.
 
     Examples:
@@ -70,7 +70,7 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
         raise AnalyticError(f"the radius must be a number that is not negative, got {radius}")
     ends = _checked(closures, len(xy))
     nontrivial = ends[ends[:, 1] - ends[:, 0] >= gap]
-    # Both sides compare through one function, so that a frame exactly at the radius is judged alike.
+    # Both use the same comparison, so that a frame exactly at the radius is judged the same way.
     near = _within(xy[nontrivial[:, 0]] - xy[nontrivial[:, 1]], radius)
     revisits = _revisits(xy, radius, gap)
     right, revisited, closed = int(near.sum()), int(revisits.sum()), len(np.unique(nontrivial[near, 1]))
@@ -115,7 +115,7 @@ def _harmonic(precision: float, recall: float) -> float:
 
 
 def _checked(closures: ArrayLike, frames: int) -> NDArray[np.int64]:
-    """Return different closures, the earlier frame first (m, 2)."""
+    """Return the distinct closures, the earlier frame first (m, 2)."""
     ends = np.asarray(closures)
     if not ends.size:
         return np.zeros((0, 2), dtype=np.int64)

@@ -14,18 +14,18 @@ from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
 
 MODES = ("nearest", "pooled")
-_FEW_DIMENSIONS = 16  # up to here subtracting is as fast as a matrix product, and exact
+_FEW_DIMENSIONS = 16  # up to this, subtracting is as fast as a matrix product, and exact
 
 
 @dataclass(frozen=True)
 class Silhouettes:
-    """Silhouettes of one grouping, each in [-1, 1].
+    """Silhouettes of one clustering, each in [-1, 1].
 
     Attributes:
-        frames: of each frame; NaN for a frame in no cluster (n,).
-        labels: of the clusters, ascending (k,).
+        frames: silhouette of each frame; NaN for a frame in no cluster (n,).
+        labels: labels of the clusters, ascending (k,).
         clusters: mean over the frames of each cluster (k,).
-        sizes: frames of each cluster (k,).
+        sizes: number of frames in each cluster (k,).
         mode: "nearest" or "pooled".
     """
 
@@ -37,7 +37,7 @@ class Silhouettes:
 
     @property
     def mean(self) -> float:
-        """The average that belongs to the mode: over frames for "nearest", over clusters for "pooled"."""
+        """The average for the mode: over frames for "nearest", over clusters for "pooled"."""
         if self.mode == "pooled":
             return float(self.clusters.mean())
         return float(np.nanmean(self.frames))
@@ -62,18 +62,18 @@ def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance
 
     a is the mean distance of a frame to the *other* frames of its cluster. b is, with "nearest", the smallest of its
     mean distances to the frames of each other cluster ([C] eq. 9, 11); with "pooled", its mean distance to all frames
-    of other clusters taken together, every frame weighing the same ([I] eq. 13, [T] eq. 4.11). The frame of a cluster
-    of one has silhouette 0, and so has a frame with a = b = 0. Memory is bounded: distances are computed in blocks.
+    of other clusters taken together, with equal weights ([I] eq. 13, [T] eq. 4.11). The only frame of a cluster has
+    silhouette 0, and so has a frame with a = b = 0. Memory is bounded: distances are computed in blocks.
 
     Args:
         X: positions (n, 2), or descriptors (n, D).
         labels: whole numbers (n,); frames with a negative one are in no cluster and are left out.
         mode: "nearest" or "pooled".
-        distance: a name in `analytic.DISTANCES`; the papers do not say which they use, Euclidean is customary.
+        distance: a name in `analytic.DISTANCES`; the papers do not say which they use; Euclidean is customary.
 
     Raises:
-        AnalyticError: wrong shapes, values that are not finite, labels of another length, fewer than two clusters, an
-            unknown mode or distance.
+        AnalyticError: wrong shapes, values that are not finite, labels of the wrong length, fewer than two clusters, or
+            an unknown mode or distance.
 
     Examples:
         >>> found = silhouettes([[0.0], [1.0], [9.0]], [0, 0, 1], mode="pooled")
@@ -113,14 +113,14 @@ def moment_of_inertia(points: ArrayLike, labels: ArrayLike) -> float:
 
 
 def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
-    """Compute the mean squared distance to the mean position, of each cluster in the order of labels (k,).
+    """Compute the mean squared distance to the mean position for each cluster, in the order of labels (k,).
 
     Args:
-        points: positions (n, 2), or of any other number of coordinates.
+        points: positions (n, 2), or with any other number of coordinates.
         labels: whole numbers (n,); frames with a negative one are in no cluster and are left out.
 
     Raises:
-        AnalyticError: wrong shapes, positions that are not finite, labels of another length, or no cluster at all.
+        AnalyticError: wrong shapes, positions that are not finite, labels of the wrong length, or no cluster at all.
 
     Examples:
         >>> moments_of_inertia([[0.0, 0.0], [2.0, 0.0], [9.0, 9.0]], [0, 0, 1]).tolist()

@@ -16,16 +16,15 @@ from analytic.errors import AnalyticError
 class Purity:
     """Shares of frames that lie in a node of their own room.
 
-    A node belongs to the room that most of its labelled frames come from; of equally frequent rooms, to the first by
-    name.
+    A node belongs to the room that most of its labelled frames come from; ties go to the first room by name.
 
     Attributes:
-        overall: of all counted frames; NaN if there are none.
-        rooms: of each room's counted frames: the share that lies in nodes which belong to that room.
+        overall: share of all counted frames; NaN if there are none.
+        rooms: for each room, the share of its counted frames that lie in nodes of that room.
         frames_per_room: counted frames of each room, the denominators of `rooms`.
-        nodes: of the counted frames of each node: the share that comes from its room; in the order of `labels`.
-        labels: of the nodes that hold counted frames, ascending (k,).
-        room_of_node: the room that each of them belongs to.
+        nodes: for each node, the share of its counted frames that come from its room; in the order of `labels`.
+        labels: labels of the nodes with counted frames, ascending (k,).
+        room_of_node: the room that each of these nodes belongs to.
         counted: frames with a room label and a node.
         unlabelled: frames without a room label, left out.
         unassigned: frames with a room label but without a node, left out.
@@ -50,7 +49,7 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
         rooms: the room of each frame (n,); "" means unknown.
 
     Raises:
-        AnalyticError: other shapes, different lengths, or rooms that are not text.
+        AnalyticError: wrong shapes, different lengths, or rooms that are not strings.
 
     Examples:
         >>> found = purity([0, 0, 0, 1], ["kitchen", "kitchen", "corridor", "corridor"])
@@ -59,9 +58,9 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
     """
     names = np.asarray(rooms)
     if names.ndim != 1 or (names.dtype.kind not in "UO" and names.size):
-        raise AnalyticError(f"rooms must be texts of shape (n,), got {names.dtype} of shape {names.shape}")
+        raise AnalyticError(f"rooms must be strings of shape (n,), got {names.dtype} of shape {names.shape}")
     if not all(isinstance(name, str) for name in names.tolist()):
-        raise AnalyticError("rooms must be texts; write an unknown room as an empty one")
+        raise AnalyticError("rooms must be strings; use an empty string for an unknown room")
     texts = names.astype(np.str_)
     node = checks.cluster_labels(np.asarray(labels, dtype=np.int64) if not np.size(labels) else labels, len(texts))
     labelled = texts != ""

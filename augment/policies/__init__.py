@@ -1,6 +1,6 @@
 """Policies by name, or from a YAML file.
 
-The policies that come with the package are the YAML files in this folder. A file contains a tree of effects, as in
+The policies that ship with the package are the YAML files in this folder. A file contains a tree of effects, as in
 `Policy`, in which a step may also be another policy of the package:
 
     circular: true            # optional, like `name` and `rotate`
@@ -33,15 +33,14 @@ def policy(name: str | Path, *, circular: bool | None = None, rotate: float | No
     """Return a policy by its name, or from a YAML file.
 
     Args:
-        name: "none" (every picture stays as it is), "thesis" (the combinations of [T] 5.3.2), "lighting" (all that
-            light and exposure do indoors, with no change of geometry), "strong" (lighting, optics, motion, noise and
-            occlusion together), "any_light" (lighting, and another time of day: lamps, windows, rooms behind doors),
-            or a file that ends in .yaml or .yml.
-        circular: False for cameras whose columns do not wrap around; nothing is rotated then. If None, as the file
-            says, otherwise True.
-        rotate: probability of the rotation among the outermost steps; a rotation is added at the end if there is
-            none. If None, as the policy says: one half in "thesis", none in "lighting" and "any_light", 1 in
-            "strong".
+        name: "none" (every image stays as it is), "thesis" (the combinations of [T] 5.3.2), "lighting" (everything that
+            light and exposure do indoors, without changes of geometry), "strong" (lighting, optics, motion, noise and
+            occlusion together), "any_light" (lighting, and another time of day: lamps, windows, rooms behind doors), or
+            a file that ends in .yaml or .yml.
+        circular: False for cameras whose columns do not wrap around; nothing is rotated then. If None, the setting of
+            the file, or else True.
+        rotate: probability of the rotation among the outermost steps; a rotation is added at the end if there is none.
+            If None, that of the policy: one half in "thesis", none in "lighting" and "any_light", 1 in "strong".
 
     Raises:
         AugmentError: an unknown name, a file that is missing or invalid, or a probability outside [0, 1].

@@ -1,4 +1,4 @@
-"""Arrays in a file that may be altered: what they claim must be there, and nothing in them is executed."""
+"""Arrays in a file that may have been altered: what they claim must exist, and nothing in them is executed."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def test_it_reads_what_numpy_wrote(tmp_path):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (content_of(np.zeros(3)).replace(b"(3,)", b"(9,)"), "claims 72 bytes, and there are 24"),
+        (content_of(np.zeros(3)).replace(b"(3,)", b"(9,)"), "claims 72 bytes, but there are 24"),
         (content_of(np.zeros(3)).replace(b"(3,), }         ", b"(1000000000000,)"), "SyntaxError|claims|header|EOF"),
         (content_of(np.zeros(3)).replace(b"(3,)", b"(-3)"), "shape"),
         (content_of(np.array([{}], dtype=object), allow_pickle=True), "objects, which may be programs"),
-        (content_of(np.zeros(3))[:-8], "claims 24 bytes, and there are 16"),
+        (content_of(np.zeros(3))[:-8], "claims 24 bytes, but there are 16"),
         (b"", "EOF|magic"),
     ],
 )
@@ -71,5 +71,5 @@ def test_a_name_twice_is_refused(tmp_path):
         archive.writestr("a.npy", content_of(np.zeros(1)))
         with pytest.warns(UserWarning, match="Duplicate name"):
             archive.writestr("a.npy", content_of(np.ones(1)))
-    with pytest.raises(ValueError, match="or there twice"):
+    with pytest.raises(ValueError, match="or appears twice"):
         read_arrays(path)

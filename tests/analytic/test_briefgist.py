@@ -124,9 +124,9 @@ def test_heading_in_spite_of_noise_and_bars():
     [
         ({"rows": 0}, "at least 1 x 2 windows, got 0 x 16"),
         ({"columns": 1}, "at least 1 x 2 windows, got 64 x 1"),
-        ({"rows": 5, "columns": 8}, "5 rows of windows, which do not divide its 16 rows of pixels: take 4 or 8"),
-        ({"rows": 64, "columns": 8}, "64 rows of windows, which do not divide its 16 rows of pixels: take 16 for"),
-        ({"rows": 4, "columns": 7}, "take 6 or 8 for 'columns', or resize"),
+        ({"rows": 5, "columns": 8}, "5 rows of windows, which do not divide its 16 rows of pixels: use 4 or 8"),
+        ({"rows": 64, "columns": 8}, "64 rows of windows, which do not divide its 16 rows of pixels: use 16 for"),
+        ({"rows": 4, "columns": 7}, "use 6 or 8 for 'columns', or resize"),
     ],
 )
 def test_mistakes_are_one_sentence(params, says):

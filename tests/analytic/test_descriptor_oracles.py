@@ -1,4 +1,4 @@
-"""The descriptors against what their docstrings say, computed again by loops in `tests/oracles/descriptors`."""
+"""The descriptors against their docstrings, computed again with loops in `tests/oracles/descriptors`."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What every analytic descriptor has to do, whatever it is made of."""
+"""What every analytic descriptor has to do, however it is computed."""
 
 import pickle
 from math import prod
@@ -238,7 +238,7 @@ def test_an_ordinary_camera_has_no_heading(name):
         (np.zeros((32, 1)), "at least 2 columns, got 32 x 1"),
         (np.zeros((2, 5, 32, 128)), r"got \(2, 5, 32, 128\)"),
         (np.zeros((32, 128, 3)), r"channels first, \(3, H, W\), got \(32, 128, 3\)"),
-        ([np.zeros((32, 128)), np.zeros((32, 64))], "one size"),
+        ([np.zeros((32, 128)), np.zeros((32, 64))], "the same size"),
     ],
     ids=["nan", "infinite", "range", "type", "column", "shape", "channels last", "mixed"],
 )

@@ -1,4 +1,4 @@
-"""Gist: sizes, what it answers to, turns, disturbances, mistakes."""
+"""Gist: sizes, what it responds to, turns, disturbances, mistakes."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_contrast_scales_and_an_offset_does_nothing():
 
 
 def test_without_wrap_around_the_ends_are_reflected():
-    """A picture beside its mirror image wraps around smoothly, and either half of it is the reflected picture."""
+    """An image next to its mirror image wraps around smoothly, and either half of it is the reflected image."""
     picture = BATCH[0, 0]
     both = descriptor("gist", **SMALL, normalized=False).describe(np.concatenate([picture, picture[:, ::-1]], axis=1))
     made = descriptor("gist", **SMALL, normalized=False, circular=False)

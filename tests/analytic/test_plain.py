@@ -1,4 +1,4 @@
-"""Descriptors without torch give what they give with it."""
+"""Descriptors give the same results without torch as with it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def both(name, **options):
 
 
 def apart(one, other):
-    """The largest distance of two parts, of the length of the first."""
+    """The largest distance of two parts, relative to the length of the first."""
     one, other = (np.asarray(part).reshape(len(part), -1) for part in (one, other))
     return float((np.linalg.norm(one - other, axis=1) / np.linalg.norm(one, axis=1)).max())
 

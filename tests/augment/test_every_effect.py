@@ -1,4 +1,4 @@
-"""What is true of every effect and every policy."""
+"""What holds for every effect and every policy."""
 
 import json
 

@@ -265,7 +265,7 @@ def test_jpeg_outputs_have_quality_95(images, tmp_path):
         (lambda i, o: (i, [[p] for p in i], o.parent), "outputs must differ from each other and from the images"),
         (lambda i, o: (i, outputs(o / "..", 3, 1), o / "deeper"), "lies outside the folder"),
         (lambda i, o: (i, outputs(o / "in" / ".." / "..", 3, 1), o), "lies outside the folder"),
-        (lambda i, o: (i, outputs(o, 3, 1, ".txt"), o), "does not end like a picture: use .jpeg or .png"),
+        (lambda i, o: (i, outputs(o, 3, 1, ".txt"), o), "does not end like an image: use .jpeg or .png"),
     ],
 )
 def test_paths_that_make_no_sense(images, tmp_path, arguments, message):

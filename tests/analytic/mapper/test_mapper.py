@@ -360,7 +360,7 @@ def test_a_robot_that_stands_still_stays_in_its_node():
 
 @pytest.mark.parametrize("size", [6, 96])
 def test_a_robot_that_stops_stays_in_its_node_though_the_held_out_frames_are_all_equal(size):
-    """Their distances then have no spread, and rounding alone must not tell the next equal frame from them."""
+    """Their distances then have no spread, and rounding alone must not distinguish the next equal frame from them."""
     for seed in range(12):
         world = World(size=size, steps=0, reach=4.0, seed=seed)
         frames = rows(world.at(corridor_drive(5, seed=seed), noise=0.2, seed=seed))

@@ -102,7 +102,7 @@ def test_frames_that_hardly_differ_still_give_finite_distances(points):
 @pytest.mark.parametrize("size", [4, 20])
 @pytest.mark.parametrize("noise", [0.0, 1e-5])
 def test_frames_that_are_nearly_equal_keep_their_model_when_others_leave(size, noise):
-    """Taking the spread of the others from all sums at once would leave rounding, and a covariance of no inverse."""
+    """Taking the spread of the others from all sums at once would leave rounding, and a singular covariance."""
     for seed in range(10):
         generator = np.random.default_rng(seed)
         place = generator.normal(size=size)

@@ -143,7 +143,7 @@ def test_a_file_with_any_byte_changed_is_refused_or_the_same_map(tmp_path):
 
 
 def rewritten(path, goal, **changes):
-    """Copy a map with other values in its header; None takes an entry of the file away."""
+    """Copy a map with other values in its header; None removes an entry of the file."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
     head = json.loads(arrays["header"].tobytes())
