@@ -1,4 +1,4 @@
-"""Pictures and pages made from results. Matplotlib is loaded only when something is drawn."""
+"""Plots and report pages made from results. Matplotlib is loaded only when something is drawn."""
 
 from __future__ import annotations
 

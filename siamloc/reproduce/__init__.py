@@ -1,4 +1,4 @@
-"""Published tables and figures, measured again: one call, or one command, for each.
+"""Reproduce published tables and figures, each with one call or one command.
 
 result = siamloc.reproduce.reproduce("figure_3_11", data="freiburg_sim", scale="short")
 print(result.table())

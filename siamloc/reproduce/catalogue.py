@@ -1,4 +1,4 @@
-"""`listing`: what can be reproduced, what it needs, and about how long it takes."""
+"""`listing`: what can be reproduced, what it needs, and roughly how long it takes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from siamloc.reproduce.recipe_book import (
 
 @typed
 def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
-    """Return what can be reproduced: for each id what it is, what it needs, and about how long it takes.
+    """Return a list of what can be reproduced: for each id, what it is, what it needs, and roughly how long it takes.
 
     Args:
         data: "cold", "freiburg_sim" or "mini".
@@ -35,9 +35,9 @@ def listing(data: str = "freiburg_sim", scale: str = "short") -> str:
     nothing = [f"{id:<14} {reason}" for id, reason in without_measurement().items()]
     return "\n".join(
         [
-            f"What there is, what it needs, and about how long it takes alone at scale={scale} on two processor cores:",
+            f"What can be reproduced, what it needs, and about how long it takes alone at scale={scale} on two cores:",
             *("", *lines, ""),
-            *("Panels of these, or the same numbers drawn otherwise:", "", *covered, ""),
+            *("Panels of these, or the same numbers drawn differently:", "", *covered, ""),
             *("Nothing to measure:", "", *nothing, ""),
             *textwrap.wrap(f"data={data} is {about['title']}: {about['how']}", 118, break_on_hyphens=False),
         ]
@@ -64,7 +64,7 @@ def _needs(one: Recipe, data: str, scale: str) -> str:
 
 
 def _lasting(seconds: float) -> str:
-    """Say about how long something takes."""
+    """Return a rough duration in words."""
     if seconds < 90:
         return "seconds" if seconds < 30 else "a minute"
     return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.0f} hours"

@@ -1,17 +1,17 @@
-"""What the documents claim about their numbers, in a form that published and measured numbers can be held against.
+"""The documents' claims about their numbers, in a form that published and measured numbers can be checked against.
 
-A check is one of three:
+There are three kinds of checks:
 
-- `order`: `measure` is larger for the records of `more` than for those of `less`; `others` are all that the opposite
-  side leaves. `pick` says which of a side's numbers are compared: `each` (the smallest of `more` with the largest of
-  `less`), `min`, `max` or `mean`. With `factor` it is larger at least that many times.
-- `trend`: `measure` goes `up` or `down` `along` a setting; records at the same place count with their mean, or what
-  `pick` says. `within` is the share of a value by which a step may go the other way. One that goes `flat` has no value
-  more than that share above the smallest.
+- `order`: `measure` is larger for the records of `more` than for those of `less`; `others` are all records that the
+  opposite side leaves. `pick` selects the numbers compared on each side: `each` (the smallest of `more` with the
+  largest of `less`), `min`, `max` or `mean`. With `factor`, it must be larger by at least that factor.
+- `trend`: `measure` goes `up` or `down` `along` a setting; records at the same place are represented by their mean, or
+  as `pick` says. `within` is the share of a value by which a step may go the opposite way. A trend that goes `flat` has
+  no value more than that share above the smallest.
 - `threshold`: `measure` is `above`, `below`, `at_least` or `at_most` a number, for `each` record, or for their `min`,
   `max` or `mean`.
 
-`where` narrows the records; `match` makes the check in every group that has equal values of these settings. A setting
+`where` filters the records; `match` applies the check to every group with equal values of these settings. A setting
 may be given as a value, a list of values, bounds (`above`, `below`, `at_least`, `at_most`), or `not` with a value or a
 list.
 """
@@ -52,19 +52,19 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence of a document, with the check that stands for it."""
+    """A sentence of a document, with the check that represents it."""
 
     id: str
     source: Source
     sentence: str
     check: Mapping[str, Any]
     entries: tuple[str, ...] = ()
-    """Ids of the published numbers that it speaks of; none where those are in a figure."""
+    """Ids of the published numbers it refers to; empty if those are in a figure."""
     reading: str = ""
-    """What the check takes the sentence's vague words for."""
+    """How the check interprets vague words of the sentence."""
 
     def printed(self) -> bool | None:
-        """Return whether the document's own numbers bear the claim out; None where they were not printed."""
+        """Return whether the document's own numbers support the claim; None if they were not printed."""
         return holds(self.check, [record for entry in self.entries for record in published(entry).records()])
 
 
@@ -87,10 +87,10 @@ def claims() -> tuple[Claim, ...]:
 
 @typed
 def holds(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
-    """Hold a check against numbers, published or measured.
+    """Return whether published or measured numbers pass a check.
 
     Returns:
-        None where the records do not have what the check compares.
+        None if the records lack what the check compares.
 
     Raises:
         ConfigError: an unknown kind of check or key.
@@ -167,7 +167,7 @@ def _values(records: Sequence[Record], chosen: Sequence[bool]) -> list[float]:
 
 
 def _fits(record: Record, wanted: Mapping[str, Any]) -> bool:
-    """Return whether a record has all these settings; one that it does not have fits nothing."""
+    """Return whether a record has all these settings; a missing setting never fits."""
     return all(name in record.settings and _equal(record.settings[name], value) for name, value in wanted.items())
 
 

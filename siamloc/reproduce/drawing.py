@@ -1,4 +1,4 @@
-"""Figures in the shape of the published ones: lines over a setting, or fields of colour over two."""
+"""Draw figures in the form of the published ones: lines over one setting, or heat maps over two."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class _Panel:
     title: str
     records: Sequence[Record]
     of_figure: Sequence[Record]
-    """Those of all panels of the same figure, which have the same scale."""
+    """Records of all panels of the same figure, which share one scale."""
 
 
 @style()
@@ -33,7 +33,7 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
     """Draw each panel of a recipe's figure.
 
     Args:
-        figures: what is drawn: `measure`, `x`, `series` or `y`, `panels`, `where`, `title`.
+        figures: what to draw: `measure`, `x`, `series` or `y`, `panels`, `where`, `title`.
         records: measured numbers.
 
     Raises:
@@ -58,7 +58,7 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
         lines = _lines(one, panel)
         if names_of(panel.figure, "series") == first:
             handles |= lines
-        else:  # the same colours stand for something else
+        else:  # here the same colours mean something else
             one.legend(lines.values(), lines.keys(), fontsize=6.5, loc="best")
     if len(handles) > 1:
         rows = -(-len(handles) // max(2, int(1.6 * across)))
@@ -83,7 +83,7 @@ def _panels(figure: Mapping[str, Any], records: Sequence[Record]) -> list[_Panel
 def _lines(axes: Any, panel: _Panel) -> dict[str, Any]:
     figure, (x, x_factor) = panel.figure, _axis(panel.figure["x"])
     names, factor = names_of(figure, "series"), _factor(figure["measure"])
-    # Where other settings vary too, the line is the best of them, as the text speaks of it.
+    # If other settings vary as well, the line shows the best of them, as the text refers to it.
     pick: Any = _PICKS[figure.get("best", "mean")]
     handles: dict[str, Any] = {}
     for rank, (key, part) in enumerate(grouped(names, panel.records).items()):
@@ -106,7 +106,7 @@ def _lines(axes: Any, panel: _Panel) -> dict[str, Any]:
     axes.set(xlabel=x, ylabel=f"{said(figure['measure'])} {_bracket(figure['measure'])}".rstrip())
     axes.grid(True)
     low, high = axes.get_ylim()
-    if panel.of_figure is not panel.records:  # what stands side by side has one scale
+    if panel.of_figure is not panel.records:  # panels side by side share one scale
         high = factor * max(_drawn_values(panel, names, pick))
     if min(low, *(one.value for one in panel.of_figure)) >= 0 or low > 0:
         axes.set_ylim(0, max(1.03 * high, 1e-9))
@@ -124,7 +124,7 @@ def _field(axes: Any, panel: _Panel) -> None:
     values = factor * _means(figure, panel.records)
     every = [factor * one.value for one in panel.of_figure]
     low, high = (0.0, 100.0) if unit(figure["measure"]) == "share" else (min(every), max(every))
-    timed = unit(figure["measure"]) == "s" and low > 0  # times are of very different size
+    timed = unit(figure["measure"]) == "s" and low > 0  # times differ by orders of magnitude
     scaled, low, high = (np.log(values), np.log(low), np.log(high)) if timed else (values, low, high)
     high = high if high > low else low + 1
     axes.imshow(scaled, cmap="Blues", vmin=low, vmax=high, origin="lower", aspect="auto")
@@ -147,7 +147,7 @@ def _field(axes: Any, panel: _Panel) -> None:
 
 
 def _means(figure: Mapping[str, Any], records: Sequence[Record]) -> NDArray[np.float64]:
-    """Return the mean of a panel's records at each of its places; nan where there are none."""
+    """Return the mean of a panel's records at each of its places; NaN if there are none."""
     columns, rows = ([key for (key,) in grouped([figure[name]], records)] for name in ("x", "y"))
     values = np.full((len(rows), len(columns)), np.nan)
     for (row, column), part in grouped([figure["y"], figure["x"]], records).items():
@@ -164,14 +164,14 @@ def _cell(value: float, close: bool) -> str:
 
 
 def _axis(name: str) -> tuple[str, float]:
-    """Return what an axis is called, with its unit, and what its numbers are drawn times."""
+    """Return the label of an axis with its unit, and the factor its numbers are multiplied by."""
     about = axis(name)
     label = about.get("says", name.replace("_", " "))
     return (f"{label} [{about['unit']}]" if "unit" in about else label), float(about.get("factor", 1))
 
 
 def _factor(measure: str) -> float:
-    """Return what numbers are drawn times: shares in percent, seconds in milliseconds."""
+    """Return the factor numbers are multiplied by: shares are shown in percent, seconds in milliseconds."""
     return {"share": 100.0, "s": 1000.0}.get(unit(measure), 1.0)
 
 

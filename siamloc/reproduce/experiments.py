@@ -1,6 +1,6 @@
-"""What experiments measure: each kind is a call or two of the library, and returns records.
+"""Kinds of experiments: each makes one or two calls of the library and returns records.
 
-Nothing here knows what was published: measured numbers come from images alone.
+Nothing here uses published numbers: measured numbers come from images only.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _REMEMBERED = 3
 
 @dataclass
 class Data:
-    """A data set, opened when something of it is needed.
+    """A data set, opened on demand.
 
     Attributes:
         name: a name in `recipe_book.yaml`.
-        root: where it lies.
+        root: folder of the data set.
         image_size: rows and columns of a panorama.
-        work: folder for runs that are being trained.
+        work: folder for training runs in progress.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Data:
     def __post_init__(self) -> None:
         if not self.root.is_dir():
             raise DataError(
-                f"{data_named(self.name)['title']} is looked for in {self.root}, which does not exist: {self._how}"
+                f"{data_named(self.name)['title']} is expected in {self.root}, which does not exist: {self._how}"
             )
 
     @property
@@ -61,7 +61,7 @@ class Data:
 
     @cached_property
     def settings(self) -> DataSettings:
-        """How it is read."""
+        """How to read it."""
         size = self.image_size
         return DataSettings.of({"kind": "cold", "name": self.name, "root": str(self.root), "image_size": list(size)})
 
@@ -77,16 +77,16 @@ class Data:
 
     @cached_property
     def other(self) -> Data:
-        """Another building, which lies beside it."""
+        """Another building, in a folder next to it."""
         about = data_named(self.name)["other"]
         return Data(about["name"], self.root.parent / about["folder"], self.image_size, self.work)
 
     def described(self, options: Mapping[str, Any], role: Mapping[str, Any]) -> VisualMap:
-        """Return the map of a role's frames by a descriptor; the last few are remembered.
+        """Return the map of a role's frames by a descriptor; the last few are cached.
 
         Args:
             options: the descriptor's name and parameters.
-            role: frames.
+            role: the frames.
         """
         key = content_key([dict(options), dict(role)])
         if key not in self._described:
@@ -97,10 +97,10 @@ class Data:
         return self._described[key]
 
     def role(self, role: Mapping[str, Any]) -> FrameTable:
-        """Return the frames of a role; with `one_in`, every so-many-th of what the rest of it selects.
+        """Return the frames of a role; with `one_in`, only every n-th of the selected frames.
 
         Raises:
-            DataError: a run that is not there.
+            DataError: a run that does not exist.
         """
         names, chosen = data_named(self.name)["runs"], dict(role)
         runs, one_in = chosen.pop("runs"), chosen.pop("one_in", 1)
@@ -119,10 +119,10 @@ Measured = Iterator[Record]
 
 
 def retrieval(job: Job, data: Data) -> Measured:
-    """Find the nearest map frame by each distance ([T] 3.5.1-3.5.2): hit rate, error, time and size."""
+    """Find the nearest map frame with each distance ([T] 3.5.1-3.5.2): hit rate, error, time and size."""
     frames, clock = data.role(job.roles["query"]), Stopwatch()
     own = _described(job.options["descriptor"], job, data)
-    list(maps.describe(own, data.images, frames.take([0])))  # what is set up once is no query's time
+    list(maps.describe(own, data.images, frames.take([0])))  # keeps one-time setup out of the query times
     queries = Description.concatenate(list(maps.describe(own, data.images, frames, clock=clock)))
     described = clock.ms("describe") or 0.0
     for place in _compared(own, job.options):
@@ -143,7 +143,7 @@ def retrieval(job: Job, data: Data) -> Measured:
 
 
 def disturbed(job: Job, data: Data) -> Measured:
-    """Disturb the queries ([T] 3.5.2-3.5.4): errors of the position, and of the heading by the nearest frame."""
+    """Disturb the queries ([T] 3.5.2-3.5.4): errors of the position, and of the heading at the nearest frame."""
     frames, options = data.role(job.roles["query"]), job.options
     own = _described(options["descriptor"], job, data)
     for place in _compared(own, options):
@@ -171,14 +171,14 @@ def disturbed(job: Job, data: Data) -> Measured:
 
 
 def mapping(job: Job, data: Data) -> Measured:
-    """Group a drive into nodes ([T] 4.5-4.6, [I] 6): silhouette, nodes, frames in none, time."""
+    """Group a drive into nodes ([T] 4.5-4.6, [I] 6): silhouette, number of nodes, frames in no node, time."""
     known = next(_compared(_described(job.options["descriptor"], job, data), {}))
     yield from _grouped(known, job.options["build"], job.settings)
     yield Record("frames", len(known), job.settings)
 
 
 def matched(job: Job, data: Data) -> Measured:
-    """Group a drive by the incremental mapper, then by spectral clustering into as many nodes ([T] table 4.3)."""
+    """Group a drive with the incremental mapper, then into as many nodes by spectral clustering ([T] table 4.3)."""
     known = next(_compared(_described(job.options["descriptor"], job, data), {}))
     incremental = list(_grouped(known, job.options["build"], {**job.settings, "method": "incremental"}))
     nodes = next(int(one.value) for one in incremental if one.measure == "nodes")
@@ -199,7 +199,7 @@ def _grouped(known: VisualMap, build: Mapping[str, Any], settings: Mapping[str, 
 
 
 def growing(job: Job, data: Data) -> Measured:
-    """Count the nodes while a map grows ([T] figures 4.13-4.15)."""
+    """Count the nodes as a map grows ([T] figures 4.13-4.15)."""
     from analytic.mapper import IncrementalMapper
 
     known = _described(job.options["descriptor"], job, data)
@@ -214,7 +214,7 @@ def growing(job: Job, data: Data) -> Measured:
 
 
 def compact(job: Job, data: Data) -> Measured:
-    """Locate in compact maps ([C] 5.2-5.4): error to the node's position and inside it, compactness, times."""
+    """Locate in compact maps ([C] 5.2-5.4): errors at node positions and inside nodes, compactness, times."""
     frames, options = data.role(job.roles["query"]), job.options
     own = _described(options["descriptor"], job, data)
     clusters = None
@@ -271,7 +271,7 @@ def buildings(job: Job, data: Data) -> Measured:
 
 
 def rooms(job: Job, data: Data) -> Measured:
-    """Measure how large rooms are ([T] table 5.5)."""
+    """Measure the size of rooms ([T] table 5.5)."""
     for room, (frames, largest) in room_sizes(data.role(job.roles["map"])).items():
         code = room.rpartition("/")[2]
         yield Record("room_diameter", largest, {**job.settings, "room": code})
@@ -279,7 +279,7 @@ def rooms(job: Job, data: Data) -> Measured:
 
 
 def trained(job: Job, data: Data) -> Measured:
-    """Train a siamese network, then tell rooms apart ([T] 5.4.1) or locate ([T] 5.4.2-5.4.3) by it."""
+    """Train a siamese network, then use it to distinguish rooms ([T] 5.4.1) or to locate ([T] 5.4.2-5.4.3)."""
     options = job.options
     pairs = dict(options["pairs"])
     told = {key: options[key] for key in ("branch", "head", "epochs", "batch_size")}
@@ -297,7 +297,7 @@ def trained(job: Job, data: Data) -> Measured:
 
 
 def named_rooms(job: Job, data: Data) -> Measured:
-    """Train a network to name the room, then locate inside the room that it names ([T] table 5.19, single network)."""
+    """Train a network to classify the room, then locate inside that room ([T] table 5.19, single network)."""
     from siamloc.models import CrossEntropyLoss
 
     told = {key: job.options[key] for key in ("branch", "head", "epochs")} | dict(job.settings)
@@ -310,7 +310,7 @@ def named_rooms(job: Job, data: Data) -> Measured:
 
 @contextmanager
 def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMap]:
-    """Train the network of a job and describe the job's map by it; the run goes once its records are taken."""
+    """Train the network of a job and describe the job's map with it; the run is deleted once its records are made."""
     from siamloc import models, training
 
     options = job.options
@@ -324,7 +324,7 @@ def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMa
         data.role(job.roles["train"]),
         run=folder,
         augmentation=options.get("augment"),
-        resume=(folder / "run.json").is_file(),  # where it was stopped, it goes on
+        resume=(folder / "run.json").is_file(),  # continues an interrupted run
         epochs=options["epochs"],
         optimizer=options["optimizer"],
         **training_options,
@@ -334,7 +334,7 @@ def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMa
 
 
 def _judged_pairs(own: VisualMap, job: Job, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
-    """Tell pairs of one room from pairs of two, among the frames of the training and among the queries."""
+    """Distinguish pairs of one room from pairs of two, among the training frames and among the queries."""
     asked = {"count": job.options["judged"], "same_room_share": 0.5}
     for phase, frames in (("train", data.role(job.roles["train"])), ("test", queries)):
         judged = evaluation.localization(
@@ -353,7 +353,7 @@ def _located(result: Result, own: VisualMap, told: Mapping[str, Any]) -> Measure
 
 
 def _inside_rooms(own: VisualMap, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
-    """Locate each query inside its true room alone ([T] table 5.15)."""
+    """Locate each query only inside its true room ([T] table 5.15)."""
     layer = maps.group(own, "rooms", progress=False)
     columns = evaluation.hierarchical(own, data.images, queries, layer, candidates=1).tables["queries"]
     for room in np.unique(columns["room"]).tolist():
@@ -379,16 +379,16 @@ KINDS: dict[str, Callable[[Job, Data], Measured]] = {
 
 
 def measured(job: Job, data: Data) -> Sequence[Record]:
-    """Return the records of a job; values that are not finite are left out.
+    """Return the records of a job, without values that are not finite.
 
     Raises:
-        SiamlocError: data that lack what the job needs.
+        SiamlocError: the data lack what the job needs.
     """
     return [replace(one, value=float(one.value)) for one in KINDS[job.kind](job, data) if np.isfinite(one.value)]
 
 
 def _compared(own: VisualMap, options: Mapping[str, Any]) -> Iterator[VisualMap]:
-    """Yield the map by each distance that is asked for, but for those that say nothing of so few numbers."""
+    """Yield the map with each requested distance, without those that are meaningless for so few numbers."""
     for distance in options.get("distances") or [own.descriptor.default_distance]:
         try:
             yield own.with_distance(distance)
@@ -402,7 +402,7 @@ def _described(options: Mapping[str, Any], job: Job, data: Data) -> VisualMap:
 
 
 def image_size(job: Job) -> tuple[int, int]:
-    """Return the rows and columns of the panoramas that a job takes: the published ones where it names no others."""
+    """Return the rows and columns of a job's panoramas: the published size unless it sets another."""
     from siamloc.models.registry import PRETRAINED_SIZE
 
     if "image_size" in job.options:
@@ -413,7 +413,7 @@ def image_size(job: Job) -> tuple[int, int]:
 
 
 def information(job: Job) -> float:
-    """Return how many numbers the position part of a job's descriptor has, as a share of those of the image."""
+    """Return the size of the position part of a job's descriptor, as a share of the number of pixels."""
     rows, columns = image_size(job)
     by = cast(ImageDescriptor, described_by(job.options["descriptor"]))
     position, _ = by.sizes(rows, columns)
@@ -421,7 +421,7 @@ def information(job: Job) -> float:
 
 
 def described_by(options: Mapping[str, Any]) -> Descriptor:
-    """Return a descriptor by its name and parameters; "pretrained" is the network that comes with siamloc."""
+    """Return a descriptor by its name and parameters; "pretrained" is the network shipped with siamloc."""
     values = dict(options)
     name = values.pop("name")
     if name == "pretrained":

@@ -1,4 +1,4 @@
-"""The report: what was reproduced, on which machine, and what became of the claims; one page of Markdown."""
+"""The report: what was reproduced, on which machine, and whether the claims hold; one page of Markdown."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from siamloc.reproduce.running import machine
 from siamloc.results import versions
 
 _ABOUT = """\
-Each part below is a published table or figure, measured again: `siamloc reproduce ID data=... scale=...` makes it, and
-`siamloc reproduce --list` names all. Published numbers and claims are those of three texts: **[I]** Román et al. 2020,
-**[C]** Cebollada et al. 2019, **[T]** Román's thesis of 2023. They were measured on other images, partly by other
-protocols, on other machines; each part says what stands for what here. A claim is a sentence of a text with a check
-that numbers can be held against: it *holds*, *does not hold*, or is *not decidable* where the recipe, the data or the
-scale do not have what it compares. Where the printed numbers decide it themselves, their verdict stands beside ours.
-The notes of a part say what is known of why a claim does not hold here; where they say nothing, we know no reason.
-Neither the building nor a check is tuned to a claim.
+Each part below is a published table or figure, measured again: `siamloc reproduce ID data=... scale=...` produces it,
+and `siamloc reproduce --list` lists all. Published numbers and claims come from three texts: **[I]** Román et al. 2020,
+**[C]** Cebollada et al. 2019, **[T]** Román's thesis of 2023. They were measured on other images, partly with other
+protocols, on other machines; each part says what replaces what here. A claim is a sentence of a text with a check that
+numbers can be tested against: it *holds*, *does not hold*, or is *not decidable* if the recipe, the data or the scale
+lack what it compares. If the printed numbers themselves decide it, their verdict is shown next to ours. The notes of a
+part say what is known about why a claim does not hold here; if they say nothing, we know of no reason. Neither the
+building nor a check is tuned to a claim.
 """
 
 
 @typed
 def write_report(results: Sequence[Reproduction], path: str | Path, missing: Mapping[str, str] | None = None) -> Path:
-    """Write the page of several reproductions next to their pictures, and return its path.
+    """Write the page of several reproductions and their plots to the same folder, and return its path.
 
     Args:
-        results: of one data set and scale.
-        path: of the page, name.md.
-        missing: why others could not be measured, by their ids.
+        results: reproductions on one data set and scale.
+        path: path of the page, name.md.
+        missing: reasons why others could not be measured, by id.
 
     Raises:
-        StorageError: the disk refuses.
+        StorageError: the disk is full or cannot be written to.
     """
     path = Path(path)
     for one in results:
@@ -62,7 +62,7 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
         f"Of {sum(counted.values())} claims {counted[True]} hold, {counted[False]} do not, and {counted[None]} cannot "
         "be decided here.",
         "",
-        "| | | claims that hold | that do not | not decidable | published numbers beside ours |",
+        "| | | claims that hold | that do not | not decidable | published numbers next to ours |",
         "|---|---|---|---|---|---|",
     ]
     for one in results:
@@ -81,10 +81,10 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
 
 
 def _verdicts(results: Sequence[Reproduction]) -> list[Verdict]:
-    """Return each claim's verdict once."""
+    """Return the verdict of each claim once."""
     return list({verdict.claim.id: verdict for one in results for verdict in one.verdicts}.values())
 
 
 def _machines(results: Sequence[Reproduction]) -> str:
-    """Say where the numbers were measured; here where that was not noted."""
+    """Return the machines the numbers were measured on; this one if that was not recorded."""
     return " and ".join(dict.fromkeys(name for one in results for name in one.machines)) or machine()

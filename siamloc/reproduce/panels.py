@@ -1,4 +1,4 @@
-"""Which records a panel of a figure shows, and what its axes are called."""
+"""Select the records for a panel of a figure, and label its axes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _ORDER: Mapping[str, Sequence[Any]] = {
 
 
 def names_of(figure: Mapping[str, Any], key: str) -> list[str]:
-    """Return the settings that a panel's `series` or `panels` name: none, one or several."""
+    """Return the settings named by a panel's `series` or `panels`: none, one or several."""
     named = figure.get(key, "descriptor" if key == "series" and "y" not in figure else [])
     return [named] if isinstance(named, str) else list(named)
 
 
 def shown(figure: Mapping[str, Any], records: Sequence[Record]) -> list[Record]:
-    """Return the records of a figure: those of its measure that have all settings it is drawn over."""
+    """Return the records of a figure: those of its measure that have all the settings it is drawn over."""
     where = figure.get("where", {})
     needed = [
         figure["x"],
@@ -38,7 +38,7 @@ def shown(figure: Mapping[str, Any], records: Sequence[Record]) -> list[Record]:
 
 
 def grouped(names: Sequence[str], records: Sequence[Record]) -> dict[tuple[Any, ...], list[Record]]:
-    """Return records by their values of some settings, in the order in which these are drawn."""
+    """Return records grouped by their values of some settings, in drawing order."""
     groups: dict[tuple[Any, ...], list[Record]] = {}
     for one in records:
         groups.setdefault(tuple(one.settings.get(name) for name in names), []).append(one)
@@ -58,7 +58,7 @@ def _rank(name: str, value: Any, seen: Sequence[Any]) -> float:
 
 
 def title(name: str, value: Any) -> str:
-    """Say what a setting is, as in "k1 8" or "homomorphic filter"."""
+    """Return the label of a setting and its value, as in "k1 8" or "homomorphic filter"."""
     if name == "filter":
         return "homomorphic filter" if value else "no filter"
     about = axis(name)
@@ -72,13 +72,13 @@ def title(name: str, value: Any) -> str:
 
 
 def unit(measure: str) -> str:
-    """Return the unit of a measure; the empty text where it has none."""
+    """Return the unit of a measure; "" if it has none."""
     found = str(measures().get(measure, {}).get("unit", "s" if measure.endswith("seconds") else "1"))
     return "" if found == "1" else found
 
 
 def said(measure: str) -> str:
-    """Say what a measure is called: "seconds" are a time."""
+    """Return the label of a measure; "seconds" becomes "time"."""
     if measure == "seconds":
         return "time"
     return measure.removesuffix("_seconds").replace("_", " ") + (" time" if measure.endswith("_seconds") else "")

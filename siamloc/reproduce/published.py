@@ -1,4 +1,4 @@
-"""Published numbers, table by table, as rows as they were printed and as records to compare with measured ones."""
+"""Published numbers by table, as printed rows and as records to compare with measured ones."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _NUMBER = re.compile(r"([~<>]?)(-?\d+(?:\.\d+)?)")
 
 @dataclass(frozen=True)
 class Source:
-    """Where something was published. Sections stand for pages."""
+    """Where something was published, by section instead of page."""
 
     document: str
-    """"T", "I" or "C", the documents that `published.yaml` names; "none" where it is none of them."""
+    """"T", "I" or "C", the documents listed in `published.yaml`; "none" if it is not one of them."""
     section: str
     table: str | None = None
     figures: str | None = None
 
     @property
     def place(self) -> str:
-        """The table or the figures in words, "" where it is neither."""
+        """The table or figures in words, "" if it is neither."""
         if self.table:
             return f"table {self.table}"
         several = self.figures is not None and bool(re.search("-| and ", self.figures))
@@ -48,16 +48,16 @@ class Column:
     """What the numbers measure; None for a setting."""
     decimals: int | None = None
     at: Mapping[str, Any] = field(default_factory=dict)
-    """Settings that belong to all numbers of the column, such as the lighting."""
+    """Settings shared by all numbers of the column, such as the lighting."""
     key: str | None = None
-    """The setting's key in siamloc's configuration, where there is one."""
+    """The setting's key in siamloc's configuration, if any."""
     names: Mapping[Any, Any] = field(default_factory=dict)
-    """Labels with what they are called in siamloc."""
+    """Names in siamloc by printed label."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """One number with all that it depends on; a measured one is written in the same way."""
+    """One number with everything it depends on; published and measured ones have the same form."""
 
     measure: str
     value: float
@@ -66,14 +66,14 @@ class Record:
     """In siamloc's names."""
     entry: str = ""
     printed: str = ""
-    """The number as it was printed, in the column's unit; empty for a measured one."""
+    """The number as printed, in the column's unit; empty for a measured one."""
     relation: str = "="
-    """"=", or "~", "<", ">" where only about, below or above is known."""
+    """"=", or "~", "<", ">" if the number is only approximate, or an upper or lower bound."""
 
 
 @dataclass(frozen=True)
 class Published:
-    """A published table, or the numbers that a section's text names."""
+    """A published table, or the numbers given in the text of a section."""
 
     id: str
     title: str
@@ -82,15 +82,15 @@ class Published:
     protocol: Mapping[str, str]
     """`train`, `map` and `query` in a few words."""
     settings: Mapping[str, Any]
-    """What all rows have in common, in siamloc's names."""
+    """Settings that all rows have in common, in siamloc's names."""
     columns: tuple[Column, ...]
     rows: tuple[Mapping[str, Any], ...]
     """Cells by column, with the labels as printed (in English); a cell that was not printed is missing or None."""
     notes: tuple[str, ...]
-    """Doubtful places: misprints, and what text and table say differently."""
+    """Doubtful points: misprints, and contradictions between text and table."""
 
     def records(self) -> tuple[Record, ...]:
-        """Return each number of a measure on its own, in siamloc's names and units, for a join with measured ones."""
+        """Return each number as a record of its own, in siamloc's names and units, to be joined with measured ones."""
         return tuple(record for row in self.rows for record in self._of_row(row))
 
     def _of_row(self, row: Mapping[str, Any]) -> Iterator[Record]:
@@ -117,7 +117,7 @@ class Published:
 
 
 def published(id: str) -> Published:
-    """Return what was published under an id, such as "table_5_7" or "section_3_5_1".
+    """Return the published numbers with an id, such as "table_5_7" or "section_3_5_1".
 
     Raises:
         ConfigError: an unknown id.
@@ -133,17 +133,17 @@ def published(id: str) -> Published:
 
 
 def published_all() -> tuple[Published, ...]:
-    """Return everything that was published, in the order of the documents."""
+    """Return all published tables and numbers, in the order of the documents."""
     return tuple(_entries().values())
 
 
 def measures() -> Mapping[str, Mapping[str, str]]:
-    """Return the measures by name, each with its `unit` and what it `says`."""
+    """Return the measures by name, each with its `unit` and description (`says`)."""
     return MappingProxyType(_contents()["measures"])
 
 
 def as_printed(cell: float | str, column: Column) -> str:
-    """Return a number with the decimals that it was printed with."""
+    """Return a number with as many decimals as were printed."""
     return cell if isinstance(cell, str) else f"{cell:.{column.decimals}f}"
 
 
@@ -163,7 +163,7 @@ def _entry(entry: Mapping[str, Any], known: Mapping[str, Any]) -> Published:
     columns = [_column(column, known) for column in entry["columns"]]
     listed = [column.name for column in columns]
     rows = [row if isinstance(row, dict) else dict(zip(listed, row, strict=True)) for row in entry["rows"]]
-    further = dict.fromkeys(name for row in rows for name in row if name not in listed)  # settings of a few rows only
+    further = dict.fromkeys(name for row in rows for name in row if name not in listed)  # settings of only a few rows
     columns += [_column({"name": name}, known) for name in further]
     return Published(
         id=entry["id"],

@@ -1,7 +1,7 @@
-"""Recipes: which experiments a published table or figure takes, as data (`recipe_book.yaml`), and their jobs.
+"""Recipes: the experiments behind a published table or figure, as data (`recipe_book.yaml`), and their jobs.
 
 An experiment is a call of the library with some settings varied; each combination is a job. Values may be given by
-scale, as in `{full: [1, 2, 4, 8], short: [2, 8]}`: a scale that is not named has what the next larger one has.
+scale, as in `{full: [1, 2, 4, 8], short: [2, 8]}`: a scale that is not listed uses the next larger one.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from siamloc.errors import ConfigError, hint
 from siamloc.reproduce.published import Source
 
 SCALES = ("smoke", "short", "full")
-"""From seconds on a small building, over minutes to hours, to what was published."""
+"""From seconds on a small building, through minutes to hours, to the published experiments."""
 
 _FILE = Path(__file__).with_name("recipe_book.yaml")
 
 
 @dataclass(frozen=True)
 class Job:
-    """One measurement: plain values, from which its records follow.
+    """One measurement: plain values that determine its records.
 
     Attributes:
-        experiment: which it belongs to.
+        experiment: the experiment it belongs to.
         kind: a name in `siamloc.reproduce.experiments.KINDS`.
-        roles: frames of the map, the queries and so on, as `siamloc.data.Role` takes them, with `runs` for sequences.
-        options: what the kind takes besides.
-        settings: what the records are told apart by, in siamloc's names.
-        dense: whether it needs frames every 5 cm where the data are simulated.
+        roles: frames of the map, the queries and so on, as arguments of `siamloc.data.Role`, with `runs` for sequences.
+        options: further options of the kind.
+        settings: settings that distinguish the records, in siamloc's names.
+        dense: whether it needs frames every 5 cm if the data are simulated.
         same_run: whether the queries come from the map's own drive.
     """
 
@@ -50,7 +50,7 @@ class Job:
     same_run: bool = False
 
     def plain(self) -> dict[str, Any]:
-        """Return what the job's records follow from, as plain values."""
+        """Return everything that determines the job's records, as plain values."""
         return {
             "kind": self.kind,
             "roles": {name: dict(role) for name, role in self.roles.items()},
@@ -63,11 +63,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Axis:
-    """Something that an experiment varies.
+    """A setting that an experiment varies.
 
     Attributes:
         sets: the option that it sets, with dots, such as "descriptor.rows".
-        to: values, by scale where they differ.
+        to: values, by scale if they differ.
     """
 
     sets: str
@@ -79,14 +79,14 @@ class Experiment:
     """A measurement with some settings varied.
 
     Attributes:
-        id: its name.
+        id: name of the experiment.
         kind: what is measured.
-        protocol: name of the frames that it takes.
-        over: what is varied, by the name that the documents give it.
+        protocol: name of the protocol, which selects the frames.
+        over: what is varied, by its name in the documents.
         options: what stays the same.
-        settings: what all its records carry.
-        dense: as of `Job`.
-        beside: whether it is ours, to stand beside the published ones: claims do not speak of it.
+        settings: settings that all its records have in common.
+        dense: as in `Job`.
+        beside: whether it is our own, shown next to the published ones: claims do not refer to it.
     """
 
     id: str
@@ -99,7 +99,7 @@ class Experiment:
     beside: bool = False
 
     def jobs(self, scale: str) -> list[Job]:
-        """Return one job for each combination of what is varied."""
+        """Return one job per combination of the varied settings."""
         protocol = _contents()["protocols"][self.protocol]
         roles, same_run = protocol["roles"], bool(protocol.get("same_run"))
         axes = {name: _at(axis.to, scale) for name, axis in self.over.items()}
@@ -127,15 +127,15 @@ class Recipe:
         id: such as "table_5_7" or "figure_3_11".
         title: what it shows.
         source: where it was published.
-        experiments: ids of the experiments that it takes.
-        entries: ids of the published numbers that stand beside ours.
-        claims: ids of what the text says of it.
-        join: settings by which published and measured numbers belong together; all that both have if None.
-        best: of several records with the same `join`, that with the largest value of this measure is taken.
-        where: which of the published numbers it measures, by their settings; all if empty.
-        covers: ids of further figures and tables whose numbers are among these.
+        experiments: ids of the required experiments.
+        entries: ids of the published numbers shown next to ours.
+        claims: ids of the claims the text makes about it.
+        join: settings by which published and measured numbers are matched; all common ones if None.
+        best: of several records with the same `join`, the one with the largest value of this measure is used.
+        where: settings that select the published numbers it measures; all if empty.
+        covers: ids of further figures and tables whose numbers are included.
         figure: how it is drawn: `measure`, `x`, `series` and `panels`, or nothing.
-        notes: what a reader has to know of the difference to the published experiment.
+        notes: what a reader must know about differences from the published experiment.
     """
 
     id: str
@@ -156,7 +156,7 @@ class Recipe:
         return [job for name in self.experiments for job in experiment(name).jobs(scale)]
 
     def protocol(self, scale: str = "full") -> Mapping[str, str]:
-        """Return which frames are map and queries, in words."""
+        """Return a description in words of the frames used as map and queries."""
         says = _contents()["protocols"][experiment(self.experiments[0]).protocol]["says"]
         return MappingProxyType(_resolved(says, scale))
 
@@ -166,7 +166,7 @@ def recipe(id: str) -> Recipe:
     """Return a recipe by its id, or by that of a figure that it covers.
 
     Raises:
-        ConfigError: an unknown id, with the nearest ones; one that shows nothing to measure, with the reason.
+        ConfigError: an unknown id (the message names similar ones), or one with nothing to measure (with the reason).
 
     Example:
         >>> recipe("figure_3_11").title
@@ -181,12 +181,12 @@ def recipe(id: str) -> Recipe:
     if id not in known and id not in covering:
         near = [repr(one) for one in get_close_matches(str(id), [*known, *covering, *nothing], n=3, cutoff=0.5)]
         asked = f"did you mean {' or '.join(near)}? " if near else ""
-        raise ConfigError(f"there is no recipe {id!r}; {asked}`siamloc reproduce --list` names all")
+        raise ConfigError(f"there is no recipe {id!r}; {asked}`siamloc reproduce --list` lists all")
     return known[covering.get(id, id)]
 
 
 def without_measurement() -> Mapping[str, str]:
-    """Return the ids of tables and figures that show no measurement to repeat, each with what it shows."""
+    """Return the ids of tables and figures without a measurement to repeat, each with what it shows."""
     return MappingProxyType(_contents()["nothing"])
 
 
@@ -208,19 +208,19 @@ def experiment(id: str) -> Experiment:
 
 
 def seconds_of(job: Job, scale: str) -> float:
-    """Return about how long a job takes at a scale, on two processor cores."""
+    """Return the approximate time in seconds of a job at a scale, on two processor cores."""
     takes = _contents()["takes"]
     return float(takes["experiment"].get(job.experiment, takes["kind"][job.kind]) * takes["scale"][scale])
 
 
 def axis(name: str) -> Mapping[str, Any]:
-    """Return what a setting is called where a figure is drawn over it: `says`, `short`, `unit`, `factor`."""
+    """Return how a setting is labelled in figures: `says`, `short`, `unit`, `factor`."""
     found: Mapping[str, Any] = _contents()["axes"].get(name, {})
     return found
 
 
 def data_named(name: str) -> Mapping[str, Any]:
-    """Return how a data set is read: `root`, `title`, and its sequences by the names of runs.
+    """Return how to read a data set: `root`, `title`, and its sequences by run name.
 
     Raises:
         ConfigError: an unknown name.
@@ -238,10 +238,10 @@ def data_names() -> tuple[str, ...]:
 
 
 def check_scale_and_data(scale: str, data: str) -> None:
-    """Refuse a scale or a data set that recipes do not know.
+    """Check that recipes know a scale and a data set.
 
     Raises:
-        ConfigError: an unknown one, with those that there are.
+        ConfigError: an unknown scale or data set; the message lists the known ones.
     """
     if scale not in SCALES:
         raise ConfigError(f"unknown scale {scale!r}: {hint(str(scale), SCALES)}")
@@ -249,14 +249,14 @@ def check_scale_and_data(scale: str, data: str) -> None:
 
 
 def _at(value: Any, scale: str) -> Any:
-    """Return what a value is at a scale."""
+    """Return the value that applies at a scale."""
     if not isinstance(value, Mapping) or not value or not set(value) <= set(SCALES):
         return value
     return value[next(one for one in SCALES[SCALES.index(scale) :] if one in value)]
 
 
 def _resolved(values: Any, scale: str) -> Any:
-    """Return values with those by scale resolved, whatever they lie in."""
+    """Return values with those given by scale resolved, at any depth."""
     values = _at(values, scale)
     if isinstance(values, Mapping):
         return {key: _resolved(value, scale) for key, value in values.items()}

@@ -1,4 +1,4 @@
-"""`Reproduction`: what a recipe measured, with the published numbers next to it and the claims held against it."""
+"""`Reproduction`: the measured numbers of a recipe, next to the published ones, with the claims checked."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ _HIDDEN = {
     *("data", "size", "lighting", "method", "version", "information"),
     *("different_share", "same_pairs", "different_pairs"),
 }
-"""Settings that follow from others or stand elsewhere."""
+"""Settings that follow from others or are shown elsewhere."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A published number beside ours.
+    """A published number next to ours.
 
     Attributes:
-        published: as it was published; None where only we have one.
-        ours: as measured; None where the recipe has none.
+        published: as published; None if only we have one.
+        ours: as measured; None if the recipe has none.
     """
 
     published: Record | None
@@ -46,20 +46,20 @@ class Row:
 
     @property
     def measure(self) -> str:
-        """What both measure."""
+        """The measure of both."""
         one = self.published or self.ours
         assert one is not None
         return one.measure
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """What both were measured with."""
+        """The settings of both."""
         ours = {} if self.ours is None else self.ours.settings
         return {**ours, **({} if self.published is None else self.published.settings)}
 
     @property
     def difference(self) -> float | None:
-        """Ours minus the published one, in the measure's unit; None where one is missing, or only a bound is known."""
+        """Ours minus the published one, in the measure's unit; None if one is missing, or only a bound is known."""
         if self.published is None or self.ours is None or self.published.relation in "<>":
             return None
         return self.ours.value - self.published.value
@@ -67,12 +67,12 @@ class Row:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a claim.
+    """Whether a claim holds.
 
     Attributes:
-        claim: it.
-        ours: whether our numbers bear it out; None where they do not decide.
-        printed: whether the document's own numbers do; None where they were not printed.
+        claim: the claim.
+        ours: whether our numbers support it; None if they do not decide.
+        printed: whether the document's own numbers support it; None if they were not printed.
     """
 
     claim: Claim
@@ -82,16 +82,16 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """A recipe's numbers.
+    """The measured numbers of a recipe.
 
     Attributes:
-        recipe: what was run.
+        recipe: the recipe.
         data: name of the data set.
         scale: "smoke", "short" or "full".
         records: measured numbers.
-        beside: those of our own recipe, on the same frames.
-        seconds: what measuring them took by experiment, whenever that was.
-        machines: where they were measured, as far as that is known.
+        beside: measured numbers of our own experiments, on the same frames.
+        seconds: measuring time by experiment, including earlier measurements.
+        machines: machines they were measured on, as far as known.
     """
 
     recipe: Recipe
@@ -106,14 +106,14 @@ class Reproduction:
         return f"Reproduction({self.recipe.id}: {len(self.records)} numbers on {self.data}, {self.scale})"
 
     def summary(self) -> str:
-        """Say in one line what was measured, and what became of the claims."""
+        """Return one line with what was measured and whether the claims hold."""
         verdicts = [VERDICTS[one.ours] for one in self.verdicts]
         said = ", ".join(f"{verdicts.count(word)} {word}" for word in VERDICTS.values() if word in verdicts)
         return f"{self.recipe.id}, {len(self.records)} numbers{'; claims: ' + said if said else ''}"
 
     @property
     def rows(self) -> list[Row]:
-        """The published numbers, each beside ours where the recipe measures it."""
+        """The published numbers, each next to ours if the recipe measures it."""
         printed = [one for entry in self.recipe.entries for one in published(entry).records()]
         asked = [one for one in printed if self.recipe.where.items() <= one.settings.items()]
         ours = _best(self.records, self.recipe)
@@ -121,12 +121,12 @@ class Reproduction:
 
     @property
     def verdicts(self) -> list[Verdict]:
-        """The claims, each held against our numbers."""
+        """The claims, each checked against our numbers."""
         named = [claim(id) for id in self.recipe.claims]
         return [Verdict(one, holds(one.check, self.records), one.printed()) for one in named]
 
     def table(self) -> str:
-        """Return published and measured numbers as a Markdown table; our own alone where nothing was printed."""
+        """Return published and measured numbers as a Markdown table; only our own if nothing was printed."""
         lines = [f"### {self.recipe.title}", "", f"{self._where()}"]
         rows = self.rows
         if rows:
@@ -137,7 +137,7 @@ class Reproduction:
             other = [name for name in dict.fromkeys([*apart, *_unlike(rows)]) if name not in heads]
             cells = [[*_row(row, heads), *(_with(one, other) for one in (row.published, row.ours))] for row in rows]
             names = [*heads, "measure", "published", "ours", "difference", *_WITH]
-            # What is the same in all rows is said once, above them.
+            # What is the same in all rows is stated once, above them.
             values = {at: {row[at] for row in cells} - {""} for at, name in enumerate(names) if name in _WITH}
             same = "; ".join(f"{names[at]} {min(values[at])}" for at in values if len(values[at]) == 1)
             lines += [f"{same[0].upper()}{same[1:]}."] if same else []
@@ -155,7 +155,7 @@ class Reproduction:
         return "\n".join(lines) + "\n"
 
     def as_csv(self) -> str:
-        """Return every number as a row: published ones with ours, and all others measured."""
+        """Return every number as a row: published ones with ours, then all other measured ones."""
         rows = self.rows
         joined = {id(row.ours) for row in rows}
         rows += [Row(None, one) for one in (*self.records, *self.beside) if id(one) not in joined]
@@ -182,10 +182,10 @@ class Reproduction:
         return out.getvalue()
 
     def plot(self) -> Figure:
-        """Return the figure in the shape of the published one.
+        """Return the figure in the form of the published one.
 
         Raises:
-            ConfigError: the recipe has none.
+            ConfigError: the recipe has no figure.
         """
         from siamloc.reproduce.drawing import drawn
 
@@ -195,10 +195,10 @@ class Reproduction:
 
     @typed
     def save(self, folder: str | Path) -> list[Path]:
-        """Write ID.md, ID.csv, and ID.png where there is a figure; return the files.
+        """Write ID.md, ID.csv, and ID.png if there is a figure; return the files.
 
         Raises:
-            StorageError: the disk refuses.
+            StorageError: the disk is full or cannot be written to.
         """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
@@ -208,10 +208,10 @@ class Reproduction:
         return [*files, *self.save_plot(folder)]
 
     def save_plot(self, folder: str | Path) -> list[Path]:
-        """Write ID.png where there is a figure; return the file, or nothing.
+        """Write ID.png if there is a figure; return the file, if any.
 
         Raises:
-            StorageError: the disk refuses.
+            StorageError: the disk is full or cannot be written to.
         """
         from siamloc.report.draw.look import save
 
@@ -226,7 +226,7 @@ class Reproduction:
         return "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol(self.scale).items())
 
     def _best_table(self) -> list[str]:
-        """Return the smallest and largest of our numbers in each figure, by what it tells apart."""
+        """Return the smallest and largest of our numbers in each figure, by its distinguishing settings."""
         lines: list[list[str]] = []
         for figure in self.recipe.figure:
             found = shown(figure, [*self.records, *self.beside])
@@ -241,7 +241,7 @@ class Reproduction:
 
 
 def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:
-    """Return the records, of those with the same `join` settings only the ones beside the largest `best`."""
+    """Return the records; of those with the same `join` settings, only the ones with the largest `best`."""
     if chosen.best is None or chosen.join is None:
         return list(records)
     kept: dict[tuple[Any, ...], Record] = {}
@@ -253,7 +253,7 @@ def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:
 
 
 def _beside(one: Record, ours: Sequence[Record], chosen: Recipe) -> Record | None:
-    """Return our number beside a published one; beside a bound the smallest or largest of ours."""
+    """Return our number for a published one; for a bound, the smallest or largest of ours."""
     join = None if chosen.join is None else [name for name in chosen.join if name != "bound"]
     found = [our for our in ours if _same(one, our, join)]
     if not found or "bound" not in one.settings:
@@ -262,7 +262,7 @@ def _beside(one: Record, ours: Sequence[Record], chosen: Recipe) -> Record | Non
 
 
 def _same(one: Record, ours: Record, join: Sequence[str] | None) -> bool:
-    """Return whether a published and a measured number are of the same thing."""
+    """Return whether a published and a measured number belong together."""
     if one.measure != ours.measure:
         return False
     names = join if join is not None else [name for name in one.settings if name in ours.settings]
@@ -276,7 +276,7 @@ def _told_apart(rows: Sequence[Row]) -> list[str]:
 
 
 def _apart_by(figure: Mapping[str, Any], found: Sequence[Record]) -> list[str]:
-    """Return the settings that tell the numbers of a figure apart: all of a few, else the first."""
+    """Return the settings that distinguish the numbers of a figure: all if there are few groups, else the first."""
 
     def differ(*names: str) -> list[str]:
         return [name for name in dict.fromkeys(names) if len({one.settings.get(name) for one in found}) > 1]
@@ -300,17 +300,17 @@ def _with(one: Record | None, names: Sequence[str]) -> str:
 
 
 def _measure(name: str) -> str:
-    """Say what is measured, with its unit."""
+    """Return the label of a measure, with its unit."""
     return f"{said(name)} [{unit(name)}]" if unit(name) not in ("", "share") else said(name)
 
 
 def _settings(one: Record | None, *but: str) -> str:
-    """Return what a number was measured with, but for some settings."""
+    """Return the settings of a number in words, without some of them."""
     return "" if one is None else _with(one, [name for name in one.settings if name not in but])
 
 
 def _unlike(rows: Sequence[Row]) -> list[str]:
-    """Return the settings in which a published number and ours beside it differ."""
+    """Return the settings in which a published number and ours next to it differ."""
     pairs = [(row.published.settings, row.ours.settings) for row in rows if row.published and row.ours]
     return [
         name

@@ -1,4 +1,4 @@
-"""`reproduce`: measure what a recipe asks for, and keep what was measured."""
+"""`reproduce`: measure what a recipe requires, and keep the results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from siamloc.reproduce.experiments import Data
 
 _VERSION = 1
-"""Of what the experiments measure: records by another version are measured again."""
+"""Version of the experiments: records from another version are measured again."""
 
 
 @typed
@@ -38,22 +38,22 @@ def reproduce(
     measure: bool = True,
     progress: bool = True,
 ) -> Reproduction:
-    """Measure what a recipe asks for; what was measured before on the same data is read from `out`.
+    """Measure what a recipe requires; earlier measurements on the same data are read from `out`.
 
     Args:
-        id: of the recipe, such as "figure_3_11", or one of your own.
+        id: id of the recipe, such as "figure_3_11", or your own `Recipe`.
         data: "cold", "freiburg_sim" or "mini".
-        root: where the data lie; where the data set usually lies if None.
+        root: folder of the data; the usual place of the data set if None.
         scale: "smoke" (seconds), "short" (minutes) or "full" (as published).
-        out: folder of the measured numbers; every job is kept there as soon as it is done.
-        measure: whether to measure what is not there; else that is refused.
-        progress: whether to show how far the work is.
+        out: folder for the measured numbers; every job is saved there as soon as it is done.
+        measure: whether to measure what is missing; otherwise missing numbers are an error.
+        progress: whether to show the progress.
 
     Raises:
         ConfigError: an unknown recipe, data set or scale.
-        DataError: data that are not there, or lack a drive, and the sentence says where they should lie; something
-            that was not measured before, with `measure=False`.
-        StorageError: the disk refuses; what was finished before stays.
+        DataError: data that do not exist or lack a drive (the message says where they should be); with
+            `measure=False`, numbers that have not been measured before.
+        StorageError: the disk is full or cannot be written to; finished measurements are kept.
 
     Example:
         >>> reproduce("figure_3_11", scale="long")
@@ -64,7 +64,7 @@ def reproduce(
     check_scale_and_data(scale, data)
     measured = Path(out) / "measured"
     with storage_errors(measured):
-        measured.mkdir(parents=True, exist_ok=True)  # refused here, and not after the first job
+        measured.mkdir(parents=True, exist_ok=True)  # fails here, not after the first job
     jobs, opened = chosen.jobs(scale), _Opened(data, None if root is None else Path(root), Path(out) / "training")
     records: list[Record] = []
     beside: list[Record] = []
@@ -80,7 +80,7 @@ def reproduce(
 
 
 def machine() -> str:
-    """Say which machine this is: its processors, and its graphics card where PyTorch works on one."""
+    """Describe this machine: its processors, and its graphics card if PyTorch uses one."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -105,7 +105,7 @@ class _Opened:
         if key not in self._held:
             about = data_named(self.name)
             if self.root is None and about["root"] is None:
-                raise ConfigError(f"say where {about['title']} lies: root=FOLDER; {about['how']}")
+                raise ConfigError(f"say where {about['title']} is: root=FOLDER; {about['how']}")
             root = self.root or Path(about["root"])
             if job.dense and about.get("dense"):
                 root = root.parent / "dense" / root.name
@@ -114,7 +114,7 @@ class _Opened:
 
 
 def _done(job: Job, opened: _Opened, out: Path, data: str, measure: bool) -> dict[str, Any]:
-    """Return the records of a job, and what they took; measured now, or read where they were measured before."""
+    """Return the records of a job and their cost, measured or read from an earlier measurement."""
     held = opened.of(job)
     wanted = {"version": _VERSION, "data": data, "frames": _fingerprint(job, held), **job.plain()}
     path = out / "measured" / job.experiment / f"{content_key(wanted)}.json"
@@ -133,16 +133,16 @@ def _done(job: Job, opened: _Opened, out: Path, data: str, measure: bool) -> dic
 
 
 def _kept(path: Path, wanted: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return what was kept of a job; None where nothing is, or not what was written: then it is measured again."""
+    """Return the saved results of a job; None if there are none or they were altered: then it is measured again."""
     try:
         kept = checked(read_json(path), dict, "kept")
         told = checked(kept.get("records"), tuple[dict, ...], "records")
         seconds = float(checked(kept.get("seconds"), NotNegative, "seconds"))
         if not told or plain(kept.get("job")) != plain(dict(wanted)):
             return None
-        if "key" in kept and kept["key"] != content_key(told):  # one that was kept by an older siamloc has none
+        if "key" in kept and kept["key"] != content_key(told):  # files of older versions of siamloc have none
             return None
-        # The first records name their processor by its family, which says little.
+        # The oldest records name only the processor family, which says little.
         known = str(kept.get("machine", ""))
         return {
             "records": [_of_plain(one) for one in told],
@@ -154,7 +154,7 @@ def _kept(path: Path, wanted: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _fingerprint(job: Job, data: Data) -> str:
-    """Return what changes with the frames that a job takes: their names, poses and rooms, wherever they lie."""
+    """Return a key of the frames that a job uses: their names, poses and rooms, regardless of their folder."""
     told = []
     held = [data, data.other] if job.kind == "buildings" else [data]
     for name, role, one in ((*item, one) for one in held for item in sorted(job.roles.items())):
@@ -165,10 +165,10 @@ def _fingerprint(job: Job, data: Data) -> str:
 
 
 def _of_plain(one: Mapping[str, Any]) -> Record:
-    """Return a record as it was kept.
+    """Return a saved record.
 
     Raises:
-        ConfigError, KeyError: something else.
+        ConfigError, KeyError: it is not a record.
     """
     measure, settings = checked(one["measure"], Text, "measure"), checked(one["settings"], dict, "settings")
     for name, value in settings.items():
@@ -177,7 +177,7 @@ def _of_plain(one: Mapping[str, Any]) -> Record:
 
 
 def _with_size(records: Sequence[Record], job: Job) -> list[Record]:
-    """Return records of disturbed images with the size of the descriptor, over which [T] 3.5.2 draws them."""
+    """Add the size of the descriptor to records of disturbed images, since [T] 3.5.2 draws them over it."""
     if job.kind != "disturbed" or job.options["descriptor"]["name"] == "pretrained":
         return list(records)
     from siamloc.reproduce.experiments import information

@@ -3,7 +3,7 @@
     siamloc.runtime.export(network, known, "runs/robot/bundle")
     siamloc.runtime.Localizer("runs/robot/bundle").locate("photo.jpeg")
 
-Importing this package loads no torch, and the robot needs numpy, opencv and onnxruntime alone.
+Importing this package does not load torch; the robot needs only numpy, opencv and onnxruntime.
 """
 
 from __future__ import annotations

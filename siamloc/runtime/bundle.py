@@ -48,7 +48,7 @@ _KEYS: dict[str, Any] = {
     "errors": {"lost_above": float | None},
     "precisions": list,
 }
-"""What is expected under the keys; in nested ones of these what is said here, besides others."""
+"""What each key must hold; nested mappings may have more keys than those listed here."""
 _MAY_LACK = ("heading", "refinement", "search", "errors", "precisions", "unit")
 
 
@@ -57,14 +57,15 @@ class Bundle:
     """An opened bundle; `siamloc.runtime.export` writes one.
 
     Attributes:
-        path: where it lies: a folder, or a zip archive.
-        about: what `bundle.json` holds: `preprocessing`, `identity` of what describes, `parity` (how far what describes
-            here is from the original), `precision`, `heading` and `errors` (what gives them, None without),
-            `refinement` (how poses are made finer than the map, None if they are not), `search` (how a coarse layer is
-            searched first, None without one), `precisions` (what each costs and gives, where one was chosen),
-            `figures` (of its evaluation, None without), `sha256` by file.
+        path: a folder, or a zip archive.
+        about: the content of `bundle.json`: `preprocessing`, `identity` (of the network or analytic descriptor),
+            `parity` (how far the exported descriptors are from the original's), `precision`, `heading` and `errors`
+            (where they come from, None without), `refinement` (how poses are made finer than the map, None if they are
+            not), `search` (how a coarse layer is searched first, None without one), `precisions` (size, speed and
+            accuracy in each precision, if one was chosen), `figures` (of its evaluation, None without), `sha256` by
+            file.
         preprocessing: how an image becomes a panorama.
-        parts: its files.
+        parts: the bundle's files.
     """
 
     path: Path
@@ -77,7 +78,7 @@ class Bundle:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """The names of its files, `bundle.json` aside."""
+        """Names of its files, without `bundle.json`."""
         return tuple(self.about["sha256"])
 
     @property
@@ -87,19 +88,19 @@ class Bundle:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What decides a descriptor, what describes and preprocessing; the map carries the same."""
+        """All that determines a descriptor: the network or analytic descriptor, and preprocessing; equals the map's."""
         return {**self.about["identity"], "images": self.about["preprocessing"]}
 
     @property
     def parity(self) -> dict[str, Any]:
-        """How far what describes here is from the original; see `siamloc.runtime.parity`."""
+        """How far the exported descriptors are from the original's; see `siamloc.runtime.parity`."""
         return dict(self.about["parity"])
 
     def load_map(self) -> VisualMap | None:
         """Read the visual map; None for a bundle that only describes images.
 
         Raises:
-            FormatError: it is damaged.
+            FormatError: the map is damaged.
         """
         return self._map(MAP)
 
@@ -124,7 +125,7 @@ class Bundle:
         return self._learned(Refinement, REFINEMENT)
 
     def load_layer(self) -> tuple[CoarseLayer, VisualMap | None] | None:
-        """Read the coarse layer, and the map that ranks its nodes where that is another one; None if there is none.
+        """Read the coarse layer, and the map that ranks its nodes if that is a separate one; None if there is no layer.
 
         Raises:
             FormatError: one of them is damaged.
@@ -136,26 +137,26 @@ class Bundle:
         return CoarseLayer.loads(self.parts.read(LAYER), f"{self.path}/{LAYER}"), self._map(COARSE)
 
     def thumbnail(self, row: int) -> bytes | None:
-        """Return a small picture of a map frame as JPEG; None where the bundle has none.
+        """Return a thumbnail of a map frame as JPEG; None if the bundle has none.
 
         Args:
-            row: of the map, as `Candidate.row` says it.
+            row: row in the map, as in `Candidate.row`.
 
         Raises:
-            FormatError: the pictures are damaged.
+            FormatError: the thumbnails are damaged.
             IndexError: there is no such row.
         """
         return None if self._thumbnails is None else self._thumbnails[row]
 
     def summary(self) -> str:
-        """Say in two lines how exact the exported descriptor is, and what the robot gets."""
+        """Return two lines with the accuracy of the exported descriptor and what the robot gets."""
         first = (
             f"bundle: {self.path}, {self.bytes / 1e6:.1f} MB, {self.about['precision']}; largest difference from the "
             f"original {self.parity['max_abs_difference']:.1e}, {self.parity['max_relative_difference']:.1e} of the "
             "largest value"
         )
         if MAP not in self.files:
-            return f"{first}\nthe robot gets descriptors alone: there is no map to locate images in"
+            return f"{first}\nthe robot gets descriptors only: there is no map to locate images in"
         finer = self.about.get("refinement")
         how = "" if finer is None else f" ({_FINER[finer['method']]} {finer['neighbours']} map frames)"
         gets = [f"position{how}"]
@@ -175,13 +176,13 @@ class Bundle:
     def open(cls, path: str | Path) -> Bundle:
         """Open a bundle and check that its files are the ones it was written with.
 
-        Nothing in it is executed, and nothing is written, not even where it is an archive.
+        Nothing in it is executed, and nothing is written to disk, not even for an archive.
 
         Args:
-            path: a folder, or a zip archive of it.
+            path: the bundle's folder, or a zip archive of it.
 
         Raises:
-            FormatError: no bundle, of another version, with files that are missing or altered, or with links.
+            FormatError: not a bundle, or one of another version, with missing or altered files, or with links.
         """
         path = Path(path)
         parts = Archive(path, {DESCRIPTION, *PARTS}, DESCRIPTION) if path.is_file() else Folder(path)
@@ -191,7 +192,7 @@ class Bundle:
         try:
             about = parsed_json(parts.read(DESCRIPTION).decode())
         except ValueError as error:
-            raise FormatError(f"{described} is not whole JSON ({error}): export again") from error
+            raise FormatError(f"{described} is incomplete or invalid JSON ({error}): export again") from error
         if not isinstance(about, dict) or about.get("format") != FORMAT or not isinstance(about.get("version"), int):
             raise FormatError(f"{described} was not written by `siamloc export`: export again")
         if about["version"] != VERSION:
@@ -207,7 +208,7 @@ class Bundle:
                 raise FormatError(f"{described} {found} {key}: export again")
         for part, key in ((LAYER, "search"), (ERRORS, "errors"), (REFINEMENT, "refinement")):
             if part in about["sha256"] and about.get(key) is None:
-                raise FormatError(f"{described} is altered in {key}, and the bundle holds {part}: export again")
+                raise FormatError(f"{described} is altered in {key}, but the bundle holds {part}: export again")
         if MODEL not in about["sha256"] and not is_analytic(about["identity"]):
             raise FormatError(f"{described} lists no {MODEL}: export again")
         for name, digest in about["sha256"].items():
@@ -223,7 +224,7 @@ class Bundle:
 
     @property
     def bytes(self) -> int:
-        """How long all its files are together."""
+        """Total size of its files in bytes."""
         return sum(self.parts.size(name) for name in (DESCRIPTION, *self.files))
 
     @cached_property
@@ -250,12 +251,12 @@ class Bundle:
         try:
             values = parsed_json(self.parts.read(name).decode())
         except ValueError as error:
-            raise FormatError(f"{self.path}/{name} is not whole JSON ({error}): export again") from error
+            raise FormatError(f"{self.path}/{name} is incomplete or invalid JSON ({error}): export again") from error
         return kind.from_dict(values, f"{self.path}/{name}")
 
 
 def _holds(value: Any, kind: Any) -> bool:
-    """Find out whether a value is of a kind: of a type, or a mapping with what is named at least."""
+    """Whether a value is of a kind: of a type, or a mapping with at least the named keys."""
     if isinstance(kind, dict):
         return isinstance(value, dict) and all(_holds(value.get(key), inner) for key, inner in kind.items())
     if kind in (dict, list):

@@ -1,4 +1,4 @@
-"""`Describer`: what describes images on the robot, by onnxruntime or by numpy and OpenCV."""
+"""`Describer`: describes images on the robot, with onnxruntime or with numpy and OpenCV."""
 
 from __future__ import annotations
 
@@ -19,22 +19,25 @@ from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
 from siamloc.settings import Count, checked
 
-_ON_CPU = {"CPUExecutionProvider", "AzureExecutionProvider"}  # the second asks a service only for models that say so
+_ON_CPU = {
+    "CPUExecutionProvider",
+    "AzureExecutionProvider",
+}  # the second calls a service only for models that ask for it
 _LOCATION, _OVERLAP = b"location", 64
-_KEY = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)\Z")  # a text of eight letters under the first number follows
+_KEY = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)\Z")  # announces a text of eight letters in field 1
 
 
 class Describer:
-    """Describes panoramas, and compares their orientation parts, as what made a bundle does. Threads may share one.
+    """Describes panoramas and compares their orientation parts, as the original of a bundle does; thread-safe.
 
     Args:
-        bundle: what it is made from.
+        bundle: the bundle.
         known: the bundle's map.
-        threads: threads of onnxruntime; its own choice if None.
-        providers: what onnxruntime computes with, the first that can.
+        threads: number of onnxruntime threads; its own choice if None.
+        providers: onnxruntime's execution providers in order of preference.
 
     Attributes:
-        known: the map, with an analytic descriptor that needs no torch where one describes it.
+        known: the map; if it was described by an analytic descriptor, with one that needs no torch.
 
     Raises:
         ConfigError: threads below 1, or a provider that this onnxruntime lacks.
@@ -51,7 +54,7 @@ class Describer:
                 raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
-        options.enable_mem_pattern = False  # one block for all steps of an image saves no time, and takes more memory
+        options.enable_mem_pattern = False  # a block for all steps of an image costs memory and saves no time
         if threads is not None:
             options.intra_op_num_threads = threads
 
@@ -60,9 +63,7 @@ class Describer:
                 return None
 
             if weights_elsewhere(bundle.parts.blocks(name), f"{name}.data" if f"{name}.data" in bundle.files else ""):
-                raise FormatError(
-                    f"{bundle.path}/{name} has weights in files that are none of a bundle's: export again"
-                )
+                raise FormatError(f"{bundle.path}/{name} has weights in files outside the bundle: export again")
 
             def made(model: str | bytes) -> Any:
                 return onnxruntime.InferenceSession(model, options, providers=list(providers))
@@ -71,7 +72,7 @@ class Describer:
                 with bundle.parts.streamed(name) as path:
                     return made(str(path))
             except Exception as error:  # onnxruntime's exceptions have no common base
-                with suppress(Exception):  # where it cannot read a stream
+                with suppress(Exception):  # if it cannot read a stream
                     return made(bundle.parts.read(name))
                 raise FormatError(
                     f"onnxruntime cannot run {bundle.path}/{name} ({type(error).__name__}): export again"
@@ -79,8 +80,8 @@ class Describer:
 
         self._size = bundle.image_size
         self._session, self._relative = session(MODEL), session(RELATIVE)
-        # onnxruntime does not rearrange weights that it converts for every image, and then one image and a batch may
-        # add up in different orders.
+        # onnxruntime does not rearrange weights that it converts for every image; sums over one image and over a batch
+        # may then run in different orders.
         halved = self._session is not None and self._session.get_overridable_initializers()
         self._one_by_one = bool(halved) and set(self._session.get_providers()) <= _ON_CPU
         if self._session is None:
@@ -92,11 +93,11 @@ class Describer:
 
     @property
     def compares(self) -> bool:
-        """Whether it tells where one image was taken relative to another."""
+        """Whether it can estimate where one image was taken relative to another."""
         return self._relative is not None
 
     def describe(self, panoramas: NDArray[np.uint8]) -> Description:
-        """Describe panoramas (B, 3, H, W), uint8, RGB, with what gives headings.
+        """Describe panoramas (B, 3, H, W), uint8, RGB, including their orientation parts.
 
         Raises:
             DataError: another shape or type.
@@ -111,14 +112,14 @@ class Describer:
             position, *parts = self._run(panoramas)
             orientation = parts[0] if parts else None
             if orientation is not None and not np.isfinite(orientation).all():
-                # onnxruntime adds up in another way than torch and finds variances below 0 where there is no contrast.
+                # onnxruntime sums in another order than torch and gets variances below 0 where there is no contrast.
                 orientation = np.nan_to_num(orientation, nan=0.0, posinf=0.0, neginf=0.0)
         if self._turning is not None:
             orientation = self._turning.describe(panoramas).orientation
         return Description(position, orientation)
 
     def _run(self, panoramas: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
-        """Run the network, one image at a time where a batch would change the last bits."""
+        """Run the network, one image at a time if a batch would change the last bits."""
         if not self._one_by_one or len(panoramas) < 2:
             return list(self._session.run(None, {"panorama": panoramas}))
         each = [self._session.run(None, {"panorama": panorama[None]}) for panorama in panoramas]
@@ -127,28 +128,28 @@ class Describer:
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Tell where images were taken relative to others, as `siamloc.maps.Refinement` asks for it."""
+        """Estimate where images were taken relative to others, in the form that `siamloc.maps.Refinement` expects."""
         assert self._relative is not None
         pose, information, match = self._relative.run(None, {"query": queries, "known": known})
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
 
 
 def weights_elsewhere(blocks: Iterable[bytes], allowed: str) -> bool:
-    """Find out whether an ONNX file has weights in another file than the allowed one.
+    """Whether an ONNX file has weights in a file other than the allowed one.
 
-    ONNX names the file of a tensor under the key "location", next to the model or wherever the process is. Not all
-    versions of onnxruntime refuse what leads elsewhere.
+    ONNX names the file of a tensor under the key "location", relative to the model or to the working directory. Not all
+    versions of onnxruntime refuse paths that lead elsewhere.
 
     Args:
-        blocks: of the ONNX file, in order.
-        allowed: name of the file that weights may be in; "" for none.
+        blocks: the content of the ONNX file, in order.
+        allowed: name of the file that may hold weights; "" for none.
     """
     value = bytes([0x12, len(allowed)]) + allowed.encode()
     seen = b""
-    for block in chain(blocks, [bytes(_OVERLAP)]):  # the last one ends what may be cut
+    for block in chain(blocks, [bytes(_OVERLAP)]):  # the last one completes a match that may be cut off
         seen = seen[-2 * _OVERLAP :] + block
         at = seen.find(_LOCATION)
-        while 0 <= at < len(seen) - _OVERLAP:  # nearer to the end it is looked at with the next block
+        while 0 <= at < len(seen) - _OVERLAP:  # nearer to the end it is checked with the next block
             key = _KEY.search(seen[max(0, at - _OVERLAP) : at])
             at += len(_LOCATION)
             if key is not None and not (allowed and seen.startswith(value, at)):
@@ -160,17 +161,17 @@ def weights_elsewhere(blocks: Iterable[bytes], allowed: str) -> bool:
 def analytic_descriptor(
     identity: Mapping[str, Any], bundle: Bundle, width: int | None = None, orientation: NDArray[Any] | None = None
 ) -> Descriptor:
-    """Return what describes images by an analytic descriptor, without torch.
+    """Return an analytic descriptor that needs no torch.
 
     Args:
         identity: its name and parameters.
-        bundle: whose panoramas it describes.
-        width: of the map's descriptors; not compared if None.
-        orientation: (n, K, F, ...) what the map holds of headings; not compared if None.
+        bundle: the bundle whose panoramas it describes.
+        width: length of the map's descriptors; not checked if None.
+        orientation: (n, K, F, ...) the map's orientation parts; not checked if None.
 
     Raises:
-        FormatError: an unknown descriptor, or one that gives other sizes than the map's: then it did not make the map,
-            and could take any memory.
+        FormatError: an unknown descriptor, or one whose sizes differ from the map's: then it did not make the map, and
+            could take any amount of memory.
     """
     try:
         made = descriptor_of(identity, "numpy")
@@ -181,10 +182,12 @@ def analytic_descriptor(
         elif isinstance(made, ImageDescriptor):
             given, turning = made.sizes(*bundle.image_size)
     except (AnalyticError, TypeError) as error:
-        raise FormatError(f"{bundle.path} describes images by what this siamloc does not know: {error}") from error
-    # Tables write some sizes the other way round, so that it is their product that counts.
+        raise FormatError(
+            f"{bundle.path} describes images in a way unknown to this version of siamloc: {error}"
+        ) from error
+    # Tables hold some sizes in reverse order, so only their product is compared.
     held = None if orientation is None else math.prod(orientation.shape[1:3])
     described = None if turning is None else math.prod(turning)
     if (width is not None and math.prod(given) != width) or (held is not None and held != described):
-        raise FormatError(f"{bundle.path} holds a map of other sizes than its {made.name} gives: export again")
+        raise FormatError(f"{bundle.path} holds a map whose sizes differ from those of its {made.name}: export again")
     return made

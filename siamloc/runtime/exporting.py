@@ -1,4 +1,4 @@
-"""`export`: what the robot needs, written as a bundle and compared with what it was made of."""
+"""`export`: write what the robot needs as a bundle, and compare it with the original."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ if TYPE_CHECKING:
     from siamloc.maps import ErrorModel, Refinement
 
 TOLERANCE = 1e-4
-"""How far the robot's descriptor may be from the original, of its norm, or of 1 where that is smaller."""
+"""How far the robot's descriptor may be from the original, relative to its norm, or to 1 if the norm is smaller."""
 
 _UNKNOWN = {"max_abs_difference": 0.0, "max_relative_difference": 0.0}
-_TRIED = 3  # panoramas that a bundle has to describe as the original does
+_TRIED = 3  # number of panoramas that a bundle must describe as the original does
 
 
 @typed
@@ -74,40 +74,40 @@ def export(
     validation: FrameTable | None = None,
     figures: Mapping[str, Any] | None = None,
 ) -> Bundle:
-    """Write what describes images and its map as a bundle for the robot, whose `Localizer` needs no torch.
+    """Write a network or analytic descriptor and its map as a bundle for the robot, whose `Localizer` needs no torch.
 
-    An older bundle in the same folder is replaced only when the new one is whole.
+    An older bundle in the same folder is replaced only once the new one is complete.
 
     Args:
-        described_by: what describes images: a module (B, 3, H, W) -> (B, D), `siamloc.models.as_descriptor` of one, or
-            an analytic descriptor, which the robot computes with numpy and OpenCV.
+        described_by: the network or descriptor: a module (B, 3, H, W) -> (B, D), `siamloc.models.as_descriptor` of one,
+            or an analytic descriptor, which the robot computes with numpy and OpenCV.
         known: its map; None for a network alone, which only describes images. If the map has a heading part, the robot
             gets headings.
-        folder: where to; a name that ends in .zip becomes one archive.
-        errors: the model of the expected error, learned on this map; None if there is none.
+        folder: where to write the bundle; a name that ends in .zip becomes one archive.
+        errors: the model of the expected error, learned on this map; None for none.
         refinement: how poses are made finer than the map, learned on this map, such as `Result.refinement`; None for
             the poses of the nearest map frames.
         layer: nodes over the map, from `siamloc.maps.group`, which the robot searches first; None for none.
-        coarse_map: the map of the same frames by an analytic descriptor that ranks the nodes; the map itself if None.
-        search: how the nodes are ranked and searched; as `LayerSearch` has it if None.
+        coarse_map: a map of the same frames by the analytic descriptor that ranks the nodes; the map itself if None.
+        search: how the nodes are ranked and searched; the defaults of `LayerSearch` if None.
         preprocessing: how images become panoramas (`images.preprocessing`); the map's if None.
-        images: panoramas of the map's frames, and of those of `validation`.
-        thumbnails: whether small pictures of the map frames come along, of `images`.
-        precision: how the numbers of network and map are kept. "float16" halves both, and computes as float32; "int8"
-            computes with whole numbers, whose ranges are taken from `images` of the map; "auto" takes the smallest that
-            loses at most 2 % of the localization error of `validation`, see `siamloc.runtime.precision`.
+        images: panoramas of the frames of the map and of `validation`.
+        thumbnails: whether to include thumbnails of the map frames, made from `images`.
+        precision: how the numbers of network and map are stored. "float16" halves both, and computes in float32; "int8"
+            computes with integers, whose ranges are taken from the map's `images`; "auto" takes the smallest bundle
+            that loses at most 2 % of the localization error on `validation`, see `siamloc.runtime.precision`.
         validation: frames with positions, for "auto".
-        figures: of the evaluation, plain values that `Bundle.about` gives back; for the record only.
+        figures: results of the evaluation, plain values that `Bundle.about` returns; for reference only.
 
     Returns:
-        The opened bundle; `parity` says how far its network is from the original, before fewer digits are kept.
+        The opened bundle; its `parity` gives how far its network is from the original, before any loss of precision.
 
     Raises:
-        ConfigError: the folder holds other files than a bundle's, the map is another descriptor's, what was learned on
-            or built over another map, a network that does not compare is to refine, panoramas that cannot be made from
-            plain values, images that are needed and not given, or what cannot be exported.
+        ConfigError: the folder holds files other than a bundle's, the map was made by another descriptor, something was
+            learned on or built over another map, poses are to be refined by a network that does not compare, panoramas
+            cannot be made from plain values, required images are not given, or the descriptor cannot be exported.
         SiamlocError: the bundle differs from the original.
-        StorageError: the disk is full or refuses.
+        StorageError: the disk is full or cannot be written to.
     """
     from siamloc.models import as_descriptor
 
@@ -146,7 +146,7 @@ def export(
 
 @dataclass(frozen=True)
 class _Ingredients:
-    """All that a bundle is made of."""
+    """Everything a bundle is made from."""
 
     about: dict[str, Any]
     given: Descriptor
@@ -159,7 +159,7 @@ class _Ingredients:
     thumbnails: bool
 
     def write(self, fresh: Path, precision: Precision) -> None:
-        """Write the files of a bundle, and compare them with what they were made of.
+        """Write the files of a bundle, and compare them with the original.
 
         Raises:
             SiamlocError: the bundle differs from the original.
@@ -188,7 +188,7 @@ class _Ingredients:
                 write_json(fresh / DESCRIPTION, {**about, "parity": {**about.get("parity", {}), **apart}})
 
     def write_smallest(self, fresh: Path, images: PanoramaLibrary, frames: FrameTable) -> None:
-        """Write the smallest bundle that loses at most `LOSS` of the localization error of frames."""
+        """Write the smallest bundle whose localization error on frames grows by at most `LOSS`."""
         rows, (panoramas, asked) = list[Measured](), spread(images, frames.take(frames.has_position))
         for precision in PRECISIONS:
             folder = fresh / precision
@@ -209,7 +209,7 @@ class _Ingredients:
     def _write_networks(
         self, module: nn.Module, fresh: Path, precision: Precision, finer: dict[str, Any] | None
     ) -> dict[str, Any]:
-        """Write the network, and what it compares by into `finer`; return how far the file is from the network."""
+        """Write the network, and its comparing part if `finer` needs it; return the parity of the network's file."""
         from siamloc.runtime.onnx_model import export_onnx
         from siamloc.runtime.onnx_relative import export_relative
 
@@ -237,7 +237,7 @@ def _written(path: Path) -> Iterator[Path]:
         yield fresh
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
             for file in sorted(fresh.iterdir()):
-                # A fixed date keeps the archive a function of what it holds; weights and descriptors do not shrink.
+                # A fixed date makes the archive depend on its content only; weights and descriptors do not compress.
                 entry = zipfile.ZipInfo(file.name, date_time=(1980, 1, 1, 0, 0, 0))
                 with archive.open(entry, "w", force_zip64=True) as member, file.open("rb") as held:
                     shutil.copyfileobj(held, member, 1 << 20)
@@ -246,16 +246,17 @@ def _written(path: Path) -> Iterator[Path]:
 def _check_alike(
     folder: Path, original: Descriptor, known: VisualMap, precision: Precision, images: PanoramaLibrary | None
 ) -> dict[str, Any]:
-    """Open what was written as the robot does, and compare it with what it was made of.
+    """Open the written bundle as the robot does, and compare it with the original.
 
-    With fewer digits descriptors are others, and by how much is said; the bundle has to work. They are compared on
-    panoramas of the map where there are images, which digits are chosen for, and else on noise.
+    Lower precision changes the descriptors: then only the size of the change is reported, and the bundle has to work.
+    In lower precision, panoramas of the map are compared if images are given, since value ranges are chosen for them;
+    otherwise noise is.
 
     Returns:
-        How far its descriptors are, as `siamloc.runtime.parity` says it.
+        How far its descriptors are from the original's, in the form of `siamloc.runtime.parity`.
 
     Raises:
-        SiamlocError: it describes a panorama in another way, or finds another map frame.
+        SiamlocError: it describes a panorama differently, or finds another map frame.
     """
     localizer = Localizer(folder)
     rows, columns = localizer.bundle.image_size
@@ -274,7 +275,7 @@ def _check_alike(
                 f"length {norm.max():.3g}: do not use it"
             )
         if not np.array_equal(match(known, asked, 1).indices, match(localizer.map, answered, 1).indices):
-            raise SiamlocError("the bundle's map gives other frames than the map it was made of: do not use it")
+            raise SiamlocError("the bundle's map finds other frames than the map it was made from: do not use it")
     largest, most = float(np.abs(expected).max()), float(np.abs(got - expected).max())
     return {
         "max_abs_difference": most,
@@ -285,7 +286,7 @@ def _check_alike(
 
 
 def _check_exportable(given: Descriptor, known: VisualMap | None) -> None:
-    """Make sure that a robot can describe images in this way, and has something to find them in."""
+    """Check that a robot can describe images in this way, and has a map if it needs one."""
     if getattr(given, "module", None) is not None:
         return
     if not is_analytic(given.identity):
@@ -302,7 +303,7 @@ def _check_given(
     precision: str,
     validation: FrameTable | None,
 ) -> None:
-    """Make sure that pictures and precision have what they are made from."""
+    """Check that thumbnails and precision have the data they are made from."""
     if known is None and (thumbnails or precision != "float32"):
         raise ConfigError(f"without a map there are neither pictures of it nor precision={precision}: give the map")
     learns = precision == "auto" or (precision == "int8" and hasattr(given, "module"))
@@ -316,35 +317,37 @@ def _check_given(
     if validation is None or not validation.has_position.any():
         raise ConfigError("precision=auto compares localization errors: give frames with positions as validation=")
     if known is not None and not known.frames.has_position.any():
-        raise ConfigError("precision=auto compares localization errors, and no map frame has a position: name another")
+        raise ConfigError(
+            "precision=auto compares localization errors, and no map frame has a position: choose another precision"
+        )
 
 
 def _check_learned(known: VisualMap | None, errors: ErrorModel | None, refinement: Refinement | None) -> None:
-    """Make sure that what was learned, was learned on the map and fits together."""
+    """Check that errors and refinement were learned on the map, and fit together."""
     from siamloc.maps.refinement import check_compares
 
     if errors is not None and (known is None or not errors.learned_on(known)):
         raise ConfigError("the error model was learned on another map than the bundle's: learn it again")
     if refinement is not None and (known is None or not refinement.learned_on(known)):
-        raise ConfigError("how poses are refined was learned on another map than the bundle's: evaluate again")
+        raise ConfigError("the refinement of poses was learned on another map than the bundle's: evaluate again")
     if known is not None and refinement is not None and refinement.method == "relative":
         check_compares(known)
     method = "none" if refinement is None else refinement.method
     if errors is not None and errors.refine != method:
         raise ConfigError(
-            f"the error model expects errors of poses with refine={errors.refine}, and the robot makes them with "
-            f"refine={method}: give errors and refinement of one evaluation, made anew where it is older"
+            f"the error model is for poses with refine={errors.refine}, but the robot makes them with refine={method}: "
+            "give errors and refinement of the same evaluation, repeated if it is older"
         )
 
 
 def _checked_layer(
     known: VisualMap | None, layer: CoarseLayer | Built, coarse: VisualMap | None, search: LayerSearch
 ) -> CoarseLayer:
-    """Return the nodes, after making sure that a robot can search them first."""
+    """Return the nodes, after checking that a robot can search them first."""
     if known is None:
         raise ConfigError("a coarse layer needs the map that it was built over: give the map")
     if coarse is not None and not is_analytic(coarse.identity):
-        raise ConfigError("on the robot nodes are ranked by the map itself, or by an analytic descriptor")
+        raise ConfigError("on the robot, nodes are ranked by the map itself or by an analytic descriptor")
     if isinstance(layer, Built):
         layer.check_map(known if coarse is None else coarse)
         layer = layer.layer
@@ -353,7 +356,7 @@ def _checked_layer(
 
 
 def _heading_of(known: VisualMap | None) -> dict[str, Any] | None:
-    """Return what gives the robot its heading; None if nothing does."""
+    """Return the source of the robot's heading; None if it has none."""
     if known is None or (known.heading is None and (known.orientation is None or not known.descriptor.tells_heading)):
         return None
     return {"identity": known.identity if known.heading is None else known.heading.identity}
@@ -362,30 +365,30 @@ def _heading_of(known: VisualMap | None) -> dict[str, Any] | None:
 def _described_alike(
     descriptor: Descriptor, known: VisualMap | None, preprocessing: Preprocessing | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the network's identity and how panoramas are made, after making sure that the map's are the same."""
+    """Return the descriptor's identity and how panoramas are made, after checking that the map's are the same."""
     identity = plain(descriptor.identity)
     held = None if known is None else known.identity.get("images")
     if preprocessing is None and held is None:
         raise ConfigError(
-            "without a map that says how its panoramas are made, a bundle needs to be told: give "
+            "without a map that records how its panoramas are made, the bundle cannot know it: give "
             "preprocessing=images.preprocessing"
         )
     parameters = plain(held if preprocessing is None else preprocessing.parameters())
     if known is not None:
         known.check_describer({**identity, "images": parameters} if held is not None else identity)
-    Preprocessing.of(parameters)  # a camera of one's own cannot be made from plain values, and is an error here
+    Preprocessing.of(parameters)  # a custom camera cannot be made from plain values, and is an error here
     return identity, parameters
 
 
 def _check_replaceable(path: Path) -> None:
-    """Make sure that the path is not there yet, or an empty folder, or an older bundle and nothing else."""
+    """Check that the path does not exist, or is an empty folder, or holds an older bundle and nothing else."""
     if not path.exists():
         return
     if path.is_file() and path.suffix == ".zip":
         try:
             Archive(path, {DESCRIPTION, *PARTS}, DESCRIPTION)
         except FormatError as error:
-            raise ConfigError(f"{path} is something else than a bundle: name another file") from error
+            raise ConfigError(f"{path} is not a bundle: name another file") from error
         return
     if not path.is_dir() or path.suffix == ".zip":
         what = "a folder" if path.is_dir() else "a file"
@@ -393,4 +396,4 @@ def _check_replaceable(path: Path) -> None:
     names = {file.name for file in path.iterdir()}
     others = sorted(names - {DESCRIPTION, *PARTS})
     if others or (names and DESCRIPTION not in names):
-        raise ConfigError(f"{path} holds other files, such as {(others or sorted(names))[0]}: name a folder of its own")
+        raise ConfigError(f"{path} holds other files, such as {(others or sorted(names))[0]}: name another folder")

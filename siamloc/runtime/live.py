@@ -1,4 +1,4 @@
-"""`Live`: a page that shows, while it happens, where a robot takes itself to be."""
+"""`Live`: a web page that shows live where a robot believes itself to be."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from siamloc.settings import Pace, Port, Text, checked
 if TYPE_CHECKING:
     from aiohttp import web
 
-_TRACK = 2000  # poses of the way so far that a page gets
-_DOTS = 4000  # map frames that it draws
-_COLUMNS = 768  # of the live picture
-_SILENCE = 10.0  # seconds after which a browser hears that the page is still there
+_TRACK = 2000  # number of poses of the path so far that a page gets
+_DOTS = 4000  # number of map frames that it draws
+_COLUMNS = 768  # width of the live image
+_SILENCE = 10.0  # seconds after which a browser is told that the page is still alive
 _ASSETS = Path(__file__).with_name("assets")
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _STATIC = {
@@ -52,26 +52,26 @@ _HEADERS = {
 
 
 class Live:
-    """Locates images one after the other, and serves a page where one watches: `with Live(...) as page`.
+    """Locates images one after the other, and serves a web page to watch it: `with Live(...) as page`.
 
-    The page can be read and not changed by anybody who reaches it: on this machine alone, unless `host` says otherwise.
-    Any number of browsers may look; none of them slows the robot down, since a slow one gets only the newest state.
-    What is kept is bounded: the last 2,000 poses, one picture.
+    The page is read-only, and reachable from this machine only, unless `host` says otherwise. Any number of browsers
+    may watch; none of them slows the robot down, since a slow one gets only the newest state. What is kept in memory is
+    bounded: the last 2,000 poses and one image.
 
     Args:
-        localizer: what locates.
+        localizer: locates the images.
         images: image files, folders, videos, and cameras such as "camera:0"; or one.
         track: follow the robot from image to image; see `locate_all`.
-        host: address to listen at; "0.0.0.0" is every one of this machine's.
-        port: to listen at; 0 takes a free one, which `url` says.
-        fps: images a second at most, as a robot takes them; 0 for as fast as they are located. Cameras keep their own
-            pace.
+        host: address to listen on; "0.0.0.0" stands for all addresses of this machine.
+        port: port to listen on; 0 picks a free one, which `url` shows.
+        fps: maximum number of images per second, as on a robot; 0 for as fast as they are located. Cameras keep their
+            own pace.
 
     Raises:
         ConfigError: no images, a bundle that cannot follow a robot, an address that this machine does not have, or a
             port that is in use.
-        DataError: a file that is not there, or a folder without images.
-        FormatError: the pictures in the bundle are damaged.
+        DataError: a file that does not exist, or a folder without images.
+        FormatError: the thumbnails in the bundle are damaged.
 
     Example:
         with siamloc.runtime.Live(siamloc.runtime.Localizer("bundle"), "drive.mp4") as page:
@@ -90,11 +90,11 @@ class Live:
         port: int = 8000,
         fps: float = 5.0,
     ) -> None:
-        from aiohttp import web  # noqa: F401 (refused here, and not in another thread)
+        from aiohttp import web  # noqa: F401 (fails here, not in another thread)
 
         self.host, self.fps = checked(host, Text, "host"), checked(fps, Pace, "fps")
         named(images)
-        localizer.bundle.thumbnail(0)  # damaged pictures are refused here
+        localizer.bundle.thumbnail(0)  # fails here if the thumbnails are damaged
         if track:
             localizer.tracker()
         self._localizer, self._images, self._track = localizer, images, track
@@ -107,7 +107,7 @@ class Live:
         self._fault: SiamlocError | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._up = threading.Event()
-        self._changed = asyncio.Event()  # of this state; the next one has its own
+        self._changed = asyncio.Event()  # for this state; the next one gets its own
         self._threads = [threading.Thread(target=target, daemon=True) for target in (self._serve, self._play)]
 
     def __enter__(self) -> Live:
@@ -126,23 +126,23 @@ class Live:
 
     @property
     def url(self) -> str:
-        """What to open in a browser."""
+        """Address to open in a browser."""
         host = "127.0.0.1" if self.host in ("0.0.0.0", "::") else self.host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
 
     @property
     def count(self) -> int:
-        """How many images came so far."""
+        """Number of images so far."""
         return int(self._state["number"])
 
     def join(self, seconds: float | None = None) -> bool:
-        """Wait for the end of the images, and say whether it came; the page stays until `close`.
+        """Wait for the end of the images, and return whether it was reached; the page stays until `close`.
 
         Args:
-            seconds: how long to wait at most.
+            seconds: maximum time to wait; without limit if None.
 
         Raises:
-            DataError, FormatError: what ended them before.
+            DataError, FormatError: the error that stopped it early.
         """
         ended = self._ended.wait(seconds)
         if self._fault is not None:
@@ -150,7 +150,7 @@ class Live:
         return ended
 
     def close(self) -> None:
-        """Stop to locate, and take the page away."""
+        """Stop locating, and take the page down."""
         self._stopped.set()
         if self._loop is not None and self._threads[0].is_alive():
             self._loop.call_soon_threadsafe(self._loop.stop)
@@ -159,7 +159,7 @@ class Live:
         self._socket.close()
 
     def _play(self) -> None:
-        """Locate the images, and tell what came of each."""
+        """Locate the images, and publish each outcome."""
         text = "the end of the images"
         try:
             located = locate_all(self._localizer, self._images, track=self._track, seen=self._keep)
@@ -173,7 +173,7 @@ class Live:
                     break
         except SiamlocError as error:
             self._fault, text = error, str(error)
-        except Exception as error:  # a page that stands still says why
+        except Exception as error:  # a page that stops says why
             self._fault, text = (
                 DataError(f"locating ended ({type(error).__name__}: {error})"),
                 f"locating ended: {error}",
@@ -191,7 +191,7 @@ class Live:
             state["status"] = "left out"
         else:
             told = one.as_dict()
-            for candidate in told["candidates"]:  # whoever watches need not know the folders
+            for candidate in told["candidates"]:  # viewers need not know the folders
                 candidate["image"] = Path(candidate["image"]).name
             state.update({key: value for key, value in told.items() if key != "image"})
             state["picture"] = self._localizer.bundle.thumbnail(location.candidates[0].row) is not None
@@ -204,7 +204,7 @@ class Live:
         with self._lock:
             self._state = state
         assert self._loop is not None
-        with suppress(RuntimeError):  # the page is gone already
+        with suppress(RuntimeError):  # the page is already closed
             self._loop.call_soon_threadsafe(self._wake)
 
     def _wake(self) -> None:
@@ -217,13 +217,13 @@ class Live:
 
         @web.middleware
         async def guarded(request: web.Request, handler: Any) -> web.StreamResponse:
-            # A page from elsewhere may lead a browser here by a name of its own, which it then would read.
+            # A foreign page may point a host name of its own at this machine, and could then read this page.
             try:
                 asked = request.url.host
             except ValueError as error:
-                raise web.HTTPBadRequest(text="this is no address") from error
+                raise web.HTTPBadRequest(text="this is not an address") from error
             if self.host in _LOOPBACK and asked not in _LOOPBACK:
-                raise web.HTTPForbidden(text="this page is for this machine alone")
+                raise web.HTTPForbidden(text="this page can be opened on this machine only")
             answer: web.StreamResponse = await handler(request)
             return answer
 
@@ -257,7 +257,7 @@ class Live:
         return web.Response(text=(_ASSETS / name).read_text(encoding="utf-8"), content_type=kind, charset="utf-8")
 
     async def _map(self, request: web.Request) -> web.StreamResponse:
-        """Answer with what does not change: the map's frames and rooms."""
+        """Answer with the constant data: the map's frames and rooms."""
         from aiohttp import web
 
         frames = self._localizer.map.frames
@@ -277,14 +277,14 @@ class Live:
         )
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
-        """Send the newest state, and again whenever there is a newer one; what a slow browser missed, it misses."""
+        """Send the newest state whenever it changes; a slow browser misses states in between."""
         from aiohttp import web
 
         response = web.StreamResponse(headers={"Content-Type": "text/event-stream"})
         await response.prepare(request)
         told, last, first = None, 0, True
         with suppress(ConnectionError):
-            while not self._stopped.is_set() or told is not self._state:  # the last word is sent in any case
+            while not self._stopped.is_set() or told is not self._state:  # the last state is sent in any case
                 changed = self._changed
                 with self._lock:
                     state = self._state
@@ -309,7 +309,7 @@ class Live:
         return web.Response(body=jpeg(self._panorama, _COLUMNS), content_type="image/jpeg")
 
     async def _matched(self, request: web.Request) -> web.StreamResponse:
-        """Answer with the picture of a map frame."""
+        """Answer with the thumbnail of a map frame."""
         from aiohttp import web
 
         row = int(request.match_info["row"])
@@ -320,7 +320,7 @@ class Live:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    """Return a socket that listens.
+    """Return a listening socket.
 
     Raises:
         ConfigError: an address that this machine does not have, or a port that is in use or not allowed.

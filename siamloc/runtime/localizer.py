@@ -1,4 +1,4 @@
-"""`Localizer`: locate images on the robot, with numpy, opencv and onnxruntime alone."""
+"""`Localizer`: locate images on the robot, with numpy, opencv and onnxruntime only."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ class Candidate:
     """A map frame that resembles the image.
 
     Attributes:
-        image: the map frame's file, as the map names it.
-        x: its position, in the unit of the map; NaN where the map does not know it.
-        y: its position.
-        room: its room, or "".
+        image: the map frame's file, as named in the map.
+        x: position, in the unit of the map; NaN if the map does not hold it.
+        y: likewise.
+        room: room, or "".
         distance: descriptor distance.
-        row: its number in the map, -1 if unknown; `Bundle.thumbnail` gives its picture where the bundle holds any.
+        row: row in the map, -1 if unknown; `Bundle.thumbnail` returns its thumbnail if the bundle holds any.
     """
 
     image: str
@@ -64,21 +64,23 @@ class Location:
     """Where an image was taken.
 
     Attributes:
-        x: position, in the unit of the map: finer than the map where the bundle refines it, else that of the nearest
-            map frame; NaN where the map does not know it.
-        y: the same.
-        theta: heading in rad in (-pi, pi], counter-clockwise; NaN where the bundle gives no headings, or that of the
+        x: position, in the unit of the map: finer than the map if the bundle refines it, else that of the nearest map
+            frame; NaN if the map does not hold it.
+        y: likewise.
+        theta: heading in rad in (-pi, pi], counter-clockwise; NaN if the bundle gives no headings, or if that of the
             nearest map frame is unknown.
         room: room of the nearest map frame, or "".
-        error_m: expected error of x and y in their unit, metres by default; NaN where the bundle holds no error model,
-            and where the image shows nothing of what the map shows.
+        error_m: expected error of x and y in their unit, metres by default; NaN if the bundle holds no error model, or
+            if the image shows nothing of what the map shows.
         lost: whether the expected error is above the threshold that the error model was learned with, or the image
-            shows nothing of what the map shows, as one of another building or camera; None where there is no threshold.
-        candidates: the map frames that resemble the image most, the nearest first.
-        ms: time that preparing, describing, searching and all estimates took, in milliseconds.
-        covariance: of x and y, in their squared unit, as ((xx, xy), (xy, yy)); None where nothing tells it. Where
-            `lost` is true it says nothing: it is that of a pose in the map.
-        agreement: share of the map frames looked at that agree on a refined pose, from 0 to 1; NaN for one that is not.
+            shows nothing of what the map shows, such as one of another building or from another camera; None without a
+            threshold.
+        candidates: the map frames that resemble the image most, nearest first.
+        ms: total time for preparing, describing, searching and all estimates, in milliseconds.
+        covariance: of x and y, in their squared unit, as ((xx, xy), (xy, yy)); None if unknown. If `lost` is true, it
+            is meaningless: it is the covariance of a pose in the map.
+        agreement: share of the examined map frames that agree on a refined pose, from 0 to 1; NaN if the pose is not
+            refined.
     """
 
     x: float
@@ -93,7 +95,7 @@ class Location:
     agreement: float = math.nan
 
     def describe(self, unit: str = "m") -> str:
-        """Say in one line where the image was taken, and which map frames resemble it."""
+        """Return one line with where the image was taken and which map frames resemble it."""
         heading = "" if math.isnan(self.theta) else f", heading {math.degrees(self.theta):.0f} deg"
         room = f" in {self.room}" if self.room else ""
         expected = "" if math.isnan(self.error_m) else f"; expected error {self.error_m:.2f} {unit}"
@@ -105,11 +107,11 @@ class Location:
 
 
 class FrameFilter:
-    """Where a robot is among the frames of a map, given one image after the other: `siamloc.maps.SequenceFilter`.
+    """Track a robot over the frames of a map, one image after the other, with `siamloc.maps.SequenceFilter`.
 
     Args:
         known: m frames, all with positions.
-        step: how far the robot goes between two images, about; as far as the map's from frame to frame if None.
+        step: roughly how far the robot moves between two images; the map's frame-to-frame distance if None.
 
     Raises:
         ConfigError: a step that is not positive.
@@ -119,13 +121,13 @@ class FrameFilter:
         self._filter = SequenceFilter(MotionModel.learn(known.frames, step=step), temperature_of_map(known))
 
     def reset(self) -> None:
-        """Forget all images: the robot may be anywhere."""
+        """Forget all images, so that the robot may be anywhere."""
         self._filter.reset()
 
     def step(self, distances: NDArray[np.float64]) -> tuple[int, float]:
-        """Take in the distances of an image to all frames (m,); return the likeliest frame, and how far off it may be.
+        """Update with the distances of an image to all frames (m,); return the likeliest frame and its uncertainty.
 
-        That is the root mean square distance of where the robot may be from that frame.
+        The uncertainty is the root mean square distance of the robot's possible positions from that frame.
         """
         belief, xy = self._filter.step(distances), self._filter.motion.xy
         best = int(belief.argmax())
@@ -133,26 +135,26 @@ class FrameFilter:
 
 
 class Localizer:
-    """Locates images by a bundle that `siamloc.runtime.export` wrote.
+    """Locates images with a bundle written by `siamloc.runtime.export`.
 
-    The map is made ready for search once, which takes the memory of its descriptors as float32. Nothing is kept between
-    images: each answer depends on its image alone, but where a `tracker` is given. Several threads may share one.
+    The map is prepared for search once, which takes the memory of its descriptors as float32. Nothing is kept between
+    images: each answer depends on its image alone, unless a `tracker` is given. Several threads may share one.
 
-    A bundle with a coarse layer is searched through it: the map frames come from the nodes that resemble the image
-    most. Where these hold fewer frames than the estimates look at, the whole map is searched.
+    If the bundle has a coarse layer, it is searched first: the map frames come from the nodes that resemble the image
+    most. If these hold fewer frames than the estimates need, the whole map is searched.
 
     Args:
-        bundle_path: folder or archive of the bundle.
+        bundle_path: the bundle's folder or archive.
         top: how many candidates a location lists.
-        hierarchical: whether the coarse layer is searched first; where the bundle has one if None.
-        threads: threads of onnxruntime; its own choice if None.
-        providers: what onnxruntime computes with, the first that can, such as ("CUDAExecutionProvider",
+        hierarchical: whether to search the coarse layer first; if None, only if the bundle has one.
+        threads: number of onnxruntime threads; its own choice if None.
+        providers: onnxruntime's execution providers in order of preference, such as ("CUDAExecutionProvider",
             "CPUExecutionProvider").
 
     Raises:
-        FormatError: no bundle, an altered one, or one of a newer version.
-        ConfigError: a bundle without a map, or without the coarse layer that is asked for, top or threads below 1, or
-            a provider that this onnxruntime lacks.
+        FormatError: not a bundle, an altered one, or one of a newer version.
+        ConfigError: a bundle without a map, or without the requested coarse layer, top or threads below 1, or a
+            provider that this onnxruntime lacks.
     """
 
     @typed
@@ -172,7 +174,7 @@ class Localizer:
     def _start(
         self, bundle_path: str | Path, threads: int | None, providers: Sequence[str], hierarchical: bool | None
     ) -> None:
-        """Read the bundle, and make all ready for the first image."""
+        """Read the bundle, and prepare everything for the first image."""
         self.bundle = Bundle.open(bundle_path)
         known = self.bundle.load_map()
         if known is None:
@@ -185,37 +187,36 @@ class Localizer:
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
         if self._refinement is not None and self._refinement.method == "relative" and not self._describer.compares:
             raise FormatError(
-                f"{bundle_path} says that poses are refined by comparison, and holds nothing to compare by: export "
-                "again"
+                f"{bundle_path} says that poses are refined by comparison, but holds no network for it: export again"
             )
         method = "none" if self._refinement is None else self._refinement.method
         if self._errors is not None and self._errors.refine != method:
             raise FormatError(
-                f"{bundle_path} expects errors of poses with refine={self._errors.refine}, and makes them with "
+                f"{bundle_path} has an error model for poses with refine={self._errors.refine}, but makes them with "
                 f"refine={method}: export again"
             )
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
         self._wanted = max(self._top, *looked_at, 1)
         for one in {id(one): one for one in (self.map, self._placed) if one is not None}.values():
-            match(one, one.description.take(slice(0, 1)))  # made ready here, and not with the first image
+            match(one, one.description.take(slice(0, 1)))  # prepares it here, not with the first image
 
     @property
     def unit(self) -> str:
-        """What x and y count in."""
+        """Unit of x and y."""
         return self.map.unit
 
     @typed
     def tracker(self, step: float | None = None) -> PoseFilter | FrameFilter:
-        """Return what follows a robot from image to image, for `locate`; one for each drive.
+        """Return a tracker that follows a robot from image to image, for `locate`; use one per drive.
 
-        Poses that are made by comparison with map frames are followed as such (`siamloc.maps.PoseFilter`), others from
-        map frame to map frame (`siamloc.maps.SequenceFilter`).
+        If poses are refined by comparison with map frames, the poses are tracked (`siamloc.maps.PoseFilter`); otherwise
+        the robot is tracked from map frame to map frame (`siamloc.maps.SequenceFilter`).
 
         Args:
-            step: how far the robot goes between two images, about; as far as the map's from frame to frame if None.
+            step: roughly how far the robot moves between two images; the map's frame-to-frame distance if None.
 
         Raises:
-            ConfigError: no map frame has a position, or a step that is not positive.
+            ConfigError: no map frame has a position, or the step is not positive.
         """
         if self._placed is None:
             raise ConfigError(f"{self.bundle.path} cannot follow a robot: none of its map frames has a position")
@@ -229,14 +230,14 @@ class Localizer:
         tracker: PoseFilter | FrameFilter | None = None,
         seen: Callable[[NDArray[np.uint8]], None] | None = None,
     ) -> Location:
-        """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as the camera gives them.
+        """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as they come from the camera.
 
         Args:
-            image: the file, or pixels.
-            tracker: follows the robot from the images before: position, heading and covariance are those of the robot
-                on its way; the expected error and whether it is lost are still those of this image alone. Each image
-                counts for its answer alone if None.
-            seen: is given the panorama (3, H, W), uint8, RGB, that the image becomes.
+            image: the file, or the pixels.
+            tracker: takes the preceding images into account: position, heading and covariance are those of the tracked
+                robot; the expected error and whether it is lost are still those of this image alone. If None, each
+                answer depends on its image alone.
+            seen: called with the panorama (3, H, W), uint8, RGB, made from the image.
 
         Raises:
             DataError: the image cannot be read, is empty, or has another shape.
@@ -255,12 +256,12 @@ class Localizer:
 
     @typed
     def locate_batch(self, images: Sequence[str | Path | NDArray[np.uint8]]) -> list[Location]:
-        """Locate several images, described together: faster where the provider is, such as a GPU.
+        """Locate several images at once: faster if the provider gains from batches, as a GPU does.
 
-        Each answer is the one that `locate` gives, on a CPU to the last digit; its `ms` is the mean.
+        Each answer equals that of `locate`, on a CPU to the last digit; its `ms` is the mean.
 
         Args:
-            images: as `locate` takes them, any number.
+            images: any number of images, as in `locate`.
 
         Raises:
             DataError: one of them cannot be read, is empty, or has another shape.
@@ -321,7 +322,7 @@ class Localizer:
         lost: bool | None,
         start: float,
     ) -> Location:
-        """Return the likeliest map frame of a robot on its way."""
+        """Return the likeliest map frame of a tracked robot."""
         assert self._placed is not None
         row, spread = tracker.step(frame_distances(self._placed, query)[0])
         frames, found = self._placed.frames, Retrieval(np.array([[row]]), np.zeros((1, 1)))
@@ -348,7 +349,7 @@ class Localizer:
         return self._describer.describe(panoramas)
 
     def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
-        """Return the search through the coarse layer, if that is wanted."""
+        """Return the search through the coarse layer; None if there is none, or if it is not to be used."""
         held = None if wanted is False else self.bundle.load_layer()
         if held is None:
             if wanted:
@@ -378,9 +379,9 @@ class Localizer:
         return match(self.map, query, self._wanted)
 
     def _estimates(self, query: Description, found: Retrieval) -> tuple[RefinedPoses | None, float, bool | None]:
-        """Return the pose finer than the map, the expected error, and whether that means lost.
+        """Return the refined pose, the expected error, and whether that means lost.
 
-        All rest on the map frames that have a position; there is none of them where the nearest frame has none.
+        All rest on the map frames that have a position; none of them exists if the nearest frame has no position.
         """
         if self._placed is None or not self.map.frames.has_position[found.indices[0, 0]]:
             return None, math.nan, None
@@ -393,7 +394,7 @@ class Localizer:
             errors, verdict = self._errors.judged(found, self._placed.frames.xy, pose)
             expected, lost = float(errors[0]), None if verdict is None else bool(verdict[0])
             if lost and self._errors.foreign(found, self._placed.frames.xy, pose)[0]:
-                expected = math.nan  # what is expected of pictures of the map, and this is none
+                expected = math.nan  # the expected error holds for images from the map's surroundings only
         if self._refinement is not None and pose is not None:
             pose = pose.widened(self._refinement.widening)
         return pose, expected, lost
@@ -406,7 +407,7 @@ class Localizer:
                 raise DataError(f"{image} cannot be located: {error}") from error
         pixels = np.asarray(image)
         if pixels.size == 0:
-            raise DataError("the image is empty: the camera gave no picture")
+            raise DataError("the image is empty: the camera returned no data")
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
         try:
@@ -424,6 +425,6 @@ def _spacing(known: VisualMap) -> float:
 
 
 def _told(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Return the covariance of one pose; None where nothing tells it."""
+    """Return the covariance of one pose; None if it is unknown."""
     (xx, xy), (_, yy) = pose.covariance()[0].tolist()
     return None if math.isnan(xx) else ((xx, xy), (xy, yy))

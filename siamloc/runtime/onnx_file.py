@@ -1,4 +1,4 @@
-"""What all ONNX files here share: how a module is traced, what a file says of itself, how it is run."""
+"""Shared by all ONNX files here: tracing a module, labelling a file, running it."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def traced(
     *,
     free_batch: bool,
 ) -> Any:
-    """Trace a module in evaluation mode; afterwards every part has the mode it had before.
+    """Trace a module in evaluation mode, then restore the mode of every part.
 
     Args:
-        module: what goes into the file.
-        example: its arguments, of a batch of two or more where the batch is free: one would be taken for constant.
-        inputs: their names.
-        outputs: names of what it gives.
+        module: the module to trace.
+        example: its arguments, with a batch of two or more if the batch is free: one would be taken as constant.
+        inputs: names of the arguments.
+        outputs: names of the outputs.
         free_batch: whether the first dimension of the arguments is free, the same one for all.
     """
     batch = {0: torch.export.Dim("batch")}
@@ -58,7 +58,7 @@ def traced(
 
 
 def label(program: Any, kind: str, identity: dict[str, Any]) -> None:
-    """Write into a file what it is."""
+    """Write format, version and identity into the metadata of a file."""
     program.model.metadata_props.update(
         {
             "format": kind,
@@ -69,7 +69,7 @@ def label(program: Any, kind: str, identity: dict[str, Any]) -> None:
 
 
 def session_of(path: str | Path) -> Any:
-    """Open a file in onnxruntime, on the CPU.
+    """Open a file with onnxruntime, on the CPU.
 
     Raises:
         FormatError: a file that onnxruntime cannot run.
@@ -81,12 +81,12 @@ def session_of(path: str | Path) -> Any:
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions have no common base
-        raise FormatError(f"{path} is no ONNX file that onnxruntime can run ({type(error).__name__})") from error
+        raise FormatError(f"{path} is not an ONNX file that onnxruntime can run ({type(error).__name__})") from error
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Silence the exporter's deprecation warnings and progress lines; its errors pass."""
+    """Silence the exporter's deprecation warnings and progress lines, but not its errors."""
     loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:

@@ -1,4 +1,4 @@
-"""Networks as ONNX files, each compared with its network before it gets its name."""
+"""Write networks as ONNX files, each compared with its network before it gets its final name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from siamloc.runtime.onnx_file import OPSET, label, quiet, session_of, traced
 FORMAT = "siamloc-network"
 INPUT, OUTPUT, HEADING_OUTPUT = "panorama", "descriptor", "orientation"
 TOLERANCE = 1e-4
-ONE_FILE_BYTES = 2**31 - 2**24  # protobuf ends at 2 GiB; the graph next to the weights takes a little
+ONE_FILE_BYTES = 2**31 - 2**24  # protobuf is limited to 2 GiB, and the graph needs a little of that
 _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 
 
@@ -28,25 +28,25 @@ _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int]) -> dict[str, Any]:
     """Write a network as an ONNX file.
 
-    The file takes `panorama` (B, 3, H, W) uint8 and gives `descriptor` (B, D), and `orientation` (B, K, F) where the
-    network finds headings; B is free, and the division by 255 and whatever normalization the network has are inside.
-    Its metadata hold the format, its version, and the network's identity as JSON. All is in one file, except that
-    weights of 2 GB and more, which ONNX cannot hold, lie next to it in `<name>.data`. The file gets its name only after
-    `parity` has passed, in evaluation mode; the network keeps its mode.
+    The file takes `panorama` (B, 3, H, W) uint8 and gives `descriptor` (B, D), and `orientation` (B, K, F) if the
+    network finds headings; B is free, and the division by 255 and any normalization of the network are included. Its
+    metadata hold the format, its version, and the network's identity as JSON. Everything is in one file, except that
+    weights of 2 GB or more, which one ONNX file cannot hold, are next to it in `<name>.data`. The file gets its final
+    name only after `parity` has passed, in evaluation mode; the network keeps its mode.
 
     Args:
-        network: (B, 3, H, W) -> (B, D), such as `siamloc.models.build` makes; its weights must be float32.
-        path: of the file; its folder is made.
+        network: (B, 3, H, W) -> (B, D), such as one made by `siamloc.models.build`; its weights must be float32.
+        path: of the file; its folder is created if needed.
         image_size: (H, W) in pixels.
 
     Returns:
-        `path`, `bytes`, `sha256`, `files` (names in the folder), `opset`, `identity`, and `parity` as `parity`
-        returns it.
+        `path`, `bytes`, `sha256`, `files` (names in the folder), `opset`, `identity`, and `parity` (what `parity`
+        returns).
 
     Raises:
-        ConfigError: weights that are not float32, or another image size than the network's.
+        ConfigError: weights that are not float32, or an image size that does not suit the network.
         SiamlocError: the file's descriptors differ from the network's.
-        StorageError: the disk refuses.
+        StorageError: the disk is full or cannot be written to.
     """
     path = Path(path)
     network = on_cpu(network)
@@ -55,7 +55,7 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
     example = torch.zeros(2, 3, rows, columns, dtype=torch.uint8)  # an example of 1 would fix the batch to 1
     graph, outputs = _graph(network)
     with evaluating(graph):
-        graph(example)  # a wrong size fails here, in the network's own words
+        graph(example)  # a wrong size fails here, with the network's own message
     program = traced(graph, (example,), [INPUT], outputs, free_batch=True)
     label(program, FORMAT, identity)
     size = sum(tensor.nbytes for tensor in network.state_dict().values())
@@ -96,13 +96,13 @@ def parity(
 ) -> dict[str, Any]:
     """Compare an ONNX file, run by onnxruntime on the CPU, with its network on random images.
 
-    Both compute in float32 and add up the same products in another order, so they differ by roundings that grow with
-    the values: the tolerance holds for the difference itself where the largest value is at most 1, and for the
-    difference over the largest value where that is above 1. An absolute bound alone would refuse right files of
-    networks with large values, a relative one alone would let a network near 0 pass with any direction.
+    Both compute in float32 but sum the same products in a different order, so they differ by rounding errors that grow
+    with the values: the tolerance applies to the difference itself if the largest value is at most 1, and to the
+    difference divided by the largest value if that is above 1. An absolute bound alone would reject correct files of
+    networks with large values; a relative one alone would let a network near 0 pass with any direction.
 
     Args:
-        network: in any mode; it is compared in evaluation mode and keeps its own.
+        network: in any mode; it is compared in evaluation mode and keeps its mode.
         path: of the ONNX file.
         batches: numbers of images to try.
         seed: of the random images.
@@ -110,8 +110,8 @@ def parity(
 
     Returns:
         `max_abs_difference`, `max_abs_value`, `max_relative_difference` (the first over the second, or the
-        first itself where the network gives zeros only), `tolerance`, `batches`, `seed`, `onnxruntime` (its version);
-        `orientation`, the first three of the orientation parts, where the network finds headings.
+        first itself if the network gives only zeros), `tolerance`, `batches`, `seed`, `onnxruntime` (its version); if
+        the network finds headings, `orientation`: the first three for the orientation parts.
 
     Raises:
         FormatError: a file that onnxruntime cannot run.
@@ -133,8 +133,8 @@ def parity(
             shapes = [[one.shape for one in given] for given in (got, expected)]
             if shapes[0] != shapes[1]:
                 said = [" and ".join(map(str, given)) for given in shapes]
-                raise SiamlocError(f"{path} gives descriptors of shape {said[0]} for {said[1]}: do not use it")
-            # np.maximum carries a NaN on, where the built-in max may drop it.
+                raise SiamlocError(f"{path} gives descriptors of shape {said[0]} instead of {said[1]}: do not use it")
+            # np.maximum propagates NaN, while the built-in max may drop it.
             apart = [np.abs(one - other).max() for one, other in zip(got, expected, strict=True)]
             difference = np.maximum(difference, apart)
             value = np.maximum(value, [np.abs(one).max() for one in expected])
@@ -160,20 +160,20 @@ def parity(
 
 
 class _FromPixels(nn.Module):
-    """A network as the graph of its file: from pixels to the descriptor, and to the orientation part it may have."""
+    """A network as the graph of its file: from pixels to the descriptor, and to the orientation part if it has one."""
 
     def __init__(self, network: nn.Module) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, panorama: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        images = panorama.to(torch.float32) / 255  # as networks are given them everywhere
+        images = panorama.to(torch.float32) / 255  # the input of networks everywhere
         oriented = orienting(self.network)
         return (self.network(images),) if oriented is None else oriented.with_orientation(images)
 
 
 def _graph(network: nn.Module) -> tuple[nn.Module, tuple[str, ...]]:
-    """Return what goes into the file of a network, and the names of what it gives."""
+    """Return the module to export for a network, and the names of its outputs."""
     return _FromPixels(network), (OUTPUT,) if orienting(network) is None else (OUTPUT, HEADING_OUTPUT)
 
 

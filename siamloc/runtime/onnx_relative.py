@@ -1,4 +1,4 @@
-"""What compares a query with map frames, as an ONNX file."""
+"""Write the part of a network that compares a query with map frames as an ONNX file."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ TOLERANCE = 1e-3
 
 
 def export_relative(network: nn.Module, path: str | Path) -> dict[str, Any]:
-    """Write what a network compares by, see `siamloc.models.relative.RelativePose`, as an ONNX file.
+    """Write a network's comparing part, see `siamloc.models.relative.RelativePose`, as an ONNX file.
 
-    The file takes orientation parts `query` and `known` (B, K, F), B is free, and gives `pose` (B, 3), `information`
-    (B, 3, 3) and `match` (B,). It gets its name only after `relative_parity` has passed.
+    The file takes orientation parts `query` and `known` (B, K, F), where B is free, and gives `pose` (B, 3),
+    `information` (B, 3, 3) and `match` (B,). It gets its final name only after `relative_parity` has passed.
 
     Args:
         network: built with relative=True; its weights must be float32.
-        path: of the file; its folder is made.
+        path: of the file; its folder is created if needed.
 
     Returns:
         What `relative_parity` returns.
 
     Raises:
         ConfigError: a network that does not compare, or weights that are not float32.
-        SiamlocError: the file gives other poses.
-        StorageError: the disk refuses.
+        SiamlocError: the file gives different poses.
+        StorageError: the disk is full or cannot be written to.
     """
     network = on_cpu(network)
     relative = required_comparing(network)
@@ -56,17 +56,17 @@ def export_relative(network: nn.Module, path: str | Path) -> dict[str, Any]:
 def relative_parity(
     network: nn.Module, path: str | Path, batches: tuple[int, ...] = (1, 2, 7), seed: int = 0
 ) -> dict[str, Any]:
-    """Compare an ONNX file, run by onnxruntime on the CPU, with its network, on random parts, turned and disturbed.
+    """Compare an ONNX file, run by onnxruntime on the CPU, with its network, on random parts, rotated and disturbed.
 
     Args:
-        network: what the file was made of.
+        network: the network that was exported.
         path: of the ONNX file.
         batches: numbers of pairs to try.
         seed: of the random parts.
 
     Returns:
-        `max_relative_difference`, of each output over its largest value, `tolerance`, `batches`, `seed`, `onnxruntime`
-        (its version).
+        `max_relative_difference` (each output's relative to its largest value), `tolerance`, `batches`, `seed`,
+        `onnxruntime` (its version).
 
     Raises:
         ConfigError: a network that does not compare.
@@ -85,11 +85,11 @@ def relative_parity(
             found = relative(torch.from_numpy(query), torch.from_numpy(known))
         got = session.run(None, dict(zip(INPUTS, (query, known), strict=True)))
         apart = [_apart(one, other.numpy()) for one, other in zip(got, found, strict=True)]
-        largest = float(np.max([largest, *apart]))  # which carries a NaN on
+        largest = float(np.max([largest, *apart]))  # propagates NaN
     if not largest <= TOLERANCE:
         raise SiamlocError(
-            f"what {path} says of pairs of images differs by {largest:.3g} of the largest value from what the network "
-            f"says (tolerance {TOLERANCE:g}): do not use the file"
+            f"the poses that {path} gives differ by {largest:.3g} of the largest value from those that the network "
+            f"gives (tolerance {TOLERANCE:g}): do not use the file"
         )
     return {
         "max_relative_difference": largest,
@@ -101,7 +101,7 @@ def relative_parity(
 
 
 class _Compared(nn.Module):
-    """What compares, with plain outputs."""
+    """`RelativePose` with plain outputs."""
 
     def __init__(self, relative: RelativePose) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The files of a bundle, in a folder or in one archive, which nobody vouches for: read, and never unpacked."""
+"""The files of a bundle, in a folder or an archive from an untrusted source: read, but never unpacked."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from typing import BinaryIO, cast
 from siamloc.errors import FormatError
 from siamloc.files import file_hash
 
-_SPARE, _DENSEST = 64_000_000, 100  # bytes that a part may have anyway, and for each byte of its own in the archive
+_SPARE, _DENSEST = 64_000_000, 100  # bytes that any part may have, and for each of its bytes in the archive
 _DAMAGE = (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 _AT_ONCE = 1 << 20
-_IN_MEMORY = 1_000_000_000  # bytes of a part that is read as a whole
-_PIPES = Path("/proc/self/fd")  # where what is open has a path
-_FOLDER = re.compile(r"(?!\.{1,2}/)[^/\\:]+/|")  # the top of an archive, or one folder by a plain name
+_IN_MEMORY = 1_000_000_000  # largest part in bytes that is read as a whole
+_PIPES = Path("/proc/self/fd")  # where open files have a path
+_FOLDER = re.compile(r"(?!\.{1,2}/)[^/\\:]+/|")  # the top of an archive, or one folder with a plain name
 
 
 class Parts(ABC):
     """The files of a bundle by name.
 
     Args:
-        path: where the bundle lies.
+        path: folder or archive of the bundle.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,14 +39,14 @@ class Parts(ABC):
 
     @abstractmethod
     def holds(self, name: str) -> bool:
-        """Say whether there is such a regular file."""
+        """Return whether there is such a regular file."""
 
     @abstractmethod
     def read(self, name: str) -> bytes:
-        """Return what a file holds.
+        """Return the content of a file.
 
         Raises:
-            FormatError: it is not there, or damaged.
+            FormatError: it is missing or damaged.
         """
 
     @abstractmethod
@@ -54,35 +54,35 @@ class Parts(ABC):
         """Return the SHA-256 of a file in hexadecimal.
 
         Raises:
-            FormatError: it is not there, or damaged.
+            FormatError: it is missing or damaged.
         """
 
     @abstractmethod
     def size(self, name: str) -> int:
-        """Return how many bytes a file has."""
+        """Return the size of a file in bytes."""
 
     @abstractmethod
     def blocks(self, name: str) -> Iterator[bytes]:
-        """Yield what a file holds, piece by piece.
+        """Yield the content of a file block by block.
 
         Raises:
-            FormatError: it is not there, or damaged.
+            FormatError: it is missing or damaged.
         """
 
     @abstractmethod
     def opened(self, name: str) -> AbstractContextManager[BinaryIO]:
-        """Open a file for reading, with a beginning and an end.
+        """Open a file for reading, seekable.
 
         Raises:
-            FormatError: it is not there, or damaged.
+            FormatError: it is missing or damaged.
         """
 
     @abstractmethod
     def streamed(self, name: str) -> AbstractContextManager[Path]:
-        """Yield a path from which a file can be read once, so that it is in memory nowhere else.
+        """Yield a path from which a file can be read once, so that no second copy of it is in memory.
 
         Raises:
-            FormatError: it is not there, or damaged.
+            FormatError: it is missing or damaged.
             OSError: this system has no such paths.
         """
 
@@ -91,7 +91,7 @@ class Folder(Parts):
     """Files in a folder; links among them are refused."""
 
     def holds(self, name: str) -> bool:
-        """Say whether there is such a regular file."""
+        """Return whether there is such a regular file."""
         path = self.path / name
         if path.is_symlink():
             raise FormatError(f"{path} is a link, which could lead anywhere: copy the file itself into the bundle")
@@ -103,7 +103,7 @@ class Folder(Parts):
         return True
 
     def read(self, name: str) -> bytes:
-        """Return what a file holds."""
+        """Return the content of a file."""
         if (self.path / name).is_file() and self.size(name) > _IN_MEMORY:
             raise FormatError(f"{self.path / name} has {self.size(name):,} bytes, more than a bundle's: export again")
         try:
@@ -116,11 +116,11 @@ class Folder(Parts):
         return file_hash(self.path / name)
 
     def size(self, name: str) -> int:
-        """Return how many bytes a file has."""
+        """Return the size of a file in bytes."""
         return (self.path / name).stat().st_size
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """Yield what a file holds, piece by piece."""
+        """Yield the content of a file block by block."""
         with self.opened(name) as file:
             while block := file.read(_AT_ONCE):
                 yield block
@@ -137,20 +137,20 @@ class Folder(Parts):
 
     @contextmanager
     def streamed(self, name: str) -> Iterator[Path]:
-        """Yield its own path; weights of more than 2 GB lie in a file beside that of the model."""
+        """Yield its own path; weights of more than 2 GB are in a file next to the model."""
         yield self.path / name
 
 
 class Archive(Parts):
-    """Files in a zip archive, at its top or in one folder that it was made of.
+    """Files in a zip archive, at its top level or in a single folder.
 
     Args:
         path: of the archive.
         allowed: names that a bundle may hold.
-        marker: the one that every bundle holds.
+        marker: the name that every bundle holds.
 
     Raises:
-        FormatError: no archive, cut short, or with files that no bundle has.
+        FormatError: not an archive, cut short, or with files that no bundle has.
     """
 
     def __init__(self, path: Path, allowed: Collection[str], marker: str) -> None:
@@ -159,7 +159,7 @@ class Archive(Parts):
             with zipfile.ZipFile(path) as archive:
                 members = [member for member in archive.infolist() if not member.is_dir()]
         except _DAMAGE as error:
-            raise FormatError(f"{path} is no zip archive, or not a whole one ({error}): export again") from error
+            raise FormatError(f"{path} is not a zip archive, or is incomplete ({error}): export again") from error
         tops = [member.filename[: -len(marker)] for member in members if member.filename.endswith(marker)]
         top = next((top for top in tops if _FOLDER.fullmatch(top)), "")
         self._members: dict[str, zipfile.ZipInfo] = {}
@@ -167,18 +167,18 @@ class Archive(Parts):
             name = member.filename.removeprefix(top)
             linked = stat.S_ISLNK(member.external_attr >> 16)
             if name not in allowed or name in self._members or linked or member.flag_bits & 1:
-                what = "a link" if linked else "encrypted" if member.flag_bits & 1 else "no part of a bundle"
-                raise FormatError(f"{path} holds {member.filename!r}, which is {what}, or is there twice: export again")
+                what = "a link" if linked else "encrypted" if member.flag_bits & 1 else "not part of a bundle"
+                raise FormatError(f"{path} holds {member.filename!r}, which is {what}, or appears twice: export again")
             if member.file_size > _SPARE + _DENSEST * member.compress_size:
                 raise FormatError(f"{path} holds {name}, which claims to be far too long: export again")
             self._members[name] = member
 
     def holds(self, name: str) -> bool:
-        """Say whether there is such a file."""
+        """Return whether there is such a file."""
         return name in self._members
 
     def read(self, name: str) -> bytes:
-        """Return what a file holds; a wrong checksum of the archive is damage."""
+        """Return the content of a file; a wrong checksum in the archive counts as damage."""
         return b"".join(self.blocks(name))
 
     def digest(self, name: str) -> str:
@@ -189,12 +189,12 @@ class Archive(Parts):
         return digest.hexdigest()
 
     def size(self, name: str) -> int:
-        """Return how many bytes a file has, in the archive."""
+        """Return the size of a file in the archive in bytes."""
         return self._members[name].compress_size
 
     @contextmanager
     def opened(self, name: str) -> Iterator[BinaryIO]:
-        """Open a file where it lies; one that was made shorter is read first."""
+        """Open a file in place; a compressed one is read into memory first."""
         if self._members[name].compress_type != zipfile.ZIP_STORED:
             yield BytesIO(self.read(name))
             return
@@ -207,13 +207,16 @@ class Archive(Parts):
 
     @contextmanager
     def streamed(self, name: str) -> Iterator[Path]:
-        """Yield the path of a pipe, through which a file comes block by block."""
+        """Yield the path of a pipe that delivers a file block by block."""
         if not _PIPES.is_dir():
             raise OSError(f"there is no {_PIPES}")
         reading, writing = os.pipe()
 
         def written() -> None:
-            with suppress(OSError, FormatError), os.fdopen(writing, "wb") as pipe:  # the reader may go, and says why
+            with (
+                suppress(OSError, FormatError),
+                os.fdopen(writing, "wb") as pipe,
+            ):  # the reader may stop, and reports why
                 for block in self.blocks(name):
                     pipe.write(block)
 
@@ -226,7 +229,7 @@ class Archive(Parts):
             writer.join()
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """Yield what a file holds, piece by piece; a wrong checksum of the archive is damage."""
+        """Yield the content of a file block by block; a wrong checksum in the archive counts as damage."""
         try:
             with zipfile.ZipFile(self.path) as archive, archive.open(self._members[name]) as held:
                 left = self._members[name].file_size

@@ -1,10 +1,10 @@
-"""What a bundle costs and gives in each precision.
+"""Size, speed and accuracy of a bundle in each precision.
 
-"float16" keeps weights in half precision and computes as before: file and memory have half the length, the descriptor
-changes by about a thousandth, and an image takes up to 1.7 times as long. "int8" computes convolutions and fully
-connected layers with whole numbers of 8 bits (static, per channel, ranges from panoramas of the map): a quarter of the
-length, and faster where the processor multiplies such numbers. Weights keep to 7 bits, so that no processor's sums
-overflow and all give the same answers.
+"float16" stores weights in half precision and still computes in float32: file and memory are half the size, the
+descriptor changes by about a thousandth, and an image takes up to 1.7 times as long. "int8" computes convolutions and
+fully connected layers with 8-bit integers (static, per channel, ranges from panoramas of the map): a quarter of the
+size, and faster if the processor supports such multiplications. Weights are limited to 7 bits, so that the sums do not
+overflow on any processor and all processors give the same answers.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ if TYPE_CHECKING:
     from siamloc.data.library import PanoramaLibrary
 
 CALIBRATION = 32
-"""Panoramas from which the ranges of whole numbers are taken."""
+"""Number of panoramas from which the ranges of the integers are taken."""
 LOSS = 0.02
-"""What share of the localization error precision="auto" may lose."""
+"""Relative increase of the localization error that precision="auto" accepts."""
 
-_ASKED = 200  # images that a bundle is measured with
+_ASKED = 200  # number of images that a bundle is measured with
 _COLUMNS = ("precision", "MB", "ms", "change of descriptor", "error")
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What a bundle costs and gives in one precision.
+    """Size, speed and accuracy of a bundle in one precision.
 
     Attributes:
-        precision: of network and map.
-        bytes: of the whole bundle.
-        ms: median time of an image, from the panorama on.
-        change: median distance between its descriptors and the original's, of their length.
+        precision: precision of network and map.
+        bytes: size of the whole bundle.
+        ms: median time per image, from the panorama on.
+        change: median distance between its descriptors and the original's, relative to their norm.
         error: mean localization error, in units of x and y; an image without a position counts with the map's size.
-        images: that it was measured with.
-        located: those of them that got a position.
+        images: number of images it was measured with.
+        located: number of those that got a position.
     """
 
     precision: Precision
@@ -66,7 +66,7 @@ class Measured:
 
 
 def smallest(rows: Sequence[Measured]) -> Measured:
-    """Return the smallest bundle that loses at most `LOSS` of the error of the one in float32."""
+    """Return the smallest bundle whose error exceeds that of the float32 bundle by at most `LOSS`."""
     full = next(row for row in rows if row.precision == "float32")
     if not full.located:
         raise ConfigError(
@@ -79,13 +79,13 @@ def smallest(rows: Sequence[Measured]) -> Measured:
 
 @typed
 def precision_table(bundle: Bundle) -> str:
-    """Return what each precision costs and gives, as lines to read, the chosen one with a star.
+    """Return a text table of the bundle's size, speed and accuracy in each precision; a star marks the chosen one.
 
     Args:
         bundle: written with precision="auto"; for others there is nothing to compare, and the text is empty.
 
     Raises:
-        FormatError: it was altered.
+        FormatError: the bundle was altered.
     """
     try:
         rows = [Measured(**row) for row in bundle.about.get("precisions") or []]
@@ -115,9 +115,9 @@ def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], x
 
     Args:
         bundle: its folder.
-        original: what described its map.
-        panoramas: (n, 3, H, W), of images to be located.
-        xy: (n, 2) where they were taken.
+        original: the descriptor of its map.
+        panoramas: (n, 3, H, W) of the images to locate.
+        xy: (n, 2) positions where they were taken.
     """
     localizer = Localizer(bundle)
     localizer.locate_panorama(panoramas[0])  # the first is slower
@@ -139,7 +139,7 @@ def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], x
 
 
 def spread(images: PanoramaLibrary, frames: FrameTable, count: int = _ASKED) -> tuple[NDArray[np.uint8], FrameTable]:
-    """Return panoramas of at most so many frames, evenly spread, and the frames.
+    """Return the panoramas of at most `count` evenly spread frames, and the frames.
 
     Raises:
         DataError: none of their images can be read.

@@ -1,4 +1,4 @@
-"""ONNX files of fewer digits: weights in half precision, and layers that compute with whole numbers."""
+"""ONNX files of lower precision: weights in half precision, and layers that compute with integers."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from onnx import GraphProto, NodeProto, TensorProto
 
 _LAYERS = ["Conv", "Gemm"]
-_WORTH = 4096  # numbers in an array that is worth shortening
-_PIECE = 1 << 19  # numbers of a fully connected layer that are made float32 at once
+_WORTH = 4096  # smallest array worth shortening, in numbers
+_PIECE = 1 << 19  # weights of a fully connected layer that are made float32 at once
 _ROWS = 16  # a multiple of what a kernel computes at once, so that no piece leaves it half empty
 
 
 def halve(path: Path) -> None:
-    """Keep the weights of an ONNX file in half precision, in place; it computes in float32 as before.
+    """Store the weights of an ONNX file in half precision, in place; it still computes in float32.
 
-    Each layer's weights become float32 when the layer is reached, for every image again, so that a robot never holds
-    all of them in float32. They are listed among the inputs for that, as ones that need not be given: onnxruntime would
-    convert constants when it starts, and keep them. A large fully connected layer is cut into several, each with some
-    of the outputs, since in float32 it alone could take more memory than all weights in half precision.
+    Each layer's weights become float32 when the layer is reached, again for every image, so that a robot never holds
+    all of them in float32. For that they are listed as optional inputs: onnxruntime would convert constants at startup
+    and keep them. A large fully connected layer is split into several, each with some of the outputs, since in float32
+    it alone could take more memory than all weights in half precision.
 
     Raises:
-        ConfigError: a file of 2 GB and more, whose weights lie beside it.
+        ConfigError: a file of 2 GB or more, whose weights are in a separate file.
     """
     import onnx
 
@@ -46,14 +46,14 @@ def halve(path: Path) -> None:
 
 
 def quantize(path: Path, panoramas: NDArray[np.uint8]) -> None:
-    """Make an ONNX file compute with whole numbers of 8 bits, in place; other large weights become half precision.
+    """Make an ONNX file compute with 8-bit integers, in place; other large weights become half precision.
 
     Args:
         path: of the file.
-        panoramas: (n, 3, H, W) from which the ranges of the numbers are taken.
+        panoramas: (n, 3, H, W) from which the value ranges are taken.
 
     Raises:
-        ConfigError: a file of 2 GB and more, whose weights lie beside it.
+        ConfigError: a file of 2 GB or more, whose weights are in a separate file.
     """
     from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
 
@@ -74,14 +74,14 @@ def quantize(path: Path, panoramas: NDArray[np.uint8]) -> None:
 
 
 def _halve_weights(graph: GraphProto) -> None:
-    """Replace large float32 weights by ones in half precision, made float32 where they are first used."""
+    """Replace large float32 weights with ones in half precision, cast to float32 where they are first used."""
     from onnx import helper, numpy_helper
 
     casts: dict[str, NodeProto] = {}
     kept, given = [], {one.name for one in graph.output}
     for tensor in graph.initializer:
         values = numpy_helper.to_array(tensor)
-        # Vectors are biases, and scales of whole numbers, which half precision would spoil.
+        # Vectors are biases, and scales of quantized values, which half precision would spoil.
         short = values.dtype != np.float32 or values.ndim < 2 or values.size < _WORTH or tensor.name in given
         if short or np.abs(values).max() >= np.finfo(np.float16).max:
             kept.append(tensor)
@@ -98,14 +98,14 @@ def _halve_weights(graph: GraphProto) -> None:
 
 
 def _divide_layers(graph: GraphProto) -> None:
-    """Cut fully connected layers of more than `_PIECE` weights into ones that give some of the outputs each."""
+    """Split fully connected layers of more than `_PIECE` weights into ones with some of the outputs each."""
     from onnx import helper, numpy_helper
 
     weights = {tensor.name: tensor for tensor in graph.initializer}
     uses = Counter([*(name for node in graph.node for name in _names(node)), *(one.name for one in graph.output)])
     nodes = []
     for node in graph.node:
-        # The weights (outputs, inputs), and where there is one the bias (outputs,).
+        # The weights (outputs, inputs) and the bias (outputs,), if any.
         names = [name for name in node.input[1:] if name]
         attributes = {one.name: helper.get_attribute_value(one) for one in node.attribute}
         own = all(name in weights and uses[name] == 1 for name in names)
@@ -132,7 +132,7 @@ def _divide_layers(graph: GraphProto) -> None:
 
 
 def _names(node: NodeProto) -> Iterator[str]:
-    """Yield what a node uses, in its branches and loops too."""
+    """Yield the names that a node uses, including those in its branches and loops."""
     yield from node.input
     for attribute in node.attribute:
         for graph in [attribute.g, *attribute.graphs]:
@@ -141,7 +141,7 @@ def _names(node: NodeProto) -> Iterator[str]:
 
 
 def _replace(graph: GraphProto, nodes: Iterable[NodeProto], weights: Iterable[TensorProto]) -> None:
-    """Give a graph other nodes and weights."""
+    """Replace the nodes and weights of a graph."""
     nodes, weights = list(nodes), list(weights)
     del graph.node[:], graph.initializer[:]
     graph.node.extend(nodes)
@@ -149,7 +149,7 @@ def _replace(graph: GraphProto, nodes: Iterable[NodeProto], weights: Iterable[Te
 
 
 class _Panoramas:
-    """Gives a quantizer one panorama after the other."""
+    """Feeds a quantizer one panorama after the other."""
 
     def __init__(self, panoramas: NDArray[np.uint8]) -> None:
         self._left = iter(panoramas)
@@ -166,12 +166,14 @@ class _Panoramas:
 
 def _check_one_file(path: Path) -> None:
     if path.with_name(f"{path.name}.data").exists():
-        raise ConfigError("a network of 2 GB and more cannot be shortened: export it with precision=float32")
+        raise ConfigError(
+            "a network of 2 GB or more cannot be stored in lower precision: export it with precision=float32"
+        )
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence the quantizer's advice, which it gives to the root logger."""
+    """Silence the quantizer's advice, which goes to the root logger."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

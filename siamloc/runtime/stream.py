@@ -1,4 +1,4 @@
-"""Images one after the other, from files, folders, videos and cameras, and where each was taken."""
+"""Read images from files, folders, videos and cameras, and locate them one after the other."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ COLUMNS = (
     *("image", "x", "y", "theta", "room", "error_m", "lost", "covariance_xx", "covariance_xy", "covariance_yy"),
     *("agreement", "match", "distance", "ms", "off_by"),
 )
-"""Of a row of a table of locations."""
+"""Columns of a table of locations."""
 
 
 @dataclass(frozen=True)
 class Located:
-    """What came of one image.
+    """The outcome for one image.
 
     Attributes:
-        image: its file; of a video or a camera with the number of the picture behind it, such as "drive.mp4#12".
-        location: where it was taken; None where the image could not be read.
+        image: its file; for a video or a camera, followed by the number of the frame, such as "drive.mp4#12".
+        location: where it was taken; None if the image could not be read.
         fault: why it could not be read; "" otherwise.
-        pose: where its name says that it was taken, as COLD's names do; None where the name says nothing.
+        pose: the pose in its file name, as in COLD's names; None if the name holds none.
     """
 
     image: str
@@ -58,14 +58,14 @@ class Located:
         return math.hypot(self.location.x - self.pose.x, self.location.y - self.pose.y)
 
     def describe(self, unit: str = "m") -> str:
-        """Say it in one line."""
+        """Return it as one line of text."""
         if self.location is None:
             return f"left out: {self.fault}"
         off = "" if math.isnan(self.off_by) else f"; {self.off_by:.2f} {unit} from the pose in its name"
         return f"{self.image}: {self.location.describe(unit)}{off}"
 
     def row(self) -> dict[str, object]:
-        """Return it as a row with `COLUMNS`; what is unknown is ""."""
+        """Return it as a row with `COLUMNS`; unknown values are ""."""
         if self.location is None:
             return {**dict.fromkeys(COLUMNS, ""), "image": self.image}
         location, best = self.location, self.location.candidates[0]
@@ -77,7 +77,7 @@ class Located:
         return dict(zip(COLUMNS, map(_cell, values), strict=True))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values, as a line of JSON holds them; what is unknown is None."""
+        """Return it as plain values, ready for a line of JSON; unknown values are None."""
         told = {} if self.location is None else asdict(self.location)
         pose = None if self.pose is None else self.pose._asdict()
         return plain({"image": self.image, "fault": self.fault or None, **told, "pose": pose, "off_by": self.off_by})
@@ -91,21 +91,21 @@ def locate_all(
     track: bool = False,
     seen: Callable[[NDArray[np.uint8]], None] | None = None,
 ) -> Generator[Located, None, None]:
-    """Locate images one after the other, each as soon as it is there; nothing of them is kept.
+    """Locate images one after the other, each as soon as it arrives; nothing of them is kept.
 
     Args:
-        localizer: what locates them.
+        localizer: locates them.
         images: image files, folders of them, video files, and cameras of this machine, such as "camera:0"; or one.
-        on_error: "skip" goes on after an image that cannot be read, and says so; "raise" stops there.
+        on_error: "skip" reports an image that cannot be read and continues; "raise" stops there.
         track: follow the robot from image to image, see `Localizer.tracker`; each folder, video and camera is a drive.
-        seen: is given each panorama (3, H, W), uint8, RGB, before it is located.
+        seen: called with each panorama (3, H, W), uint8, RGB, before it is located.
 
     Yields:
-        What came of each image, in order.
+        The outcome for each image, in order.
 
     Raises:
-        ConfigError: no images named, or a bundle that cannot follow a robot.
-        DataError: a file that is not there, a folder without images, a video or a camera that gives no picture, or a
+        ConfigError: no images given, or a bundle that cannot follow a robot.
+        DataError: a file that does not exist, a folder without images, a video or a camera that gives no image, or a
             camera that stops.
     """
     tracker, drive = localizer.tracker() if track else None, ""
@@ -124,9 +124,9 @@ def locate_all(
 def pictures(
     images: str | Path | Sequence[str | Path],
 ) -> Iterator[tuple[str, Path | NDArray[np.uint8], NamedPose | None]]:
-    """Yield what images are called, the image (a file, or pixels in RGB), and the pose in its name.
+    """Yield for each image its name, the image (a file, or pixels in RGB), and the pose in its name.
 
-    All names are looked at before the first image is given out.
+    All names are checked before the first image is yielded.
 
     Raises:
         ConfigError, DataError: as `locate_all`.
@@ -139,11 +139,11 @@ def pictures(
 
 
 def named(images: str | Path | Sequence[str | Path]) -> list[tuple[str, list[Path] | None]]:
-    """Return which image files each name stands for; None for a video or a camera.
+    """Return the image files that each name stands for; None for a video or a camera.
 
     Raises:
         ConfigError: no names.
-        DataError: a file that is not there, or a folder without images.
+        DataError: a file that does not exist, or a folder without images.
     """
     names = [images] if isinstance(images, (str, Path)) else list(images)
     if not names:
@@ -167,13 +167,13 @@ def _files(name: str | Path) -> list[Path] | None:
 
 
 def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8], None]]:
-    """Yield the pictures of a video, or of a camera for as long as it gives any."""
+    """Yield the frames of a video, or of a camera for as long as it delivers any."""
     import cv2
 
     live = name.startswith(CAMERA)
     number = name.removeprefix(CAMERA)
     if live and not number.isdigit():
-        raise ConfigError(f"{name} is no camera: give its number, such as {CAMERA}0")
+        raise ConfigError(f"{name} is not a camera: give its number, such as {CAMERA}0")
     with _quiet():
         film = cv2.VideoCapture(int(number) if live else name)
     given = 0
@@ -187,14 +187,17 @@ def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8], None]]:
     finally:
         film.release()
     if not given:
-        raise DataError(f"{name} gives no picture: " + ("look at its plug" if live else "it is no video, or empty"))
+        raise DataError(
+            f"{name} gives no image: "
+            + ("check that it is plugged in" if live else "it is not a video, or it is empty")
+        )
     if live:
-        raise DataError(f"{name} gives no more pictures after {given}: look at its plug")
+        raise DataError(f"{name} gives no more images after {given}: check that it is plugged in")
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence OpenCV's and FFmpeg's lines about a camera or a video that is not there: the sentence here says it."""
+    """Silence OpenCV's and FFmpeg's messages about a missing camera or video: the error raised here reports it."""
     import cv2
 
     log = cv2.utils.logging
@@ -211,22 +214,22 @@ def _quiet() -> Iterator[None]:
 
 @typed
 def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, None, None]:
-    """Pass locations on, and write each into a file, which is there when the last has been passed on.
+    """Pass locations on and write each to a file, which appears once the last has been passed on.
 
-    A caller that stops before the end gets the file of what it was given, and so does one who is interrupted, or whose
-    images end in an error after the first of them.
+    A caller that stops early, is interrupted, or whose images end in an error after the first, still gets the file,
+    with all locations up to there.
 
     Args:
-        path: a table with `COLUMNS`, name.csv, or a line of JSON for each, name.jsonl.
-        located: as `locate_all` gives it.
+        path: a table with `COLUMNS`, name.csv, or one line of JSON per location, name.jsonl.
+        located: the locations, as yielded by `locate_all`.
 
     Raises:
-        ConfigError: another ending.
-        StorageError: the disk refuses.
+        ConfigError: another file extension.
+        StorageError: the disk is full or cannot be written to.
     """
     path = Path(path)
     if path.suffix not in LINES:
-        raise ConfigError(f"{path} must be a table, .csv, or lines of JSON, .jsonl")
+        raise ConfigError(f"{path} must be a table (.csv) or lines of JSON (.jsonl)")
     line = LINES[path.suffix]()
     count, stopped = 0, None
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
@@ -245,7 +248,7 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
 
 
 class CsvLines:
-    """Makes the lines of a table of locations."""
+    """Formats locations as lines of a table."""
 
     def __init__(self) -> None:
         self._text = io.StringIO()
@@ -262,7 +265,7 @@ class CsvLines:
 
 
 class JsonLines:
-    """Makes a line of JSON for each location."""
+    """Formats locations as lines of JSON."""
 
     head = ""
 
@@ -272,7 +275,7 @@ class JsonLines:
 
 
 LINES: dict[str, type[CsvLines] | type[JsonLines]] = {".csv": CsvLines, ".jsonl": JsonLines}
-"""What makes the lines of a file with this ending, the first of them in `head`."""
+"""Line formatter by file extension; its `head` is the first line of the file."""
 
 
 def _cell(value: object) -> object:

@@ -1,4 +1,4 @@
-"""Small pictures of the map frames, for people who watch the robot."""
+"""Thumbnails of the map frames, for people who watch the robot."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _COLUMNS, _QUALITY = 256, 75
 
 
 class Thumbnails:
-    """JPEG pictures by row of the map.
+    """JPEG thumbnails by row of the map.
 
     Args:
-        content: of the file that `save_thumbnails` wrote.
-        source: what to call it in error messages.
+        content: content of the file that `save_thumbnails` wrote.
+        source: its name in error messages.
 
     Raises:
-        FormatError: it is damaged.
+        FormatError: the file is damaged.
     """
 
     def __init__(self, content: bytes, source: str) -> None:
@@ -38,7 +38,7 @@ class Thumbnails:
             right = self._bytes.dtype == np.uint8 and self._ends.dtype == np.int64 and self._bytes.ndim == 1
             steps = np.diff(self._ends, prepend=0)
             if not right or self._ends.ndim != 1 or (steps < 0).any() or steps.sum() != len(self._bytes):
-                raise ValueError("parts that do not fit each other")
+                raise ValueError("arrays that do not fit together")
         except DAMAGE as error:
             raise FormatError(f"{source} holds no pictures, or not all of them: export again") from error
 
@@ -46,22 +46,22 @@ class Thumbnails:
         return len(self._ends)
 
     def __getitem__(self, row: int) -> bytes | None:
-        """Return the picture of a map frame; None where its image could not be read."""
+        """Return the thumbnail of a map frame; None if its image could not be read."""
         begin = int(self._ends[row - 1]) if row else 0
         return self._bytes[begin : int(self._ends[row])].tobytes() or None
 
 
 def save_thumbnails(path: str | Path, images: PanoramaLibrary, frames: FrameTable) -> None:
-    """Write the pictures of frames into one npz file, atomically.
+    """Write the thumbnails of frames to one npz file, atomically.
 
     Args:
         path: of the file.
         images: panoramas of the frames.
-        frames: n of them; those that cannot be read get none.
+        frames: n frames; those that cannot be read get none.
 
     Raises:
         DataError: a frame is not among the images.
-        StorageError: the disk refuses.
+        StorageError: the disk is full or cannot be written to.
     """
     readable = set(images.readable(frames).identities())
     rows = [row for row, key in enumerate(frames.identities()) if key in readable]
@@ -76,7 +76,7 @@ def save_thumbnails(path: str | Path, images: PanoramaLibrary, frames: FrameTabl
 
 
 def jpeg(panorama: NDArray[np.uint8], columns: int = _COLUMNS) -> bytes:
-    """Return a panorama (3, H, W), uint8, RGB, as a JPEG of at most so many columns."""
+    """Return a panorama (3, H, W), uint8, RGB, as a JPEG of at most `columns` columns."""
     picture = np.ascontiguousarray(panorama[::-1].transpose(1, 2, 0))
     height, width = picture.shape[:2]
     if width > columns:

@@ -1,4 +1,4 @@
-"""Pictures of results, drawn by matplotlib without a display; it is loaded when something is drawn."""
+"""Plots of results, drawn by matplotlib without a display; matplotlib is loaded when something is drawn."""
 
 from __future__ import annotations
 

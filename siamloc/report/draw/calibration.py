@@ -1,4 +1,4 @@
-"""Expected errors against true ones: how well an estimate of the error holds."""
+"""Expected errors against true ones: calibration of the error estimate."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from siamloc.report.draw.look import (
 
 @style()
 def calibration_curve(found: Mapping[str, Any], unit: str = "m") -> Picture:
-    """Draw the true mean error of each tenth of the queries against the error that was expected of them.
+    """Draw the true mean error of each tenth of the queries against their expected error.
 
     Args:
         found: `measures.calibration` of `results.json`.

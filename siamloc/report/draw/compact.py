@@ -15,7 +15,7 @@ WAYS = {"spectral": "spectral clustering", "som": "self-organizing map", "sample
 
 @style()
 def compact_curves(found: Mapping[str, Any]) -> Picture:
-    """Draw three panels against the number of nodes: errors, silhouettes, and the time of a search.
+    """Draw three panels against the number of nodes: errors, silhouettes, and search time.
 
     Args:
         found: `measures.compact` of `results.json`.

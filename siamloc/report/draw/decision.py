@@ -1,4 +1,4 @@
-"""One decision of the incremental mapper, with the numbers behind it ([I] figure 6, [T] figure 4.16)."""
+"""Explain one decision of the incremental mapper with the numbers behind it ([I] figure 6, [T] figure 4.16)."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from analytic.mapper import IncrementalMapper
     from analytic.mapper.closure import Similarity
 
-_TRIED = 60  # decisions whose curves are computed in search of an instructive one
-_BRIDGED = 30  # frames between an image and its match from which on a loop closes
+_TRIED = 60  # maximum number of decisions computed in search of an instructive one
+_BRIDGED = 30  # frames between an image and its match from which it counts as a loop closure
 _MOST_CANDIDATES = 6
-_BREAK = 4  # steps of the horizontal axis where the curve breaks
+_BREAK = 4  # width of a gap in the curve, in steps of the horizontal axis
 _TOLERANCE = 1e-3  # relative; the log has six digits
 
 
@@ -38,11 +38,11 @@ class Explained:
 
     Attributes:
         frame: the number of the image that was placed.
-        scores: what the log says of it.
+        scores: its entry in the log.
         frames: (n,) numbers of the frames compared, in capture order.
-        node: (n,) the mapper's name of the node of each at the time.
+        node: (n,) the mapper's name of the node of each frame at the time.
         position: (n,) normalized similarity of the position descriptors.
-        orientation: (n,) of the orientation descriptors; None if they were not compared.
+        orientation: (n,) that of the orientation descriptors; None if they were not compared.
         values: (n,) their product, on which the decision rests.
         labels: (frame,) the node of every earlier frame at the time, -1 for none.
     """
@@ -58,28 +58,28 @@ class Explained:
 
     @property
     def best(self) -> int:
-        """The frame compared that is the most similar one."""
+        """The most similar of the compared frames."""
         return int(self.frames[self.values.argmax()])
 
     @property
     def best_lies_elsewhere(self) -> bool:
-        """Whether the most similar image lies in another node than the one chosen."""
+        """Whether the most similar image is in another node than the chosen one."""
         return int(self.node[self.values.argmax()]) != self.scores["node"]
 
 
 def instructive(story: Story, mapper_file: str | Path) -> Explained | None:
-    """Choose a decision that shows how the mapper thinks, and compute its curve again; always the same one.
+    """Choose a decision that shows how the mapper works, and recompute its curve; the choice is deterministic.
 
     It is a loop closure among several candidate nodes: in version 1 the one whose peak stands out most, in version 2
-    one where the most similar image lies in another node than the one chosen, if there is any. What is computed has to
-    agree with the log; None if no decision does, or none chose a node.
+    one whose most similar image is in another node than the chosen one, if any. The recomputed values must agree with
+    the log; None if they agree for no decision, or if no decision chose a node.
 
     Args:
-        story: of the map.
+        story: log of the map.
         mapper_file: `mapper.npz` of the layer.
 
     Raises:
-        FormatError: a file that is missing, or not whole.
+        FormatError: a file that is missing or incomplete.
     """
     mapper = _loaded(mapper_file, story.descriptor)
     known = _descriptions(mapper)
@@ -98,7 +98,7 @@ def instructive(story: Story, mapper_file: str | Path) -> Explained | None:
 
 @style()
 def explain(decision: Explained, story: Story) -> Picture:
-    """Draw a decision: the similarity to each frame of the candidate nodes, and where all that is on the plan."""
+    """Draw a decision: the similarity to each frame of the candidate nodes, and their places on the plan."""
     figure = Picture(figsize=(12.0, 5.4))
     rows = 1 if decision.orientation is None else 3
     parts: Any = figure.subfigures(1, 2, width_ratios=[1.45, 1])
@@ -134,7 +134,7 @@ def _closing(story: Story) -> list[int]:
 
 
 def _rank(event: Mapping[str, Any], version: int) -> tuple[Any, ...]:
-    """Return what sorts instructive decisions first, as far as the log says."""
+    """Return a sort key that puts instructive decisions first, judged by the log."""
     scores = event["scores"]
     candidates = len(scores["candidates"])
     closes = event["frames"][0] - scores["match"] >= _BRIDGED
@@ -145,7 +145,7 @@ def _rank(event: Mapping[str, Any], version: int) -> tuple[Any, ...]:
 def _explained(
     story: Story, event: int, mapper: IncrementalMapper, known: Mapping[int, Description]
 ) -> Explained | None:
-    """Compare an image again with the frames that its candidates had; None if the result is not the log's."""
+    """Compare an image again with the frames that its candidates had; None if the result differs from the log."""
     from analytic.descriptors.base import Description
 
     frame, scores = story.events[event]["frames"][0], story.events[event]["scores"]
@@ -176,7 +176,7 @@ def _similarity(
     labels: NDArray[np.int64],
     orientation: bool,
 ) -> Similarity:
-    """Return the mapper's own similarity to frames, by nodes as they were at the time."""
+    """Return the mapper's similarity to frames, with the nodes as they were at the time."""
     from analytic.mapper.closure import Similarity as Compared
     from analytic.mapper.closure import image_level
 
@@ -196,7 +196,7 @@ def _similarity(
 
 
 def _descriptions(mapper: IncrementalMapper) -> dict[int, Description]:
-    """Return what the map has kept of its frames."""
+    """Return the descriptors that the map holds, by frame."""
     return {
         int(frame): mode.gallery.row(row)
         for node in mapper.nodes
@@ -217,22 +217,22 @@ def _loaded(path: str | Path, identity: dict[str, Any]) -> IncrementalMapper:
 
 
 def _vectors(made_by: dict[str, Any]) -> Descriptor:
-    """Return a descriptor that compares vectors as they were made elsewhere, such as by a network."""
+    """Return a descriptor that only compares vectors made elsewhere, such as by a network."""
     from analytic import Descriptor
 
     class Vectors(Descriptor):
-        """Vectors of a descriptor that is not at hand."""
+        """Stands for a descriptor that is not available."""
 
         name = "vectors"
         circular = made_by.get("circular", True)
 
         @property
         def identity(self) -> dict[str, Any]:
-            """Of the descriptor that made them."""
+            """Identity of the descriptor that made the vectors."""
             return made_by
 
         def describe(self, batch: Any) -> Description:
-            """Raise: there is nothing that could describe."""
+            """Not available: the original descriptor is missing."""
             raise NotImplementedError
 
     return Vectors()
@@ -241,7 +241,7 @@ def _vectors(made_by: dict[str, Any]) -> Descriptor:
 def _places(decision: Explained) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
     """Return the place of each frame on the axis (n,), and the rows of each run of frames of one node.
 
-    The curve breaks where it is zero for the mapper: where frames of other nodes, or of none, lie between.
+    The curve has gaps where the mapper takes it as zero: at frames of other nodes or of none.
     """
     strangers = np.cumsum(~np.isin(decision.labels, decision.scores["candidates"]))
     breaks = np.diff(strangers[decision.frames]) > 0
@@ -266,7 +266,7 @@ def _curve(axes: Axes, values: NDArray[np.float64], decision: Explained, story: 
 
 
 def _name_runs(axes: Axes, decision: Explained, story: Story) -> None:
-    """Write above the curves which node each run belongs to, and below them the number of its first frame."""
+    """Write the node of each run above the curves, and the number of its first frame below them."""
     where, runs = _places(decision)
     width = float(where[-1] + 1)
     shown = [run for run in runs if len(run) >= 0.04 * width]
@@ -283,7 +283,7 @@ def _name_runs(axes: Axes, decision: Explained, story: Story) -> None:
 
 
 def _show_prominence(axes: Axes, decision: Explained, gamma: float) -> None:
-    """Draw how far the peak stands out, and how far it has to (eq. 8)."""
+    """Draw the prominence of the peak, and the required prominence (eq. 8)."""
     where, _ = _places(decision)
     best = int(np.flatnonzero(decision.frames == decision.best)[0])
     peak, height = float(decision.values[best]), decision.scores["prominence"]
@@ -305,7 +305,7 @@ def _show_prominence(axes: Axes, decision: Explained, gamma: float) -> None:
 
 
 def _show_means(axes: Axes, decision: Explained) -> None:
-    """Draw the mean similarity of each candidate, the highest of which decides."""
+    """Draw the mean similarity of each candidate; the highest one decides."""
     where, runs = _places(decision)
     means = {int(name): value for name, value in decision.scores["mean_similarity"].items()}
     for run in runs:
@@ -362,6 +362,6 @@ def _verdict(decision: Explained, story: Story) -> str:
 
 
 def _name(name: int, story: Story) -> str:
-    """Return the number of a node in the other pictures; of one that is gone, what it was called."""
+    """Return the number of a node in the other plots; for one that is gone, its name in the mapper."""
     number = story.numbers.get(name)
     return f"node {number}" if number is not None else f"({name}, gone)"

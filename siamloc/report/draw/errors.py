@@ -1,4 +1,4 @@
-"""Cumulative errors: the share of queries that are located at least so well."""
+"""Cumulative errors: the share of queries up to each error."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from siamloc.report.draw.look import (
 )
 from siamloc.results import rows_by_label
 
-_MOST_POINTS = 120  # of a curve; between them the eye sees no difference
+_MOST_POINTS = 120  # of a curve; more make no visible difference
 _SIZE, _LARGE_SIZE = (3.6, 3.2), (4.6, 3.4)  # of a panel in inches: three in a row, and two
-_LONG = 22  # letters of a label that has a line of the legend to itself
+_LONG = 22  # characters from which a label gets its own line in the legend
 
 # A curve: its label, the errors, and how it looks.
 Curve = tuple[str, NDArray, dict[str, Any]]
@@ -33,12 +33,12 @@ Curve = tuple[str, NDArray, dict[str, Any]]
 
 @style()
 def error_curve(columns: Mapping[str, NDArray], unit: str = "m", name: str = "measured") -> Picture:
-    """Draw the share of queries whose error is at most so much: by lighting, then against baselines under each.
+    """Draw cumulative error curves: by lighting, then against the baselines under each lighting.
 
     Args:
         columns: of `queries.csv`: error, floor, lighting, and `baseline_<name>` columns.
         unit: of the errors.
-        name: of what was measured, in the legend.
+        name: name of what was measured, for the legend.
 
     Raises:
         DataError: no queries.
@@ -68,11 +68,11 @@ def error_curve(columns: Mapping[str, NDArray], unit: str = "m", name: str = "me
 
 @style()
 def estimate_curve(columns: Mapping[str, NDArray], estimate: str, unit: str = "m") -> Picture:
-    """Draw another estimate of the same queries against the single-frame one, a panel for each lighting.
+    """Draw another estimate of the same queries against the single-frame one, one panel per lighting.
 
     Args:
         columns: of `queries.csv`: error, floor, lighting, `<estimate>_error`.
-        estimate: such as "filtered".
+        estimate: name of the estimate, such as "filtered".
         unit: of the errors.
 
     Raises:
@@ -94,7 +94,7 @@ def estimate_curve(columns: Mapping[str, NDArray], estimate: str, unit: str = "m
 
 @style()
 def compared_curves(tables: Mapping[str, Mapping[str, NDArray]], unit: str = "m") -> Picture:
-    """Draw several evaluations in one panel for all queries, and one for each lighting if there are several.
+    """Draw several evaluations in one panel for all queries, and one panel per lighting if there are several.
 
     Args:
         tables: columns of `queries.csv` by the name of the evaluation: error, floor, lighting.
@@ -126,7 +126,7 @@ def _compared_look(rank: int) -> dict[str, Any]:
 
 
 def _drawn(charts: Sequence[tuple[str, Sequence[Curve], NDArray | None]], unit: str, shared: bool = False) -> Picture:
-    """Draw a panel for each chart: its title, its curves, and the floor, if they have one in common."""
+    """Draw a panel for each chart: its title, its curves, and the floor if they share one."""
     figure, every, across = panels(len(charts), *(_LARGE_SIZE if len(charts) in (1, 2, 4) else _SIZE), sharey=True)
     common = [error for _, curves, _ in charts for _, error, _ in curves] if shared else []
     for number, (axes, (title, curves, floor)) in enumerate(zip(every, charts, strict=True)):
@@ -154,10 +154,10 @@ def _cumulative(error: NDArray) -> tuple[NDArray, NDArray]:
     """Return the corners of the curve of one line: errors, and the share of queries in percent."""
     ordered = np.sort(error)
     keep = np.unique(np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_POINTS)).round().astype(np.int64))
-    share = 100 * (keep + 1) / len(ordered)  # exact at each point that is kept
+    share = 100 * (keep + 1) / len(ordered)  # exact at each kept point
     if len(keep) == len(ordered):
         x, y = np.repeat(ordered, 2), np.concatenate([[0], np.repeat(share, 2)[:-1]])
     else:
         x, y = np.concatenate([ordered[:1], ordered[keep]]), np.concatenate([[0], share])
-    beyond = 10 * max(float(ordered[-1]), 1.0)  # on to the edge of the picture
+    beyond = 10 * max(float(ordered[-1]), 1.0)  # to the edge of the plot
     return np.append(np.maximum(x, 1e-9), beyond), np.append(y, 100.0)

@@ -1,4 +1,4 @@
-"""Where queries are and where they were taken to be: on the floor plan, or along a line."""
+"""True and estimated positions of queries, on the floor plan or along a line."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from siamloc.results import rows_by_label
 
 Table = Mapping[str, NDArray]
 
-_FLATTEST = 0.02  # extents in a smaller ratio than this are drawn as a line
+_FLATTEST = 0.02  # below this ratio of the extents, frames are drawn along a line
 _MOST_ROOM_NAMES = 16
-_LARGE = "#e31a1c"  # of an error, in the legend
+_LARGE = "#e31a1c"  # colour of an error in the legend
 
 
 @style()
 def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
-    """Draw each query where it truly is, coloured by its error, with a line to where it was taken to be.
+    """Draw each query at its true position, coloured by its error, with a line to the estimated position.
 
     Frames that lie on a line (a corridor without metric poses) are drawn along that line instead.
 
@@ -45,15 +45,15 @@ def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
 
 
 def is_line(columns: Table, map_columns: Table) -> bool:
-    """Check whether all frames lie on a line parallel to an axis, as far as a picture could show."""
+    """Whether all frames lie on a line parallel to an axis, at the resolution of a plot."""
     extent = _extent(columns, map_columns)
     return bool(extent.min() <= _FLATTEST * extent.max())
 
 
 def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str) -> Picture:
-    """Draw one plan per lighting with a common scale of colours; colours end at the 95th percentile of the errors."""
+    """Draw one plan per lighting with a common colour scale, which ends at the 95th percentile of the errors."""
     width, height = np.maximum(_extent(columns, map_columns), 1e-9)
-    # Panels are side by side where the building is tall, on top of each other where it is wide.
+    # Panels are side by side if the building is tall, stacked if it is wide.
     across = width <= 1.6 * height or len(groups) == 1
     rows, cols = (1, len(groups)) if across else (len(groups), 1)
     panel = min(11.0 / cols, 7.0)
@@ -90,7 +90,7 @@ def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], 
 
 
 def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str) -> Picture:
-    """Draw the estimated against the true position, and below it the error, along the longer axis."""
+    """Draw the estimated against the true position along the longer axis, and the error below."""
     axis = "xy"[int(np.argmax(_extent(columns, map_columns)))]
     figure = Picture(figsize=(6.6, 5.0))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])

@@ -1,4 +1,4 @@
-"""How an incremental map grew, read from its log, as an animation ([I] figures 13-15)."""
+"""Animate the growth of an incremental map from its log ([I] figures 13-15)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from siamloc.report.draw.node_colours import NO_NODE, POOL, ink, neighbouring, n
 from siamloc.report.draw.nodes import NodePlan, counted, dress, plan_size, spread_out
 
 PICTURES = 80
-_EACH, _LAST = 110, 4000  # milliseconds that pictures stay
+_EACH, _LAST = 110, 4000  # milliseconds that each picture and the last one are shown
 _DOTS_PER_INCH = 110
 _SIZE = (7.6, (2.4, 5.4))
 _NODE_POINTS = 12
@@ -31,20 +31,20 @@ _NUMBER: dict[str, Any] = {
     "ha": "center", "va": "center_baseline", "fontsize": 6.5, "fontweight": "bold", "zorder": 8,
 }  # fmt: skip
 _NEWS = "#9A3B00"
-_FLASH = 3  # pictures for which a change of the map stays announced
+_FLASH = 3  # number of pictures for which a change of the map is announced
 
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """The log of an incremental map, and what the map became.
+    """The log of an incremental map, and the final map.
 
     Attributes:
         plan: the final map.
-        events: one for each line of the log but its header.
-        parameters: of the mapper.
-        descriptor: identity of what described the frames.
+        events: one per line of the log, without the header.
+        parameters: parameters of the mapper.
+        descriptor: identity of the descriptor of the frames.
         ids: the mapper's name of each node of the plan (k,).
-        colours: of every node that ever was, by the mapper's name; those that stayed have the plan's.
+        colours: colour of every node that ever existed, by the mapper's name; those that remain have the plan's.
     """
 
     plan: NodePlan
@@ -56,11 +56,11 @@ class Story:
 
     @property
     def numbers(self) -> dict[int, int]:
-        """The plan's number of each node that stayed, by the mapper's name."""
+        """The plan's number of each remaining node, by the mapper's name."""
         return {name: number for number, name in enumerate(self.ids)}
 
     def labels(self, events: int) -> NDArray[np.int64]:
-        """Return the mapper's name of the node of each frame (n,), -1 for none, after so many events."""
+        """Return the mapper's name of the node of each frame (n,), -1 for none, after the first `events` events."""
         from analytic.mapper import replay
 
         return replay(self.events[:events])
@@ -71,10 +71,10 @@ def read_story(log: str | Path, plan: NodePlan) -> Story:
 
     Args:
         log: `events.jsonl` of its layer.
-        plan: of its evaluation.
+        plan: plan from its evaluation.
 
     Raises:
-        FormatError: a log that is missing or not whole, or of another map than the plan.
+        FormatError: a log that is missing or incomplete, or of another map than the plan.
     """
     from analytic import AnalyticError
 
@@ -105,10 +105,10 @@ def _ids(final: NDArray[np.int64], plan: NodePlan, log: Path) -> tuple[int, ...]
 
 
 def animate(story: Story, path: str | Path) -> Path:
-    """Write the growing map as a GIF and return its path: about PICTURES pictures, the last one held.
+    """Write the growing map as a GIF of about PICTURES pictures, the last one held, and return its path.
 
     Raises:
-        StorageError: the disk refuses.
+        StorageError: the disk is full or cannot be written to.
     """
     path = Path(path)
     pictures = _indexed(_drawn(story))
@@ -121,12 +121,12 @@ def animate(story: Story, path: str | Path) -> Path:
 
 
 def moments(events: int) -> list[int]:
-    """Return after how many events the pictures are taken, the first and the last among them."""
+    """Return the numbers of events after which pictures are drawn, including the first and the last."""
     return sorted({round(float(k)) for k in np.linspace(1, events, PICTURES)})
 
 
 def _ever(story: Story) -> dict[int, NDArray[np.int64]]:
-    """Return, for every node that ever was, its frames at the end, or those of its making if it is gone."""
+    """Return the final frames of every node that ever existed, or those of its creation if it is gone."""
     final = story.labels(len(story.events))
     members = {name: np.flatnonzero(final == name) for name in story.ids}
     for event in story.events:
@@ -144,7 +144,7 @@ def _drawn(story: Story) -> list[NDArray[np.uint8]]:
     canvas = FigureCanvasAgg(figure)
     stage = _Stage(figure, story, height)
     canvas.draw()
-    figure.set_layout_engine("none")  # laid out once, so that nothing jumps
+    figure.set_layout_engine("none")  # the layout is fixed, so that nothing jumps
     for events in moments(len(story.events)):
         stage.show(events)
         canvas.draw()
@@ -153,7 +153,7 @@ def _drawn(story: Story) -> list[NDArray[np.uint8]]:
 
 
 class _Stage:
-    """The parts of the picture that change: frames, nodes, the robot, the counts."""
+    """The changing parts of the animation: frames, nodes, the robot, the counts."""
 
     def __init__(self, figure: Any, story: Story, height: float) -> None:
         self.story, plan = story, story.plan
@@ -191,7 +191,7 @@ class _Stage:
         self.area.spines["right"].set(visible=True, color="0.7")
 
     def show(self, events: int) -> None:
-        """Show the map after so many events."""
+        """Show the map after the first `events` events."""
         story, labels = self.story, self.story.labels(events)
         taken, xy = len(labels), self.story.plan.xy
         present = sorted(set(labels[labels >= 0].tolist()))
@@ -227,7 +227,7 @@ class _Stage:
                 text.set_position(places[name])
 
     def _change(self, events: int) -> str:
-        """Return what changed in the map during the last pictures, the latest first said."""
+        """Return the latest change of the map during the last few pictures."""
         shown = moments(len(self.story.events))
         before = shown[max(0, bisect_right(shown, events) - 1 - _FLASH)]
         for event in reversed(self.story.events[before if before < events else 0 : events]):
@@ -242,7 +242,7 @@ class _Stage:
 
 
 def _indexed(pictures: list[NDArray[np.uint8]]) -> list[Any]:
-    """Return pictures in one common palette: small files, steady colours, and those of nodes exactly as they are."""
+    """Return pictures in one common palette, for small files, steady colours, and exact colours of nodes."""
     from PIL import Image
 
     palette = Image.new("P", (1, 1))
@@ -252,7 +252,7 @@ def _indexed(pictures: list[NDArray[np.uint8]]) -> list[Any]:
 
 
 def _palette() -> NDArray[np.uint8]:
-    """Return the colours that are drawn, and what lies between each of them, white and ink (n, 3)."""
+    """Return the colours used, and shades between each of them and white and ink (n, 3)."""
     white, ink_colour = np.ones(3), np.array(to_rgb(INK))
     colours = [white, *(white * grey for grey in np.linspace(0, 1, 24)[1:-1])]
     for drawn in (*POOL, NO_NODE, _NEWS):

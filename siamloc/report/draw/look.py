@@ -1,4 +1,4 @@
-"""The common look of all pictures: style, colours, panels, axes of errors, and PNG files."""
+"""The common look of all plots: style, colours, panels, error axes, and PNG files."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.errors import DataError
 from siamloc.files import atomic_path
 
-# The page's style sheet exchanges these colours for others on dark paper. So white that has to stay white, such as a
-# number on a dark dot, and the colours of nodes differ from them, if only by a shade that no eye sees.
+# In dark mode the page's style sheet replaces these colours with others. So white that has to stay white, such as a
+# number on a dark dot, and the colours of nodes differ from them, if only by an invisible shade.
 INK, TEXT, SOFT, GRID, PALE, PAPER = "#1b2229", "#3c4751", "#5c6873", "#e9edf0", "#b9c1c9", "#fefefe"
 SERIES = ("#0072b3", "#b0558a", "#d98200", "#009e74", "#3a9bd9", "#c44e00", "#7a5fb5", "#8a7a00")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.6)), (0, (5, 1.6, 1.2, 1.6)), (0, (9, 2)))
@@ -62,13 +62,13 @@ _STYLE: dict[str, Any] = {
 
 
 class Picture(Figure):
-    """A figure that notebooks show by themselves, without pyplot or a display."""
+    """A figure that notebooks show automatically, without pyplot or a display."""
 
     def _repr_png_(self) -> bytes:
         return self.rendered("png", dpi=150)
 
     def rendered(self, kind: str, **options: Any) -> bytes:
-        """Return the figure as the contents of a file, such as "png" or "svg"; the same every time."""
+        """Return the figure as file contents, such as "png" or "svg"; reproducible."""
         buffer = io.BytesIO()
         with style():
             self.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else None, **options)
@@ -77,18 +77,18 @@ class Picture(Figure):
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Give figures the project's look, whatever the user's own settings are; a context, or a decorator `@style()`."""
+    """Apply the project's look regardless of the user's settings, as a context manager or decorator `@style()`."""
     settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_STYLE}
-    # The backend belongs to the program that draws, and reading or setting it here could load one.
+    # The backend is the calling program's choice, and reading or setting it here could load one.
     with matplotlib.rc_context({key: value for key, value in settings.items() if not key.startswith("backend")}):
         yield
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure as PNG of 150 dots per inch, atomically, and return the path.
+    """Write a figure as a PNG file at 150 dots per inch, atomically, and return the path.
 
     Raises:
-        StorageError: the disk refuses.
+        StorageError: the disk is full or cannot be written to.
     """
     path = Path(path)
     with style(), atomic_path(path) as temporary:
@@ -99,14 +99,14 @@ def save(figure: Figure, path: str | Path) -> Path:
 def panels(
     count: int, width: float, height: float, across: int = 3, margin: tuple[float, float] = (0.0, 0.0), **shared: Any
 ) -> tuple[Picture, list[Axes], int]:
-    """Return a figure with so many panels in rows, their axes, and how many there are in a row.
+    """Return a figure with `count` panels in rows, their axes, and the number of panels per row.
 
     Args:
-        count: of panels, at least one.
-        width: of each in inches.
-        height: of each in inches.
-        across: panels in a row at most; four become two by two.
-        margin: inches that the figure is wider and higher, for what is around the panels.
+        count: number of panels, at least one.
+        width: width of each panel in inches.
+        height: height of each panel in inches.
+        across: maximum number of panels per row; four become two by two.
+        margin: extra width and height of the figure in inches, for what surrounds the panels.
         shared: `sharex`, `sharey`.
     """
     columns = 2 if count == 4 and across == 3 else min(count, across)
@@ -116,12 +116,12 @@ def panels(
     for axes in every[count:]:
         axes.remove()
     for axes in every[max(count - columns, 0) : count]:
-        axes.tick_params(labelbottom=True)  # also where the panel below is missing
+        axes.tick_params(labelbottom=True)  # also if the panel below is missing
     return figure, every[:count], columns
 
 
 def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:
-    """Return a colour for each label, the same one for a lighting in every picture.
+    """Return a colour for each label; a lighting has the same one in every plot.
 
     Example:
         >>> lighting_colours(["cloudy", "dusk", "night"])
@@ -132,7 +132,7 @@ def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:
 
 
 def method_look(rank: int) -> dict[str, Any]:
-    """Return how the line of a method looks: the measured one stands out, the others differ in colour and dash."""
+    """Return the line style of a method: the measured one stands out, the others differ in colour and dash."""
     if rank == 0:
         return {"color": INK, "linewidth": 2.0, "zorder": 4}
     return {"color": SERIES[(rank + 2) % 8], "linestyle": DASHES[rank % len(DASHES)], "zorder": 3}
@@ -158,32 +158,32 @@ def series_1_2_5(low: float, high: float) -> list[float]:
 
 
 def error_limits(errors: Sequence[ArrayLike], lowest: float = 5) -> tuple[float, float] | None:
-    """Return the limits of a logarithmic axis, from where the first queries are right to the largest error.
+    """Return the limits of a logarithmic axis, from the smallest errors shown to the largest error.
 
-    None where no error is above zero.
+    None if no error is above zero.
 
     Args:
-        errors: of each line.
-        lowest: percentile of a line's errors that is still shown.
+        errors: the errors of each line.
+        lowest: lowest percentile of a line's errors that is shown.
     """
     columns = [np.asarray(error, dtype=np.float64) for error in errors]
     largest = max(float(error.max()) for error in columns)
     if largest <= 0:
         return None
     low = min(float(np.percentile(error, lowest)) for error in columns)
-    # Errors of nothing have no place on the axis: their share shows where the curve begins.
+    # Errors of zero have no place on the axis: their share is where the curve begins.
     low = min(max(low, largest / 1000), largest / 10)
     below = [value for value in series_1_2_5(low / 10, low) if value <= low * (1 + 1e-9)]
     return below[-1], series_1_2_5(largest, largest)[-1]
 
 
 def scale_errors(axis: Any, limits: tuple[float, float] | None, label: str) -> None:
-    """Make an axis of a panel one of errors: logarithmic with round numbers, or from 0 to 1 without limits.
+    """Turn an axis into an error axis: logarithmic with round numbers, or from 0 to 1 if there are no limits.
 
     Args:
         axis: `axes.xaxis` or `axes.yaxis`.
-        limits: as `error_limits` returns them.
-        label: of the axis.
+        limits: as returned by `error_limits`.
+        label: label of the axis.
     """
     name = axis.axis_name
     axes = axis.axes
@@ -200,7 +200,7 @@ def scale_errors(axis: Any, limits: tuple[float, float] | None, label: str) -> N
 
 
 def percent(share: float) -> str:
-    """Return a share in percent, with a decimal where rounding would hide that it is not 0 or not 100.
+    """Return a share in percent, with a decimal if rounding would hide that it is not quite 0 or 100.
 
     Example:
         >>> percent(93.4), percent(99.8), percent(0.2), percent(100)
@@ -210,12 +210,12 @@ def percent(share: float) -> str:
 
 
 def column(entries: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
-    """Return a measure of several entries (n,), NaN where it is not known."""
+    """Return a measure of several entries (n,), NaN if unknown."""
     return np.array([np.nan if entry[name] is None else entry[name] for entry in entries], dtype=np.float64)
 
 
 def require_rows(*tables: Mapping[str, NDArray]) -> None:
-    """Make sure that there is something to draw.
+    """Check that there is something to draw.
 
     Raises:
         DataError: a table without rows.

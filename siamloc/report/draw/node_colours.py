@@ -1,4 +1,4 @@
-"""Colours for the nodes of a map: neighbours differ clearly, for the colour-blind too."""
+"""Colours for the nodes of a map: neighbours differ clearly, also for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Of Okabe and Ito 2008, and of Paul Tol's "muted" and "bright" schemes.
+# From Okabe and Ito 2008, and from Paul Tol's "muted" and "bright" schemes.
 POOL = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#882255",
     "#F0E442", "#332288", "#AA4499", "#999933", "#117733", "#EE6677",
 )  # fmt: skip
 NO_NODE = "#CFCFCF"
-_ENOUGH = 30.0  # distance in CIELAB from which on two colours count as clearly different
-_REACH = 1 / 25  # of the plan's larger side: frames of two nodes this near make the nodes neighbours
+_ENOUGH = 30.0  # distance in CIELAB from which two colours count as clearly different
+_REACH = 1 / 25  # of the plan's longer side: nodes with frames this close are neighbours
 
 _TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 _WHITE = _TO_XYZ.sum(axis=1)
@@ -30,15 +30,15 @@ _SIGHTS = (
 def node_colours(
     neighbours: Iterable[tuple[int, int]], nodes: Sequence[int], fixed: Mapping[int, str] | None = None
 ) -> dict[int, str]:
-    """Return a colour "#RRGGBB" of POOL for each node, the same one for the same arguments.
+    """Return a colour "#RRGGBB" from POOL for each node, the same for the same arguments.
 
     Nodes with many neighbours choose first. Each takes a colour that differs clearly from those of its neighbours, or
-    as clearly as can be; of these the one that fewest nodes have.
+    as clearly as possible; among these, the one used by the fewest nodes.
 
     Args:
         neighbours: pairs of nodes, in either order.
-        nodes: those to be coloured.
-        fixed: colours that some nodes have already.
+        nodes: nodes to colour.
+        fixed: colours that some nodes already have.
     """
     beside: dict[int, set[int]] = {node: set() for node in nodes}
     for a, b in neighbours:
@@ -57,9 +57,9 @@ def node_colours(
 
 
 def neighbouring(xy: ArrayLike, labels: ArrayLike, edges: Iterable[Sequence[int]] = ()) -> set[tuple[int, int]]:
-    """Return the pairs of nodes that a picture shows next to each other, the smaller one first.
+    """Return the pairs of nodes that appear next to each other on the plan, the smaller one first.
 
-    They are connected by an edge, or frames of theirs lie near each other on the plan.
+    They are connected by an edge, or some of their frames are close to each other on the plan.
 
     Args:
         xy: positions of frames (n, 2).
@@ -74,7 +74,7 @@ def neighbouring(xy: ArrayLike, labels: ArrayLike, edges: Iterable[Sequence[int]
     if not len(points):
         return pairs
     reach = _REACH * max(float(np.ptp(points, axis=0).max()), 1e-9)
-    # One point for each node and cell, so that frames of a robot that stands still do not multiply.
+    # One point per node and cell, so that the frames of a standing robot do not multiply.
     cells = np.round(points / (reach / 4)).astype(np.int64)
     cells, first = np.unique(np.column_stack([cells, node]), axis=0, return_index=True)
     points, node = points[first], node[first]
@@ -85,12 +85,12 @@ def neighbouring(xy: ArrayLike, labels: ArrayLike, edges: Iterable[Sequence[int]
 
 @cache
 def contrast(one: str, other: str) -> float:
-    """Return the distance of two colours in CIELAB, the least of three sights: full, protanopic, deuteranopic."""
+    """Return the CIELAB distance of two colours, the smallest of normal, protanopic and deuteranopic vision."""
     return min(float(np.linalg.norm(_lab(one, sight) - _lab(other, sight))) for sight in range(len(_SIGHTS)))
 
 
 def ink(colour: str) -> str:
-    """Return black or white, whichever is read better on a colour."""
+    """Return black or white, whichever is more readable on a colour."""
     return "black" if _lab(colour, 0)[0] > 58 else "white"
 
 

@@ -1,4 +1,4 @@
-"""Hierarchical localization: the mean errors of each kind of query, from the floor to a wrong node."""
+"""Hierarchical localization: mean errors by kind of query, from the floor to a wrong node."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from siamloc.report.draw.look import GRID, INK, SERIES, SOFT, Picture, error_limits, scale_errors, style
 
-# Label, where a group holds the mean, and the mark.
+# Label, path of the mean in a group, and the marker.
 _ERRORS: tuple[tuple[str, tuple[str, ...], dict[str, Any]], ...] = (
     ("floor", ("floor",), {"color": SOFT, "marker": "|", "markersize": 11, "markeredgewidth": 2.5}),
     ("whole map", ("absolute", "error"), {"color": SERIES[0], "marker": "s"}),
@@ -49,7 +49,7 @@ def node_errors(found: Mapping[str, Any]) -> Picture:
 
 
 def mean(group: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
-    """Return a mean of a group of measures, such as of ("given_right", "error"); None where there is none."""
+    """Return a mean of a group of measures, such as ("given_right", "error"); None if there is none."""
     value: Any = group
     for key in path:
         value = value[key]

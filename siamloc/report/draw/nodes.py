@@ -1,4 +1,4 @@
-"""A compact map on the floor plan: frames by node, the graph of the nodes, and where loops closed."""
+"""A compact map on the floor plan: frames by node, the graph of the nodes, and the loop closures."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ WRONG = "#CC0000"
 _WIDTH = 8.0  # inches of the plan
 _HEIGHTS = (2.2, 7.0)
 _MOST_DOTS = 400
-_FLATTEST = 0.02  # extents in a smaller ratio than this are drawn along a line
+_FLATTEST = 0.02  # below this ratio of the extents, frames are drawn along a line
 
 
 @dataclass(frozen=True, eq=False)
 class NodePlan:
-    """What a picture of nodes shows.
+    """Data for a plot of nodes.
 
     Attributes:
         xy: positions of the frames (n, 2).
-        node: (n,) of each frame, -1 for none.
+        node: (n,) node of each frame, -1 for none.
         places: mean position of each node (k, 2).
-        edges: (e, 2) nodes that the robot went between.
+        edges: (e, 2) pairs of nodes that the robot moved between.
         closures: (c, 2) frames that close a loop, and the earlier frames that they close it with.
-        radius: within which a closure is right.
-        colours: of the nodes 0 ... k - 1.
-        unit: of positions.
-        title: what the map is, and how good.
+        radius: radius within which a closure counts as right.
+        colours: colours of the nodes 0 ... k - 1.
+        unit: unit of the positions.
+        title: name and quality of the map.
     """
 
     xy: NDArray[np.float64]
@@ -58,7 +58,7 @@ class NodePlan:
 
     @property
     def along(self) -> int | None:
-        """The axis along which all frames lie, as far as a picture could show; None for a plan."""
+        """The axis along which all frames lie, at the resolution of a plot; None for a plan."""
         extent = np.ptp(self.xy, axis=0)
         return int(extent.argmax()) if extent.min() <= _FLATTEST * extent.max() else None
 
@@ -69,13 +69,13 @@ def node_plan(
     nodes: Mapping[str, NDArray],
     name: str = "compact map",
 ) -> NodePlan:
-    """Return what the plan of a compact map shows.
+    """Return the data for the plan of a compact map.
 
     Args:
         measures: `measures.mapping` of `results.json`.
         frames: columns of `frames.csv`: x, y, node, closes_with, sequence.
         nodes: columns of `nodes.csv`: x, y.
-        name: of the map, in the title.
+        name: name of the map, for the title.
 
     Raises:
         FormatError: a measure or a column is missing.
@@ -96,7 +96,7 @@ def node_plan(
 
 
 def _passages(node: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
-    """Return the pairs of nodes (e, 2) that the robot went between; frames in no node are passed over."""
+    """Return the pairs of nodes (e, 2) that the robot moved between; frames in no node are skipped."""
     pairs: set[tuple[int, int]] = set()
     for name in dict.fromkeys(sequence.tolist()):
         passed = node[(sequence == name) & (node >= 0)].tolist()
@@ -108,7 +108,7 @@ def _passages(node: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np
 def nodes_on_plan(plan: NodePlan) -> Picture:
     """Draw frames coloured by node, with the graph of the nodes and the loop closures on top.
 
-    Frames that lie on a line are drawn along it, one line of the picture for each node.
+    Frames that lie on a line are drawn along it, one row of the plot for each node.
 
     Raises:
         DataError: no frames or no nodes.
@@ -120,7 +120,7 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
     width, height = plan_size(plan.xy)
     figure = Picture(figsize=(width + 0.9, height + 1.15))
     axes, known = figure.add_subplot(), plan.node >= 0
-    # Thousands of dots are an image inside an SVG, which would be large otherwise.
+    # Thousands of dots are rasterized inside an SVG, which would otherwise be large.
     dots: dict[str, Any] = {"linewidths": 0, "rasterized": len(known) > _MOST_DOTS}
     axes.scatter(plan.xy[~known, 0], plan.xy[~known, 1], s=13, color=NO_NODE, zorder=2, **dots)
     axes.scatter(plan.xy[known, 0], plan.xy[known, 1], s=20, c=frame_colours(plan)[known], zorder=3, **dots)
@@ -135,20 +135,20 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
 
 
 def frame_colours(plan: NodePlan) -> NDArray[np.str_]:
-    """Return the colour of each frame (n,), that of its node."""
+    """Return the colour of each frame's node (n,)."""
     table = np.array([plan.colours[node] for node in range(len(plan.places))] + [NO_NODE])
     return table[plan.node]
 
 
 def plan_size(xy: NDArray[np.float64], width: float = _WIDTH, heights: tuple[float, float] = _HEIGHTS) -> list[float]:
-    """Return width and height in inches of a plan in equal scale that is not larger than asked."""
+    """Return width and height in inches of a plan with equal scales and at most the given size."""
     extent = 1.1 * np.maximum(np.ptp(xy, axis=0), 1e-9)
     scale = min(width / extent[0], heights[1] / extent[1])
     return [max(scale * extent[0], 3.5), max(scale * extent[1], heights[0])]
 
 
 def dress(axes: Axes, plan: NodePlan) -> None:
-    """Give a plan its limits, equal scale, labels and a quiet look."""
+    """Set the limits, equal scales, labels and grid of a plan."""
     low, high = plan.xy.min(axis=0), plan.xy.max(axis=0)
     margin = 0.05 * max(float((high - low).max()), 1e-9)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
@@ -166,7 +166,7 @@ def add_arcs(axes: Axes, plan: NodePlan) -> None:
 
 
 def add_graph(axes: Axes, plan: NodePlan) -> None:
-    """Draw nodes as numbered dots, and the ways between them as lines; dots that would overlap are moved apart."""
+    """Draw nodes as numbered dots and their connections as lines; dots that would overlap are moved apart."""
     k = len(plan.places)
     points = 15.0 if k <= 40 else 11.0 if k <= 120 else 6.0
     width, _ = plan_size(plan.xy)
@@ -189,7 +189,7 @@ def add_graph(axes: Axes, plan: NodePlan) -> None:
 
 
 def spread_out(points: NDArray[np.float64], least: float) -> NDArray[np.float64]:
-    """Return points (k, 2) moved apart as little as it takes for any two to be `least` apart; NaN stay as they are."""
+    """Return points (k, 2) moved apart just enough for any two to be `least` apart; NaN points stay unchanged."""
     moved = np.array(points, dtype=np.float64)
     for _ in range(100):
         apart = moved[:, None] - moved[None]
@@ -197,7 +197,7 @@ def spread_out(points: NDArray[np.float64], least: float) -> NDArray[np.float64]
         a, b = np.nonzero(np.triu(distance < least, 1))
         if not len(a):
             break
-        # Points that coincide part along x.
+        # Coinciding points separate along x.
         way = np.where(distance[a, b, None] > 0, apart[a, b], np.array([1.0, 0.0]))
         way = way / np.linalg.norm(way, axis=1, keepdims=True) * (1.02 * least - distance[a, b, None]) / 2
         np.add.at(moved, a, way)

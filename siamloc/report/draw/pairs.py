@@ -1,4 +1,4 @@
-"""Pairs of images judged by their distance: how many are judged right at every threshold."""
+"""Pairs of images judged by their distance: the share judged correctly at each threshold."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CURVES: tuple[tuple[str, str, dict[str, Any]], ...] = (
 
 @style()
 def pair_curves(found: Mapping[str, Any]) -> Picture:
-    """Draw the share of pairs judged right against the threshold: all pairs, and those of each lighting.
+    """Draw the share of pairs judged correctly against the threshold: all pairs, and those of each lighting.
 
     Args:
         found: `measures.room_pairs` of `results.json`.

@@ -1,4 +1,4 @@
-"""Robustness curves: error and share of queries located well against how much their images were disturbed."""
+"""Robustness curves: error and share of well-located queries against the strength of the disturbance."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _LABELS = {
 }
 _PANELS_IN_A_ROW = 4
 _HEADINGS = ("heading", "heading_nearest")
-_NOISE_TICKS = (0, 0.1, 0.4, 1)  # of the largest variance: they stand evenly on an axis of square roots
+_NOISE_TICKS = (0, 0.1, 0.4, 1)  # of the largest variance: evenly spaced on a square-root axis
 
 
 @style()
 def robustness_curves(found: Mapping[str, Any]) -> Picture:
-    """Draw panels for each disturbance: mean and median error, the share within the radius, and errors of the heading.
+    """Draw panels for each disturbance: mean and median error, the share within the radius, and heading errors.
 
-    Headings are those by the frame found and, dashed, by the geometrically nearest one; they have a panel where some
-    are known.
+    Headings are computed against the retrieved frame and, dashed, against the geometrically nearest one; they have a
+    panel if any are known.
 
     Args:
         found: `measures.robustness` of `results.json`.
@@ -74,7 +74,7 @@ def robustness_curves(found: Mapping[str, Any]) -> Picture:
 
 
 def _known(entries: Sequence[Mapping[str, Any]], name: str) -> list[float]:
-    """Return the values of a measure that are known."""
+    """Return the known values of a measure."""
     found: list[float] = [one[name] for one in entries if one.get(name) is not None and np.isfinite(one[name])]
     return found
 
@@ -108,7 +108,7 @@ def _disturbance(stack: Sequence[Axes], kind: Mapping[str, Any], methods: Mappin
         if kind["kind"] == "turn" and max(kind["levels"]) >= 90:
             axes.xaxis.set_major_locator(MultipleLocator(45 if max(kind["levels"]) <= 270 else 90))
         if kind["kind"] == "noise":
-            # Deviations, not variances, are what one sees; the published levels would crowd at the left otherwise.
+            # The eye sees deviations, not variances; the published levels would otherwise crowd on the left.
             axes.set_xscale("function", functions=(_root, np.square))
             largest = max(kind["levels"]) or 1.0
             axes.set_xticks([round(largest * part, 6) for part in _NOISE_TICKS])

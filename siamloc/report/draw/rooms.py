@@ -1,4 +1,4 @@
-"""Which room, or building, was taken for which: confusion matrices, one or a panel for each lighting."""
+"""Confusion matrices of rooms or buildings, a single one or one panel per lighting."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.errors import DataError
 from siamloc.report.draw.look import GRID, INK, PAPER, SERIES, SOFT, Picture, panels, percent, style
 
-_CELL = 0.52  # inches; enough for a share and a count
-_LARGEST = 9.0  # inches of a matrix
-_MOST_TEXTS = 40  # rooms; the shares in more cells could not be read
+_CELL = 0.52  # inches; room for a share and a count
+_LARGEST = 9.0  # largest matrix in inches
+_MOST_TEXTS = 40  # rooms; with more, the shares in the cells could not be read
 
 
 @style()
 def confusion(
     labels: Sequence[str], counts: Mapping[str, ArrayLike], missing: Sequence[str] = (), what: str = "room"
 ) -> Picture:
-    """Draw confusion matrices side by side: the share of each row as shade and text, and the count where it has room.
+    """Draw confusion matrices side by side: row shares as shade and text, and counts where there is room.
 
     Args:
-        labels: names of the L rooms, or of whatever was told apart.
+        labels: names of the L rooms, or of the other classes.
         counts: by title (L, L), row = true room, column = room of the match.
-        missing: rooms that the map lacks, marked as such.
-        what: is told apart.
+        missing: rooms that the map lacks; they are marked.
+        what: kind of the classes.
 
     Raises:
         DataError: no labels, no counts, or counts of another shape.

@@ -1,4 +1,4 @@
-"""Which pictures suit a result: drawn from its measures and tables, or from its files."""
+"""Select and draw the plots that suit a result, from its measures and tables or from its files."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ from siamloc.results import FURTHER, Columns, finest, read_results, read_rows
 Made = dict[str, Callable[[], Picture]]
 
 _TABLES = ("queries", "map", "frames", "nodes")
-# Errors of the same queries that hierarchical results hold.
+# Other errors of the same queries in hierarchical results.
 _OTHER_SEARCHES = {"baseline_whole map": "error_absolute", "baseline_perfect nodes": "error_perfect_coarse"}
 
 
 def pictures(
     measures: Mapping[str, Any], tables: Mapping[str, Columns], layer: str | Path | None = None, name: str = "measured"
 ) -> Made:
-    """Return what draws each picture that suits a result, by the name of its file; nothing is drawn yet.
+    """Return a drawing function for each plot that suits a result, by file name; nothing is drawn yet.
 
     Args:
-        measures: of the result, as in `results.json` under "measures".
-        tables: of the result, as `read_rows` returns them: "queries" and "map" for localization, "frames" and "nodes"
-            for a compact map.
-        layer: folder of a coarse layer; the log in it explains a decision of an incremental map.
-        name: of what was measured, in legends and titles.
+        measures: measures of the result, as in `results.json` under "measures".
+        tables: tables of the result, as returned by `read_rows`: "queries" and "map" for localization, "frames" and
+            "nodes" for a compact map.
+        layer: folder of a coarse layer; its log is used to explain a decision of an incremental map.
+        name: name of what was measured, for legends and titles.
 
     Returns:
-        Of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "tracked_curve",
+        Those of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "tracked_curve",
         "refined_plan", "tracked_plan", "calibration", "node_errors", "confusion", "confusion_by_lighting", "pairs",
-        "robustness", "compact", "nodes" and "decision" those that there are numbers for, each with a function of no
+        "robustness", "compact", "nodes" and "decision" that there are numbers for, each with a function without
         arguments that returns a matplotlib figure.
 
     Raises:
-        FormatError: of a compact map: measures or columns are missing, or the layer is damaged or another one.
+        FormatError: for a compact map: measures or columns are missing, or the layer is damaged or of another map.
 
     Example:
         >>> rooms = {"confusion": {"labels": ["kitchen"], "counts": [[2]]}}
@@ -85,16 +85,16 @@ def pictures(
 
 
 def save_all(folder: str | Path, layer: str | Path | None = None) -> list[Path]:
-    """Draw every picture that a result folder has the numbers for into it, and return the files.
+    """Draw every plot that a result folder holds the numbers for, save them there, and return the files.
 
     Args:
-        folder: what an evaluation wrote: `results.json` and its tables.
-        layer: folder of the coarse layer that was measured: of an incremental map, `events.jsonl` also gives
-            `growth.gif`, and `mapper.npz` explains a decision.
+        folder: result folder of an evaluation, with `results.json` and its tables.
+        layer: folder of the coarse layer that was measured; for an incremental map, `events.jsonl` also gives
+            `growth.gif`, and `mapper.npz` is used to explain a decision.
 
     Raises:
-        FormatError: files that are missing, not whole, or of different maps.
-        StorageError: the disk refuses.
+        FormatError: files that are missing, incomplete, or from different maps.
+        StorageError: the disk is full or cannot be written to.
     """
     results, target = read_results(folder), Path(folder)
     tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
@@ -108,7 +108,7 @@ def save_all(folder: str | Path, layer: str | Path | None = None) -> list[Path]:
 
 
 def name_of(results: Mapping[str, Any]) -> str:
-    """Return what was measured: the name of a compact map, or else of the descriptor."""
+    """Return the name of what was measured: of a compact map, or else of the descriptor."""
     layer = results.get("layer") or {}
     if "mapping" in results["measures"] and "name" in layer:
         version = layer.get("version")

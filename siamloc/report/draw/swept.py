@@ -1,4 +1,4 @@
-"""What a sweep found: a figure against one setting, with a line for each combination of the others."""
+"""Results of a sweep: a measure against one setting, with a line for each combination of the others."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.report.draw.look import DASHES, INK, MARKS, SERIES, Picture, style
 
-_LOG_FROM = 8  # times that the largest setting is the smallest, from where on the axis is logarithmic
-_MOST_ACROSS = 3  # entries of the legend in a row
+_LOG_FROM = 8  # ratio of the largest to the smallest setting from which the axis is logarithmic
+_MOST_ACROSS = 3  # legend entries per row
 
 
 @style()
@@ -23,18 +23,18 @@ def swept_curves(
     *,
     highest: bool = False,
 ) -> Picture:
-    """Draw a figure against a setting, the best value marked.
+    """Draw a measure against a setting, with the best value marked.
 
     Args:
-        rows: for each training or evaluation its settings and the figure; NaN where it is not known.
-        settings: names of those that differ.
-        by: name of the figure.
-        against: the setting; the first with numbers other than a seed if None, else the first.
+        rows: for each training or evaluation, its settings and the measure; NaN if unknown.
+        settings: names of the settings that differ.
+        by: name of the measure.
+        against: the setting on the x axis; if None, the first numeric one other than a seed, or else the first.
         highest: whether the highest value is the best.
 
     Raises:
         ConfigError: a setting that does not differ.
-        DataError: none differs, or the figure is not known of any.
+        DataError: no setting differs, or the measure is unknown for all rows.
 
     Example:
         >>> rows = [{"bins": 8, "error": 0.4}, {"bins": 16, "error": 0.3}]
@@ -78,7 +78,7 @@ def swept_curves(
 
 
 def _first(rows: Sequence[Mapping[str, Any]], settings: Sequence[str]) -> str:
-    """Return the first setting with numbers, seeds last; the first of all where none has."""
+    """Return the first numeric setting, seeds last; the first of all if none is numeric."""
     numeric = [name for name in settings if _is_numeric(rows, name)]
     return min(numeric, key=lambda name: name.endswith("seed")) if numeric else settings[0]
 

@@ -1,4 +1,4 @@
-"""Training curves: each figure that was logged, epoch by epoch."""
+"""Training curves: each logged metric, epoch by epoch."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _PARTS = {"train": ("training", SERIES[0]), "val": ("validation", SERIES[2])}
 
 @style()
 def training_curves(columns: Mapping[str, NDArray[np.float64]]) -> Picture:
-    """Draw a panel for each figure that was logged, training and validation together; loss and accuracy come first.
+    """Draw one panel per logged metric, training and validation together; loss and accuracy come first.
 
     Args:
-        columns: of `metrics.csv`: epoch, and names such as "train/loss" and "val/loss"; NaN leaves a gap.
+        columns: of `metrics.csv`: epoch, and names such as "train/loss" and "val/loss"; NaN values leave gaps.
 
     Example:
         >>> figure = training_curves({"epoch": np.arange(2.0), "train/loss": np.array([0.9, 0.5])})

@@ -1,1 +1,1 @@
-"""The report: one HTML page with everything inside it, made from result files."""
+"""The report: one self-contained HTML page, made from result files."""

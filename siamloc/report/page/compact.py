@@ -1,4 +1,4 @@
-"""The part of the page about localization in compact maps: error against the number of nodes."""
+"""The section about localization in compact maps: error against the number of nodes."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from siamloc.report.page.parts import Part
 
 
 def compact(part: Part) -> Markup | None:
-    """Return curves, and a row for each compact map; None for another task."""
+    """Return curves, and a table row for each compact map; None for another task."""
     found = part.evaluation.results["measures"].get("compact")
     if found is None:
         return None
     unit = found["unit"]
     text = (
         f"{count(found['queries'])} queries in maps made of {count(found['map_frames'])} frames, by "
-        f"{found['distance']} distance, nodes by {found['clustered']}. A query is where the node is whose "
-        "mean descriptor is most like its "
-        "own, or, with the frames kept, where the most similar frame inside that node is. With plain sampling one "
+        f"{found['distance']} distance, nodes by {found['clustered']}. A query is located at the node whose "
+        "mean descriptor is most similar to its "
+        "own or, with the frames kept, at the most similar frame inside that node. With plain sampling, one "
         "frame stands for each run of frames."
     )
     rows: list[tuple[str, list[Content]]] = []

@@ -1,4 +1,4 @@
-"""What a page says first about several evaluations: their table and curves, and where comparing them would mislead."""
+"""The comparison of several evaluations at the top of a page: tables, curves, and warnings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Frames = set[tuple[Any, ...]]
 
 
 def comparison(parts: list[Part]) -> Markup | None:
-    """Return the tables and curves of what several evaluations measured; None where none of it is measured twice."""
+    """Return the tables and curves of what several evaluations measured; None if nothing was measured twice."""
     measured = [part for part in parts if part.evaluation.measured]
     disturbed = _robustness({part.method: part.evaluation for part in parts if part.evaluation.kind == "robustness"})
     own = _localization(measured) if len(measured) > 1 else None
@@ -35,11 +35,11 @@ def comparison(parts: list[Part]) -> Markup | None:
 def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
     """Return what makes evaluations hard to compare, one sentence for each that differs from the first.
 
-    Frames are the same where the ends of their paths and their positions (where they are known) are: the
-    folder that a data set lies in, the order of the frames and the descriptor do not matter.
+    Frames are the same if the ends of their paths and their positions (where known) are: the data set's location, the
+    order of the frames and the descriptor do not matter.
 
     Args:
-        evaluations: by title.
+        evaluations: evaluations by title.
     """
     first, *others = evaluations
     found = []
@@ -47,12 +47,12 @@ def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
         one, other = evaluations[first], evaluations[title]
         differing = [_queries(one, other), _maps(one, other)]
         if what := " and ".join(filter(None, differing)):
-            found.append(f"Compare {title} with {first} with care, since they differ in their {what}.")
+            found.append(f"Take care when comparing {title} with {first}: they differ in their {what}.")
     return found
 
 
 def _localization(parts: list[Part]) -> Markup:
-    """Return the table of all evaluations and their curves, with a warning where they are not about the same."""
+    """Return the table of all evaluations and their curves, with warnings if they are not comparable."""
     evaluations = {part.title: part.evaluation for part in parts}
     notes = differences(evaluations)
     if len({str(evaluation.results.get("protocol")) for evaluation in evaluations.values()}) > 1:
@@ -76,9 +76,9 @@ def _localization(parts: list[Part]) -> Markup:
 
 
 def _robustness(evaluations: Mapping[str, Evaluation]) -> Markup | None:
-    """Return the curves of several evaluations in one part; None for fewer than two.
+    """Return the curves of several evaluations in one section; None for fewer than two.
 
-    Disturbances that not all have measured at the same levels are left out.
+    Disturbances that were not measured at the same levels in all of them are left out.
     """
     found = {title: evaluation.results["measures"]["robustness"] for title, evaluation in evaluations.items()}
     if len(found) < 2:
@@ -86,7 +86,7 @@ def _robustness(evaluations: Mapping[str, Evaluation]) -> Markup | None:
     first = next(iter(found.values()))
     same = [kind for kind in first["disturbances"] if all(kind in one["disturbances"] for one in found.values())]
     if not same or len({_basis(one) for one in found.values()}) > 1:
-        text = "Robustness was measured on different queries, maps or levels in these evaluations, and is not compared."
+        text = "Robustness is not compared: these evaluations measured it on different queries, maps or levels."
         return section("Robustness compared", tag("p.note", text), name="robustness")
     methods = {title: next(iter(one["methods"].values())) for title, one in list(found.items())[:_MOST_METHODS]}
     together = {**first, "disturbances": same, "methods": methods}
@@ -95,16 +95,16 @@ def _robustness(evaluations: Mapping[str, Evaluation]) -> Markup | None:
 
 
 def _basis(found: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return what is the same for equal queries in equal maps; their floor differs between buildings and drives."""
+    """Return values that agree for equal queries in equal maps; the floor differs between buildings and drives."""
     entry = next(iter(next(iter(found["methods"].values())).values()))[0]
     return (*(found[key] for key in ("unit", "radius", "queries", "map_frames")), round(entry["floor"], 6))
 
 
 def _difference(what: str, one: Frames, other: Frames) -> str:
-    """Return how two sets of frames differ; nothing where they are the same."""
+    """Return how two sets of frames differ; "" if they are the same."""
     if one == other:
         return ""
-    return f"{what} ({count(len(other))} and {count(len(one))}, {count(len(one & other))} of them the same)"
+    return f"{what} ({count(len(other))} and {count(len(one))}, {count(len(one & other))} of them in common)"
 
 
 def _queries(one: Evaluation, other: Evaluation) -> str:
@@ -117,13 +117,13 @@ def _queries(one: Evaluation, other: Evaluation) -> str:
 def _maps(one: Evaluation, other: Evaluation) -> str:
     if one.known is not None and other.known is not None:
         return _difference("map frames", _frames(one.known), _frames(other.known))
-    # Results without a map's frames still say which frames were asked for.
+    # Results without a map's frames still record which frames were selected.
     chosen = [((e.results.get("config") or {}).get("protocol") or {}).get("map") for e in (one, other)]
     return "map frames (protocol.map)" if None not in chosen and chosen[0] != chosen[1] else ""
 
 
 def _frames(columns: Columns) -> Frames:
-    """Return what frames are recognized by: folder and file name, and where they were taken."""
+    """Return the identity of frames: folder and file name, and position."""
     ends = [PurePath(path).parts[-2:] for path in columns["path"].tolist()]
     places = zip(_rounded(columns, "x"), _rounded(columns, "y"), strict=True)
     return {(*end, *place) for end, place in zip(ends, places, strict=True)}

@@ -1,4 +1,4 @@
-"""Parts of the page about further estimates: by the sequence filter, between map frames, and of the error."""
+"""Sections about further estimates: by the sequence filter, between map frames, and of the error."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _TITLES = {
 
 
 def further_estimate(part: Part, name: str) -> Markup | None:
-    """Return what another estimate of the same queries gains over the single-frame one; None where there is none.
+    """Return what another estimate of the same queries gains over the single-frame one; None if there is none.
 
     Args:
-        part: of the page.
+        part: part of the page.
         name: one of `siamloc.results.FURTHER`.
     """
     evaluation = part.evaluation
@@ -54,7 +54,7 @@ def further_estimate(part: Part, name: str) -> Markup | None:
 
 
 def expected_errors(part: Part) -> Markup | None:
-    """Return how well expected errors hold, as a calibration curve; None where none were expected."""
+    """Return how accurate the expected errors are, as a calibration curve; None if there are none."""
     evaluation = part.evaluation
     found = evaluation.results["measures"].get("calibration")
     if found is None:
@@ -62,7 +62,7 @@ def expected_errors(part: Part) -> Markup | None:
     unit = evaluation.unit
     threshold = found["overall"]["lost"]["lost_above"]
     heads = ["lighting", f"expected, mean [{unit}]", f"true, mean [{unit}]", f"gap [{unit}]", "called lost"]
-    heads += ["lost in truth", "precision", "recall", "queries"]
+    heads += ["truly lost", "precision", "recall", "queries"]
     rows = []
     for label in tables.labels_of(found):
         group = tables.group_of(found, label)
@@ -73,10 +73,10 @@ def expected_errors(part: Part) -> Markup | None:
     sequences = ((evaluation.results.get("estimates") or {}).get("error_model") or {}).get("sequences", [])
     learned = f" The model was learned on {', '.join(sequences)}." if sequences else ""
     text = (
-        "Each point is a tenth of the queries of its kind: the error that was expected of them, and their true "
-        "one. On the dotted line both are equal; the gap is the mean distance from it. A query is called lost where "
-        f"more than {threshold:g} {unit} are expected, or where it shows nothing of what the map shows; it is lost in "
-        "truth where its error is larger than that."
+        "Each point is a tenth of the queries of its kind: their expected error and their true error. On the dotted "
+        "line both are equal; the gap is the mean distance from it. A query is called lost if its expected error is "
+        f"above {threshold:g} {unit}, or if it shows nothing of what the map shows; it is truly lost if its error is "
+        "above that value."
         f"{learned}"
     )
     return section(
@@ -93,32 +93,33 @@ def _caption(evaluation: Evaluation, name: str) -> str:
         settings = made.get("interpolation") or {}
         of = plural(settings["neighbours"], "map frame") if "neighbours" in settings else "map frames"
         return (
-            f"The position lies between the {of} that look most alike and belong to one place, weighted by how alike "
-            "they look; it can be nearer than the nearest map frame, so that errors below the floor are possible."
+            f"The position is the mean of the {of} that look most similar and belong to one place, weighted by "
+            "similarity; it can be closer than the nearest map frame, so errors below the floor are possible."
         )
     if name == "refined":
         settings = made.get("refinement") or {}
         of = plural(settings["neighbours"], "map frame") if "neighbours" in settings else "map frames"
         return (
-            f"The network compares the query with the {of} that look most alike, and says where it was taken relative "
-            "to each. The position is the one on which the surest answers agree; it can be nearer than the nearest map "
-            "frame, so that errors below the floor are usual."
+            f"The network compares the query with the {of} that look most similar, and estimates where it was taken "
+            "relative to each. The position is the one on which the most certain answers agree; it can be closer than "
+            "the nearest map frame, so errors below the floor are common."
         )
     if name == "tracked":
         settings = made.get("tracking") or {}
         if "radius" in settings:
             return (
-                "The position is the mean of where the robot may be by the sequence filter, within "
+                "The position is the mean of where the robot may be according to the sequence filter, within "
                 f"{settings['radius']:g} {evaluation.unit} of the most probable map frame."
             )
         moved = f", {settings['step']:.2f} {evaluation.unit} between two queries" if "step" in settings else ""
         return (
-            f"The poses are followed along each sequence: the robot goes on as it went{moved}, and one that fits "
-            "nowhere has to be repeated. It uses earlier frames and never later ones."
+            f"The poses are tracked along each sequence: the robot is assumed to keep moving as before{moved}, and a "
+            "pose that does not fit must be confirmed by those that follow. Only earlier frames are used, never later "
+            "ones."
         )
     text = (
-        "The filter follows the robot through each sequence and weighs what it sees by where it can have driven; it "
-        "uses earlier frames and never later ones."
+        "The filter follows the robot through each sequence and weighs what it sees by where it can have driven; "
+        "only earlier frames are used, never later ones."
     )
     settings = made.get("filter") or {}
     if "temperature" in settings:

@@ -1,4 +1,4 @@
-"""What a report is made from: the result files of runs, read and put together."""
+"""Read and combine the result files of runs for a report."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from siamloc.runs import Run, run_with, runs_in
 
 ALL = "all"
 _KINDS = ("localization", "hierarchical", "robustness", "mapping", "compact", "buildings")
-_EVALUATIONS = ("evaluation/*/results.json", "evaluation/*/*/results.json")  # those of sweeps lie deeper
+_EVALUATIONS = ("evaluation/*/results.json", "evaluation/*/*/results.json")  # those of sweeps are one level deeper
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
 
 
@@ -27,11 +27,11 @@ class Evaluation:
     """The results of one descriptor.
 
     Attributes:
-        name: of the results; their row in the tables.
-        kind: what was measured: "localization", which room retrieval belongs to, "hierarchical", "robustness", or
-            another task.
-        results: what `results.json` holds.
-        tables: columns of the tables that are there, of "queries", "map", "rooms", "frames" and "nodes".
+        name: name of the results, used for their row in the tables.
+        kind: what was measured: "localization" (including room retrieval), "hierarchical", "robustness", or another
+            task.
+        results: content of `results.json`.
+        tables: columns of the existing tables among "queries", "map", "rooms", "frames" and "nodes".
     """
 
     name: str
@@ -41,17 +41,17 @@ class Evaluation:
 
     @property
     def queries(self) -> Columns | None:
-        """Columns of `queries.csv`; None where nothing was localized."""
+        """Columns of `queries.csv`; None if nothing was localized."""
         return self.tables.get("queries") if self.absolute is not None and "map" in self.tables else None
 
     @property
     def known(self) -> Columns | None:
-        """Columns of `map.csv`; None where there is none."""
+        """Columns of `map.csv`; None if there is none."""
         return self.tables.get("map")
 
     @property
     def title(self) -> str:
-        """The name, and what was measured where that is not the same."""
+        """The name, and what was measured if that differs."""
         if self.kind == "localization":
             return self.name
         build, coarse = ((self.results.get(key) or {}).get("name") for key in ("layer", "coarse_descriptor"))
@@ -78,18 +78,18 @@ class Evaluation:
 
     @property
     def absolute(self) -> dict[str, Any] | None:
-        """The measures of localization, in the whole map or in nodes first, if any."""
+        """The measures of localization, in the whole map or hierarchical, if any."""
         measures = self.results["measures"]
         return measures.get("absolute") or measures.get("hierarchical")
 
     @property
     def measured(self) -> bool:
-        """Whether queries were localized or their rooms looked for."""
+        """Whether queries were localized or their rooms retrieved."""
         return self.absolute is not None or self.rooms is not None
 
     @property
     def located(self) -> int:
-        """Queries that were located without a known pose to compare with."""
+        """Number of queries that were located without a known pose to compare with."""
         return int(self.results.get("tables", {}).get("located", {}).get("rows", 0))
 
     @property
@@ -99,29 +99,29 @@ class Evaluation:
 
     @property
     def unit(self) -> str:
-        """What positions and errors count."""
+        """Unit of positions and errors."""
         return str((self.absolute or {}).get("unit", "m"))
 
     @property
     def lightings(self) -> list[str]:
-        """The lightings of the queries; none where they carry no label."""
+        """The lightings of the queries; empty if they have no labels."""
         return list((self.absolute or self.rooms or {}).get("lighting", {}))
 
     @cached_property
     def rows_by_lighting(self) -> dict[str, NDArray[np.int64]]:
-        """The rows of `queries.csv` by lighting; nothing where they carry no label."""
+        """The rows of `queries.csv` by lighting; empty if they have no labels."""
         return {} if self.queries is None else rows_by_label(self.queries["lighting"])
 
 
 @dataclass(frozen=True, eq=False)
 class RunFiles:
-    """A run as the report shows it.
+    """A run as shown in the report.
 
     Attributes:
-        title: a name that no other run of the report has.
+        title: a name that is unique in the report.
         evaluations: at least one.
-        curves: columns of `metrics.csv`; None for what was not trained.
-        settings: what the run was trained with; None as well.
+        curves: columns of `metrics.csv`; None if nothing was trained.
+        settings: what the run was trained with; None if nothing was trained.
     """
 
     title: str
@@ -134,11 +134,11 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
     """Read the result files of runs.
 
     Args:
-        folders: of runs, of sweeps, which stand for their runs, or of evaluations; one that is named twice counts once.
+        folders: folders of runs, of sweeps (which stand for their runs), or of evaluations; duplicates count once.
 
     Raises:
         ConfigError: no folders, or one that is missing or holds no evaluation.
-        FormatError: files that are not whole.
+        FormatError: incomplete files.
     """
     named = [one for folder in folders for one in ([run.folder for run in runs_in(folder)] or [Path(folder)])]
     chosen = list({real_path(folder): folder for folder in named}.values())
@@ -192,7 +192,7 @@ def _kind(folder: Path, results: dict[str, Any]) -> str:
 
 
 def _titles(folders: list[Path]) -> list[str]:
-    """Return the shortest ends of the paths that differ from each other."""
+    """Return the shortest path endings that are all different."""
     parts = [real_path(folder).parts for folder in folders]
     for depth in range(1, max(map(len, parts)) + 1):
         titles = ["/".join(part[-depth:]) for part in parts]

@@ -1,4 +1,4 @@
-"""The part of the page about hierarchical localization: what the coarse layer costs, and what it saves."""
+"""The section about hierarchical localization: what the coarse layer costs, and what it saves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from siamloc.report.page.parts import Part
 
 
 def hierarchical(part: Part) -> Markup | None:
-    """Return the table by lighting and the picture of the errors; None for another task."""
+    """Return the table by lighting and the plot of the errors; None for another task."""
     found = part.evaluation.results["measures"].get("hierarchical")
     if found is None:
         return None
@@ -56,7 +56,7 @@ def _caption(evaluation: Evaluation, found: Mapping[str, Any]) -> str:
     tried = f", the best {settings['candidates']} of them searched" if "candidates" in settings else ""
     return (
         f"{what} over {count(found['map_frames'])} map frames{tried}. Errors are means. A node is found if the one "
-        "that the nearest map frame belongs to is among those searched: right and wrong node split the queries so. "
-        "Perfect nodes would always be searched in the right one; the loss is against a search in the whole map, of "
-        "which the bar of the comparisons is a share: grey for frames, orange for nodes."
+        "that the nearest map frame belongs to is among those searched; right and wrong node refer to this. Perfect "
+        "nodes means always searching the right one; the loss is relative to a search of the whole map, of which the "
+        "bar of the comparisons shows the share: grey for frames, orange for nodes."
     )

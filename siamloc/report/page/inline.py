@@ -1,4 +1,4 @@
-"""Figures as part of a page: SVG that keeps its text, follows the page's colours and clashes with no other figure."""
+"""Figures as part of a page: SVG with real text, the page's colours, and ids unique on the page."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from siamloc.report.draw import look
 from siamloc.report.draw.look import Picture
 from siamloc.report.page.markup import Markup, tag
 
-# Colours of the pictures that the page's style sheet has a name for, and others on dark paper.
+# Colours of the plots that the page's style sheet names, and replaces in dark mode.
 _NAMED = {
     look.INK: "ink",
     look.TEXT: "text",
@@ -32,9 +32,9 @@ def inline(figure: Picture, name: str, title: str) -> Markup:
     """Return a figure of the page.
 
     Args:
-        figure: what to draw; equal figures give equal text.
-        name: of the figure, different from all others of the page.
-        title: says what it shows to those who do not see it.
+        figure: the figure; equal figures give equal text.
+        name: name of the figure, unique on the page.
+        title: description for screen readers.
 
     Example:
         >>> figure = Picture(figsize=(2, 1))
@@ -58,14 +58,14 @@ def inline(figure: Picture, name: str, title: str) -> Markup:
         viewBox=f"0 0 {width:g} {height:g}",
         role="img",
         aria_label=title,
-        # As large as it was made, smaller where the page is narrower; below two thirds it scrolls.
+        # Drawn at its own size, smaller on a narrower page; below two thirds it scrolls.
         style=f"width:{width:g}pt;min-width:{min(width, 0.67 * width + 60):.0f}pt",
     )
     return tag("figure.picture", tag("div.scroll", svg, tabindex=0))
 
 
 def _own_names(body: str, name: str) -> str:
-    """Return the elements with names that only this figure has, and only where something refers to them."""
+    """Return the elements with ids unique to this figure, keeping only those that are referred to."""
     numbers = count()
     names = {found: f"{name}-{next(numbers)}" for found in dict.fromkeys(_REFERENCE.findall(body))}
     body = re.sub(r' id="([^"]*)"', lambda found: f' id="{names[found[1]]}"' if found[1] in names else "", body)
@@ -73,7 +73,7 @@ def _own_names(body: str, name: str) -> str:
 
 
 def _shortened(path: str) -> str:
-    """Return a path in fewer letters: the command of a line is not repeated."""
+    """Return a path in fewer characters: the line command is not repeated."""
     words, last = [], ""
     for word in path.split():
         if word.isalpha():
@@ -86,7 +86,7 @@ def _shortened(path: str) -> str:
 
 
 def _without_bare_groups(body: str) -> str:
-    """Return the elements without groups that say nothing."""
+    """Return the elements without groups that have no attributes."""
     bare: list[bool] = []
 
     def kept(found: re.Match[str]) -> str:

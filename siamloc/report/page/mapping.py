@@ -1,4 +1,4 @@
-"""The part of the page about a compact map: how compact, how pure, and whether its loops close rightly."""
+"""The section about a compact map: compactness, purity, and correctness of its loop closures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def mapping(part: Part) -> Markup | None:
             f"{count(closures['right'])} of {count(closures['closures'])}: precision {percent(closures['precision'])}, "
             f"recall {percent(closures['recall'])}",
         ),
-        ("time a frame", f"{number(took['mean'], 1)} ms, median {number(took['median'], 1)} ms"),
+        ("time per frame", f"{number(took['mean'], 1)} ms, median {number(took['median'], 1)} ms"),
     ]
     rooms = found["purity"]["room"]
     pure = [(room, [percent(one["purity"]), count(one["frames"])]) for room, one in rooms.items()]

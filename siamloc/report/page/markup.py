@@ -1,4 +1,4 @@
-"""Writing HTML without ever forgetting to escape, and numbers as people read them."""
+"""Build HTML that is always escaped, and format numbers for people."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ NOTHING = "–"
 
 
 class Markup(str):
-    """Text that is HTML already."""
+    """Text that is already HTML."""
 
     __slots__ = ()
 
@@ -27,10 +27,10 @@ def tag(name: str, /, *children: Content, **attributes: Any) -> Markup:
         '<p class="note" data-row="3">1 &lt; 2</p>'
 
     Args:
-        name: of the element, with its classes after dots: "p.note".
+        name: name of the element, with its classes after dots: "p.note".
         children: text or elements; None is left out.
-        attributes: underscores become hyphens, one at the end is dropped; True gives a bare attribute, None and False
-            none.
+        attributes: underscores become hyphens, a trailing one is dropped; True gives a bare attribute, None and False
+            give none.
     """
     name, *classes = name.split(".")
     given = {key.removesuffix("_").replace("_", "-"): value for key, value in attributes.items()}
@@ -47,7 +47,7 @@ def tag(name: str, /, *children: Content, **attributes: Any) -> Markup:
 
 
 def join(*children: Content) -> Markup:
-    """Return the children one after another, escaped where they are not HTML."""
+    """Return the children one after another, escaped unless they are HTML."""
     return Markup(
         "".join(
             child if isinstance(child, Markup) else html.escape(str(child)) for child in children if child is not None
@@ -56,30 +56,30 @@ def join(*children: Content) -> Markup:
 
 
 def section(title: str, *children: Content, name: str) -> Markup:
-    """Return a part of the page with its heading."""
+    """Return a section of the page with its heading."""
     return tag("section", tag("h3", title), *children, class_=name)
 
 
 def script_data(identifier: str, value: Any) -> Markup:
-    """Return an element that holds a plain value as JSON for the page's script."""
+    """Return a script element that holds a plain value as JSON for the page's script."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    # Inside a script element only "<" can end it; JSON allows it in strings alone, where the escape means the same.
+    # Only "<" can end a script element; JSON allows it only in strings, where the escape means the same.
     text = text.replace("<", "\\u003c")
     return Markup(f'<script type="application/json" id="{html.escape(identifier)}">{text}</script>')
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many decimals, or a dash where there is none."""
+    """Return a number with `digits` decimals, or a dash if there is none."""
     return NOTHING if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 
 def percent(share: float | None) -> str:
-    """Return a share in percent with one decimal, or a dash where there is none."""
+    """Return a share in percent with one decimal, or a dash if there is none."""
     return NOTHING if share is None or not math.isfinite(share) else f"{100 * share:.1f} %"
 
 
 def count(value: int) -> str:
-    """Return a count with a comma at the thousands."""
+    """Return a count with thousands separators."""
     return f"{value:,}"
 
 

@@ -1,4 +1,4 @@
-"""The evaluations of a report page on their way into it: their figures, and which of their images find room."""
+"""Prepare the evaluations of a report page: their figures, and which of their images fit."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from siamloc.report.page.markup import Markup, count, plural
 from siamloc.report.page.pictures import Decoder, Sheets, make_large, make_sheets
 from siamloc.report.page.plan import Plan, make_plan
 
-_MOST_QUERIES = 12_000  # on all plans of a page together; their numbers are 1.3 MB
+_MOST_QUERIES = 12_000  # on all plans of a page together; their numbers take 1.3 MB
 
 
 @dataclass(eq=False)
 class Part:
-    """An evaluation on its way into the page.
+    """An evaluation prepared for the page.
 
     Attributes:
-        run: what it belongs to.
+        run: the run it belongs to.
         evaluation: its results.
-        alone: whether the page is about this run alone.
-        number: of the part, from 0.
-        plan: what the floor plan shows, if there is one.
-        decoder: reads its pictures.
-        sheets: number of its set of small pictures, -1 for none.
+        alone: whether the page is about this run only.
+        number: number of the part, from 0.
+        plan: data of the floor plan, if any.
+        decoder: reads its images.
+        sheets: number of its set of thumbnail sheets, -1 for none.
     """
 
     run: RunFiles
@@ -43,7 +43,7 @@ class Part:
     _inlined: dict[str, Markup] = field(default_factory=dict)
 
     def figure(self, key: str, title: str) -> Markup | None:
-        """Return the figure of a name, as `draw.pictures` gives it; None where there are no numbers for it."""
+        """Return a figure by its name in `draw.pictures`; None if there are no numbers for it."""
         if key not in self._figures:
             return None
         if key not in self._inlined:
@@ -63,13 +63,13 @@ class Part:
 
     @property
     def title(self) -> str:
-        """What was measured, with its run unless that is the only one or says the same."""
+        """What was measured, with its run unless that is the only one or has the same name."""
         name = self.evaluation.title
         return name if self.alone or self.run.title == self.evaluation.name else f"{self.run.title} · {name}"
 
     @property
     def method(self) -> str:
-        """The descriptor, with its run unless that is the only one or says the same."""
+        """The descriptor, with its run unless that is the only one or has the same name."""
         name = self.evaluation.name
         return name if self.alone or self.run.title == name else f"{self.run.title} · {name}"
 
@@ -88,7 +88,7 @@ def parts_of(runs: list[RunFiles]) -> list[Part]:
 
 
 def large_pictures(parts: list[Part], budget: int) -> dict[tuple[int, str], str]:
-    """Return the pictures of the worst queries, as `make_large`."""
+    """Return the images of the worst queries, in the form of `make_large`."""
     wanted = [
         (part.decoder, path)
         for part in parts
@@ -100,20 +100,20 @@ def large_pictures(parts: list[Part], budget: int) -> dict[tuple[int, str], str]
 
 
 def reserve(parts: list[Part]) -> int:
-    """Return bytes for what is written when the pictures are known: their numbers, and notes on them."""
+    """Return the bytes to reserve for what is written once the images are known: their numbers and notes."""
     frames = sum(len(part.plan.rows) + len(part.plan.known["x"]) for part in parts if part.plan is not None)
     return 5 * frames + 2000 * len(parts)
 
 
 def sheets_of(parts: list[Part], budget: int) -> list[Sheets]:
-    """Return a set of sheets per decoder; frames that several evaluations show are in it once."""
+    """Return a set of sheets per decoder; frames shown by several evaluations are included once."""
     sets: dict[int, list[Part]] = {}
     for part in parts:
         if part.plan is not None:
             sets.setdefault(id(part.decoder), []).append(part)
     orders = []
     for members in sets.values():
-        # In turn, so that every evaluation has some pictures where there is not room for all.
+        # In turn, so that every evaluation gets some images if there is no room for all.
         turns = zip_longest(*(part.plan.picture_order() for part in members if part.plan is not None))
         orders.append(list(dict.fromkeys(path for turn in turns for path in turn if path is not None)))
     total = sum(map(len, orders))
@@ -126,7 +126,7 @@ def sheets_of(parts: list[Part], budget: int) -> list[Sheets]:
 
 
 def notes_on(part: Part, uris: dict[str, str], sheets: list[Sheets]) -> list[str]:
-    """Say what the plan does not show."""
+    """Return notes on what the plan does not show."""
     plan = part.plan
     if plan is None:
         return []
@@ -134,7 +134,7 @@ def notes_on(part: Part, uris: dict[str, str], sheets: list[Sheets]) -> list[str
     if len(plan.rows) < plan.total:
         notes.append(
             f"The plan shows {count(len(plan.rows))} of {count(plan.total)} queries, the worst among them, to keep "
-            "this page small. The tables and curves rest on all."
+            "this page small. The tables and curves include all."
         )
     bare = [path for row in plan.worst.tolist() for path in plan.triple(row) if path not in uris]
     if not set(bare) <= set(part.decoder.missing):
@@ -146,13 +146,13 @@ def notes_on(part: Part, uris: dict[str, str], sheets: list[Sheets]) -> list[str
     missing = [path for path in order if path in part.decoder.missing]
     if missing:
         notes.append(
-            f"{plural(len(missing), 'picture')} of {count(len(order))} could not be read, the first is {missing[0]} "
+            f"{plural(len(missing), 'picture')} of {count(len(order))} could not be read, the first being {missing[0]} "
             f"({part.decoder.missing[missing[0]]})."
         )
     without = sum(path not in place for path in plan.queries["path"].tolist())
     if without:
         notes.append(
-            f"Pictures are thinned out to keep this page small: {count(len(plan.rows) - without)} of "
+            f"Some pictures are left out to keep this page small: {count(len(plan.rows) - without)} of "
             f"{count(len(plan.rows))} queries have one, the worst among them."
         )
     return notes

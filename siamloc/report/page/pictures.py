@@ -1,4 +1,4 @@
-"""The pictures of a report: many small ones in few sheets, a few larger ones, all within a number of bytes."""
+"""The images of a report: many small ones on a few sheets and some larger ones, all within a byte budget."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Picture = NDArray[np.uint8]
 TILES_PER_SHEET = 64
 _SHEET_COLUMNS = 8
 _DEFAULT_SIZE = (128, 512)
-# Pixels and JPEG quality of the small pictures, from what one would like to what there is room for.
+# Pixels and JPEG quality of the small images, from the preferred to the smallest.
 _LEVELS = (
     (256 * 64, 62),
     (256 * 64, 45),
@@ -35,15 +35,15 @@ _LEVELS = (
 )
 _LARGE_LEVELS = ((448 * 112, 72), (384 * 96, 66), (320 * 80, 60), (256 * 64, 50), (192 * 48, 40))
 _SAMPLES = 24
-_GUESS = 3000  # bytes of a picture where no sample could be read
+_GUESS = 3000  # bytes per image if no sample could be read
 
 
 class Decoder:
-    """Reads images as the network or the descriptor saw them, and remembers which could not be read.
+    """Reads images as the network or descriptor saw them, and records those that could not be read.
 
     Args:
-        settings: of an evaluation; `data.image_size` and `data.unwrap` matter. A camera of one's own cannot be made
-            again from them: its images are shown as they are.
+        settings: settings of an evaluation; `data.image_size` and `data.unwrap` are used. A custom camera cannot be
+            restored from them: its images are shown as they are.
     """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
@@ -55,11 +55,11 @@ class Decoder:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What decides the pixels: decoders with equal parameters give equal pictures."""
+        """All that determines the pixels: decoders with equal parameters give equal images."""
         return self._preprocessing.parameters()
 
     def read(self, path: str, pixels: int) -> Picture | None:
-        """Return the picture of a file with at most so many pixels (rows, columns, 3), BGR; None if there is none."""
+        """Return the image of a file (rows, columns, 3), BGR, with about `pixels` pixels; None if it cannot be read."""
         try:
             if self._preprocessing.camera is None:
                 picture = read_image(path)
@@ -72,9 +72,9 @@ class Decoder:
         return np.asarray(cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
     def fitted(self, pixels: int) -> tuple[int, int]:
-        """Return rows and columns of about so many pixels in the pictures' proportion; unwrapped ones are not enlarged.
+        """Return rows and columns of about `pixels` pixels, in the images' aspect ratio; unwrapped ones never grow.
 
-        Both are multiples of 16, the size of JPEG's colour blocks, so that neighbours in a sheet do not bleed.
+        Both are multiples of 16, the size of JPEG's colour blocks, so that neighbours on a sheet do not bleed.
         """
         rows, columns = self.size
         scale = math.sqrt(pixels / (rows * columns))
@@ -85,13 +85,13 @@ class Decoder:
 
 @dataclass(frozen=True)
 class Sheets:
-    """Small pictures, 64 to a sheet.
+    """Small images, 64 to a sheet.
 
     Attributes:
-        size: rows and columns of a picture.
-        place: number of a file's picture, counted through all sheets; -1 for a file that could not be read.
-        wanted: files that were asked for; those that have no place were left out to save space.
-        images: sheets of 8 pictures a row, as base64 of JPEG.
+        size: rows and columns of an image.
+        place: number of a file's image, counted through all sheets; -1 for a file that could not be read.
+        wanted: number of requested files; those without a place were left out to save space.
+        images: sheets with 8 images per row, as base64-encoded JPEG.
     """
 
     size: tuple[int, int]
@@ -101,7 +101,7 @@ class Sheets:
 
     @property
     def left_out(self) -> int:
-        """Files whose pictures found no room."""
+        """Number of files whose images did not fit."""
         return self.wanted - len(self.place)
 
     def plain(self) -> dict[str, Any]:
@@ -111,12 +111,12 @@ class Sheets:
 
 
 def make_sheets(decoder: Decoder, paths: Sequence[str], budget: int) -> Sheets:
-    """Put pictures on sheets: as large as fit into the budget, and only the first of them where none would.
+    """Put images on sheets: as large as the budget allows, and only the first ones if not all fit at any size.
 
     Args:
-        decoder: reads them.
-        paths: files, those first that matter most.
-        budget: largest sum of the lengths of `Sheets.images`.
+        decoder: reads the images.
+        paths: files, the most important first.
+        budget: maximum total length of `Sheets.images`.
     """
     unique = list(dict.fromkeys(paths))
     sample = [unique[i] for i in np.unique(np.linspace(0, len(unique) - 1, _SAMPLES).astype(int))] if unique else []
@@ -137,7 +137,7 @@ def make_sheets(decoder: Decoder, paths: Sequence[str], budget: int) -> Sheets:
             tiles.append(tile)
     images = [_encoded_sheet(tiles[i : i + TILES_PER_SHEET], quality) for i in range(0, len(tiles), TILES_PER_SHEET)]
     while images and sum(map(len, images)) > budget:
-        # The sample was kinder than the rest: the last sheet holds what matters least.
+        # The sample was smaller than the rest: the last sheet holds the least important images.
         images.pop()
         kept = len(images) * TILES_PER_SHEET
         place = {path: number for path, number in place.items() if number < kept}
@@ -145,12 +145,12 @@ def make_sheets(decoder: Decoder, paths: Sequence[str], budget: int) -> Sheets:
 
 
 def make_large(wanted: Sequence[tuple[Decoder, str]], budget: int) -> dict[tuple[int, str], str]:
-    """Return data URIs of pictures by the decoder's id and the path, as large as fit into the budget together.
+    """Return data URIs of images by the decoder's id and the path, as large as the budget allows for all together.
 
     Args:
-        wanted: files, each with what reads it, those first that matter most. A file that cannot be read is left out,
-            and so is what has no room even when it is small.
-        budget: largest sum of the lengths of all URIs, each file counted as often as it is named.
+        wanted: files, each with its decoder, the most important first. A file is left out if it cannot be read, or
+            does not fit even at the smallest size.
+        budget: maximum total length of all URIs, each file counted as often as it is listed.
     """
     times = Counter((id(decoder), path) for decoder, path in wanted)
     first = {(id(decoder), path): decoder for decoder, path in wanted}

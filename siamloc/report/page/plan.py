@@ -1,4 +1,4 @@
-"""What the interactive floor plan needs: positions, errors and picture numbers, as short as they can be said."""
+"""Data for the interactive floor plan: positions, errors and image numbers, in compact form."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class Plan:
     """The queries that a floor plan shows.
 
     Attributes:
-        queries: columns of `queries.csv`, those rows that are shown.
+        queries: columns of `queries.csv`, only the rows that are shown.
         known: columns of `map.csv`.
-        rows: which rows of the whole table they are (n,).
-        total: rows of the whole table.
+        rows: numbers of these rows in the whole table (n,).
+        total: number of rows in the whole table.
         nearest: the map frame nearest to each query's true position (n,): the right answer.
-        unit: of the positions.
-        estimate: what the estimates and errors of `queries` are by, see `siamloc.results.finest`; None for those of the
-            nearest map frame by descriptor.
+        unit: unit of the positions.
+        estimate: source of the estimates and errors in `queries`, see `siamloc.results.finest`; None for the nearest
+            map frame by descriptor.
     """
 
     queries: Columns
@@ -45,7 +45,7 @@ class Plan:
 
     @property
     def along(self) -> str | None:
-        """The axis that all frames lie along, "x" or "y"; None where they spread over a plan."""
+        """The axis that all frames lie along, "x" or "y"; None if they spread over a plan."""
         if not is_line(self.queries, self.known):
             return None
         extent = {name: np.ptp(np.concatenate([self.queries[name], self.known[name]])) for name in ("x", "y")}
@@ -57,16 +57,16 @@ class Plan:
         return np.argsort(-self.queries["error"], kind="stable")[:WORST]
 
     def picture_order(self) -> list[str]:
-        """Return the paths of all pictures: of the worst queries first, then of queries spread ever more densely.
+        """Return the paths of all images: first of the worst queries, then of queries in ever denser spacing.
 
-        Each query brings its match and the right answer along, so that the beginning of the list shows some queries
-        whole rather than all by halves.
+        Each query comes with its match and the right answer, so that the beginning of the list shows some queries
+        completely rather than all of them in part.
         """
         order = dict.fromkeys([*self.worst.tolist(), *spread(len(self.rows)).tolist()])
         return list(dict.fromkeys(path for row in order for path in self.triple(row)))
 
     def triple(self, row: int) -> tuple[str, str, str]:
-        """Return the paths of a query's picture, of its match and of the right answer."""
+        """Return the paths of the images of a query, its match and the right answer."""
         known = self.known["path"]
         return str(self.queries["path"][row]), str(known[self.queries["match"][row]]), str(known[self.nearest[row]])
 
@@ -74,8 +74,8 @@ class Plan:
         """Return everything as plain values.
 
         Args:
-            place: number of each file's picture; files without one are not shown.
-            sheets: which set of sheets the numbers belong to.
+            place: number of each file's image; files without one are not shown.
+            sheets: the set of sheets that the numbers belong to.
         """
         queries, known = self.queries, self.known
         digits = _digits(queries, known)
@@ -121,15 +121,15 @@ class Plan:
         }
 
     def _map_names(self) -> list[str]:
-        """Return the names of the map frames that some query shows; the others are never read."""
+        """Return the names of the map frames shown for some query; the others are never read."""
         shown = set(self.queries["match"].tolist()) | set(self.nearest.tolist())
         return [PurePath(path).name if i in shown else "" for i, path in enumerate(self.known["path"].tolist())]
 
 
 def make_plan(evaluation: Evaluation, most: int) -> Plan | None:
-    """Return the plan of an evaluation with at most so many queries; None where nothing was localized.
+    """Return the plan of an evaluation with at most `most` queries; None if nothing was localized.
 
-    Of more queries it keeps those with the largest errors and others evenly along the table.
+    If there are more, it keeps those with the largest errors, and others evenly spread over the table.
     """
     queries, known = evaluation.queries, evaluation.known
     if queries is None or known is None or not len(queries["error"]) or not len(known["x"]):
@@ -148,7 +148,7 @@ def make_plan(evaluation: Evaluation, most: int) -> Plan | None:
 
 
 def spread(n: int) -> NDArray[np.int64]:
-    """Return 0 ... n-1 in an order whose every beginning is spread evenly over the whole."""
+    """Return 0 ... n-1 in an order of which every prefix is evenly spread over the whole."""
     if n == 0:
         return np.empty(0, dtype=np.int64)
     bits = max(1, int(n - 1).bit_length())
@@ -169,7 +169,7 @@ def error_classes(error: NDArray) -> list[float]:
 
 
 def _room_labels(known: Columns) -> list[list[Any]]:
-    """Return where to write each room's name: at its map frame nearest to the middle of them all."""
+    """Return where to write each room's name: at its map frame nearest to the room's centre."""
     labels = []
     for room, rows in rows_by_label(known["room"]).items():
         if known["room"][rows[0]] == "":
@@ -181,13 +181,13 @@ def _room_labels(known: Columns) -> list[list[Any]]:
 
 
 def _digits(queries: Columns, known: Columns) -> int:
-    """Return decimals that no eye misses: a hundred-thousandth of the extent, and three at the most."""
+    """Return a sufficient number of decimals: a hundred-thousandth of the extent, normally at most three."""
     extent = max(float(np.ptp(np.concatenate([queries[name], known[name]]))) for name in ("x", "y"))
     return int(np.clip(np.ceil(5 - np.log10(extent)) if extent > 0 else 3, 0, 3 if extent >= 1 else 9))
 
 
 def _short(values: NDArray, digits: int) -> list[float | None]:
-    """Return rounded numbers, whole ones without a decimal point, None for those that are unknown."""
+    """Return rounded numbers, integers without a decimal point, None for unknown ones."""
     rounded = np.round(values.astype(np.float64), digits).tolist()
     return [None if value != value else int(value) if value == int(value) else value for value in rounded]
 

@@ -1,4 +1,4 @@
-"""The part of the page about robustness: errors against how much the queries were disturbed."""
+"""The section about robustness: errors against the strength of the disturbance."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LEVELS = {"noise": "variance", "occlusion": "columns", "turn": "turned left", "
 
 
 def robustness(part: Part) -> Markup | None:
-    """Return curves, and a table for each disturbance; None for another task."""
+    """Return curves and a table for each disturbance; None for another task."""
     found = part.evaluation.results["measures"].get("robustness")
     if found is None:
         return None
@@ -22,19 +22,19 @@ def robustness(part: Part) -> Markup | None:
 
 
 def robustness_section(title: str, found: Mapping[str, Any], figure: Markup | None) -> Markup:
-    """Return the part about one or several methods.
+    """Return the section about one or several methods.
 
     Args:
-        title: of the part.
+        title: title of the section.
         found: `measures.robustness` of `results.json`.
-        figure: its curves.
+        figure: the curves.
     """
     unit, radius = found["unit"], found["radius"]
     every = "" if found["every"] == 1 else f", one in {found['every']} of all"
     text = (
         f"{count(found['queries'])} queries{every}, with disturbed images, in a map of {count(found['map_frames'])} "
-        "frames that stays as it is. Full lines are mean errors, dashed ones medians; of headings, full lines are "
-        "those by the frame found, dashed ones by the map frame that is geometrically nearest. The tables give the "
+        "undisturbed frames. Solid lines are mean errors, dashed ones medians; for headings, solid lines refer to "
+        "the retrieved frame, dashed ones to the geometrically nearest map frame. The tables give the "
         f"mean error and the share of the queries within {radius:g} {unit}."
     )
     width = f"--table:{90 + 96 * len(found['methods'])}px"

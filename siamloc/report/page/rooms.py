@@ -1,4 +1,4 @@
-"""Parts of the page about rooms and buildings: which was taken for which, and pairs judged by their distance."""
+"""Sections about rooms and buildings: confusion matrices, and pairs judged by their distance."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from siamloc.report.page import tables
 from siamloc.report.page.markup import Markup, count, number, percent, plural, section, tag
 from siamloc.report.page.parts import Part
 
-_MOST_CELLS = 40  # rooms; a matrix of more could not be read
+_MOST_CELLS = 40  # rooms; a larger matrix would be unreadable
 
 
 def confusion(part: Part) -> Markup | None:
-    """Return the confusion matrices of rooms, of all queries and by lighting; None where rooms were not looked for."""
+    """Return the confusion matrices of rooms, of all queries and by lighting; None if rooms were not retrieved."""
     rooms = part.evaluation.rooms
     if rooms is None:
         return None
@@ -22,16 +22,16 @@ def confusion(part: Part) -> Markup | None:
     right, total = int(np.trace(counts)), int(np.sum(counts))
     text = (
         f"{count(right)} of {count(total)} queries ({percent(right / total if total else None)}) in the right room. "
-        "A row is a true room, a column the room that was taken for it; shares are of the row's queries."
+        "Rows are true rooms, columns are retrieved rooms; shares are of the queries in a row."
     )
-    title = "Rooms taken for each other"
+    title = "Confusion of rooms"
     if len(labels) > _MOST_CELLS:
         return section(title, _mistakes(labels, counts), tag("p.caption", text), name="rooms")
     return section(title, _matrices(part, "rooms"), tag("p.caption", text), name="rooms")
 
 
 def buildings(part: Part) -> Markup | None:
-    """Return how often the right building was chosen; None where there was no choice."""
+    """Return how often the right building was chosen; None if there was no choice."""
     found = part.evaluation.results["measures"].get("buildings")
     if found is None:
         return None
@@ -49,14 +49,14 @@ def buildings(part: Part) -> Markup | None:
     return section(
         "Choosing the building",
         tables.grid(["lighting", "right", *labels, "queries"], rows, "buildings"),
-        tag("p.caption", f"A query belongs to the building whose map holds what looks most like it. {text}"),
+        tag("p.caption", f"A query is assigned to the building whose map holds the most similar image. {text}"),
         _matrices(part, "buildings"),
         name="buildings",
     )
 
 
 def pairs(part: Part) -> Markup | None:
-    """Return how well pairs of one room are told from pairs of two; None where pairs were not judged."""
+    """Return how well pairs of one room are distinguished from pairs of two; None if pairs were not judged."""
     found = part.evaluation.results["measures"].get("room_pairs")
     if found is None:
         return None
@@ -68,21 +68,21 @@ def pairs(part: Part) -> Markup | None:
         rows.append((label, [*shares, number(group.get("auc")), *counts]))
     heads = ["lighting", "one room", "two rooms", "all pairs", "AUC", "pairs of one room", "of two rooms"]
     text = (
-        f"The dissimilarity of a pair is its distance divided by {found['margin']:g}, and 1 at most; a pair below "
-        f"{found['threshold']:g}, where the vertical lines are, is taken for one room. The AUC needs no threshold: "
-        "it is the share of couples in which the pair of one room is the less dissimilar one."
+        f"The dissimilarity of a pair is its distance divided by {found['margin']:g}, limited to 1; a pair below "
+        f"{found['threshold']:g} (vertical lines) counts as one room. The AUC needs no threshold: if a pair of one "
+        "room is compared with a pair of two rooms, it is how often the former is less dissimilar."
     )
     return section(
         "Pairs of images: one room or two",
         tables.grid(heads, rows, "pair-shares"),
         tag("p.caption", text),
-        part.figure("pairs", "pairs judged right at each threshold"),
+        part.figure("pairs", "pairs judged correctly at each threshold"),
         name="pair-curves",
     )
 
 
 def _matrices(part: Part, what: str) -> Markup:
-    """Return the confusion matrix of all queries, and those of each lighting where there are several."""
+    """Return the confusion matrix of all queries, and one for each lighting if there are several."""
     every = part.figure("confusion", f"confusion of {what}")
     return tag("div.side", every, part.figure("confusion_by_lighting", f"confusion of {what} by lighting"))
 

@@ -1,4 +1,4 @@
-"""The parts of a report page, one function each."""
+"""The sections of a report page, one function each."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PICTURES = ("query", "match", "nearest map frame")
 
 
 def key_figures(evaluation: Evaluation) -> Markup | None:
-    """Return the few numbers that one would say aloud; None where nothing of the kind was measured."""
+    """Return the headline numbers; None if none of them was measured."""
     tiles: list[tuple[str, str]] = []
     absolute, rooms, unit = evaluation.absolute, evaluation.rooms, evaluation.unit
     if absolute is not None:
@@ -41,9 +41,9 @@ def key_figures(evaluation: Evaluation) -> Markup | None:
         if middle is not None:
             tiles.append((percent(middle["recall"]), f"of the queries within {middle['radius']:g} {unit}"))
     if absolute is not None and "comparisons" in absolute["overall"]:
-        tiles.append((percent(absolute["overall"]["comparisons"]["share"]), "of the comparisons of a whole search"))
+        tiles.append((percent(absolute["overall"]["comparisons"]["share"]), "of the comparisons of a full search"))
     if rooms is not None:
-        tiles.append((percent(rooms["overall"]["accuracy"]), "of the rooms right"))
+        tiles.append((percent(rooms["overall"]["accuracy"]), "of the rooms correct"))
     if absolute is not None:
         tiles.append((count(absolute["overall"]["queries"]), f"queries, {count(absolute['map_frames'])} map frames"))
     elif rooms is not None:
@@ -63,37 +63,37 @@ def _other_figures(measures: Mapping[str, Any]) -> list[tuple[str, str]]:
         tiles.append((percent(mapped["unassigned"]["share"]), "of the frames in no node"))
         tiles.append((percent(mapped["purity"]["overall"]), "of the frames in a node of their room"))
     if chosen is not None:
-        tiles.append((percent(chosen["overall"]["accuracy"]), "of the buildings right"))
+        tiles.append((percent(chosen["overall"]["accuracy"]), "of the buildings correct"))
         tiles.append((count(chosen["overall"]["queries"]), "queries"))
     return tiles
 
 
 def unscored(evaluation: Evaluation) -> Markup | None:
-    """Say that queries were located whose true poses are unknown; None where there are none."""
+    """Return a note on located queries whose true poses are unknown; None if there are none."""
     if not evaluation.located:
         return None
     many = plural(evaluation.located, "query", "queries")
     if evaluation.absolute is not None:
-        return tag("p.note", f"Of {many} the true position is unknown: located.csv says where they were found.")
+        return tag("p.note", f"The true position of {many} is unknown: located.csv holds the estimates.")
     none = "no error is known" if evaluation.rooms is not None else "none is scored"
-    text = f"No query has a true position to compare with: {many} were located, in located.csv, and {none}."
+    text = f"No query has a true position to compare with: {many} were located (see located.csv), and {none}."
     return tag("p.note", text)
 
 
 def summary(evaluation: Evaluation) -> Markup | None:
-    """Return the summary tables, and what was left out of them; None where there is nothing to sum up."""
+    """Return the summary tables, and notes on what is missing; None if there is nothing to summarize."""
     if evaluation.absolute is None and evaluation.rooms is None:
         return None
     rooms = (evaluation.absolute or evaluation.rooms or {}).get("room", {})
     by_room = tag("details", tag("summary", "By room"), tables.summary(evaluation, "room")) if len(rooms) > 1 else None
     skipped = evaluation.results.get("skipped") or {}
     notes = [
-        # Queries in rooms that the map lacks are searched for all the same.
+        # Queries in rooms that the map lacks are searched nevertheless.
         tag("p.caption", reason if name == "rooms" else f"{name.replace('_', ' ')} left out: {reason}")
         for name, reason in skipped.items()
     ]
     floor = (
-        "The floor is the distance to the nearest map frame, which no retrieval can go below; the excess is the rest. "
+        "The floor is the distance to the nearest map frame, which no retrieval can beat; the excess is the rest. "
         "Bars show both, grey and orange, as parts of the mean."
         + (" The smallest mean of each lighting is bold." if len(evaluation.methods) > 1 else "")
     )
@@ -102,7 +102,7 @@ def summary(evaluation: Evaluation) -> Markup | None:
 
 
 def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: Sequence[str]) -> Markup | None:
-    """Return the frame of the interactive plan, which the page's script fills; None where nothing was localized."""
+    """Return the frame of the interactive plan, filled by the page's script; None if nothing was localized."""
     if plan is None:
         return None
     groups = {ALL: len(plan.rows)}
@@ -126,7 +126,7 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
         "p.caption",
         "Grey dots are map frames, coloured dots the true positions of queries, arrows lead to "
         f"{_LED_TO[plan.estimate]}. "
-        "Point at a query, or click to keep it. With the plan in focus: ← → along the drive, ↑ ↓ to larger and smaller "
+        "Point at a query, or click to pin it. With the plan in focus: ← → along the drive, ↑ ↓ to larger and smaller "
         "errors, + − 0 or the wheel to zoom; drag to move.",
         id=f"keys-{number_}",
     )
@@ -153,13 +153,13 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
         line,
         keys,
         *(tag("p.note", note) for note in notes),
-        tag("noscript", tag("p.caption", "The plan needs JavaScript; all else on this page does not.")),
+        tag("noscript", tag("p.caption", "The plan needs JavaScript; the rest of this page does not.")),
         name="plan",
     )
 
 
 def cumulative(part: Part) -> Markup | None:
-    """Return the cumulative error curves; None where nothing was localized."""
+    """Return the cumulative error curves; None if nothing was localized."""
     figure = part.figure("error_curve", "cumulative errors")
     return None if figure is None else section("Cumulative errors", figure, name="curves")
 
@@ -168,8 +168,8 @@ def worst(plan: Plan | None, uris: Mapping[str, str]) -> Markup | None:
     """Return the queries with the largest errors as picture triples.
 
     Args:
-        plan: its worst queries.
-        uris: pictures as data URIs by path; a path without one gets a placeholder.
+        plan: holds the worst queries.
+        uris: pictures as data URIs by path; a missing one is replaced by a placeholder.
     """
     if plan is None:
         return None
@@ -179,7 +179,7 @@ def worst(plan: Plan | None, uris: Mapping[str, str]) -> Markup | None:
 
 
 def further(evaluation: Evaluation) -> Markup | None:
-    """Return all measures that have no part of their own, as plain tables."""
+    """Return all measures without a section of their own, as plain tables."""
     others = {k: v for k, v in evaluation.results["measures"].items() if k not in _KNOWN_MEASURES and v}
     if not others:
         return None
@@ -192,7 +192,7 @@ def further(evaluation: Evaluation) -> Markup | None:
 
 
 def training(run: RunFiles, number_: int) -> Markup | None:
-    """Return the training curves; None for what was not trained."""
+    """Return the training curves; None if nothing was trained."""
     if run.curves is None:
         return None
     figure = inline(training_curves(run.curves), f"training-{number_}", f"training curves of {run.title}")
@@ -201,7 +201,7 @@ def training(run: RunFiles, number_: int) -> Markup | None:
 
 
 def configuration(run: RunFiles) -> Markup:
-    """Return configuration and versions, folded."""
+    """Return configuration and versions, collapsed."""
     parts: list[Markup] = []
     if run.settings is not None:
         parts.append(tag("details", tag("summary", "Trained with"), tag("pre", _yaml(run.settings))))
@@ -215,11 +215,11 @@ def configuration(run: RunFiles) -> Markup:
 
 
 def _lighting_switch(name: str, groups: Mapping[str, int]) -> Markup | None:
-    """Return buttons that choose a lighting for the plan; None where there is no choice.
+    """Return buttons that choose a lighting for the plan; None if there is no choice.
 
     Args:
-        name: of the switch, different from all others on the page.
-        groups: what each lighting holds, and all together.
+        name: name of the switch, unique on the page.
+        groups: number of queries of each lighting, and of all.
     """
     if len(groups) < 2:
         return None
@@ -286,4 +286,4 @@ def _yaml(config: Any) -> Markup:
     import yaml
 
     text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
-    return join(text if config else "none was written down")
+    return join(text if config else "not recorded")

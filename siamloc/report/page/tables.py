@@ -14,12 +14,12 @@ def summary(evaluation: Evaluation, by: str = "lighting") -> Markup:
     """Return a table with a row per method and lighting (or room), and one for all queries.
 
     Args:
-        evaluation: with its baselines.
+        evaluation: results, with their baselines.
         by: "lighting" or "room".
     """
     methods = evaluation.methods
     first = next(iter(methods.values()))
-    # Some queries may have a room and no position, or the other way round.
+    # Some queries may have a room but no position, or vice versa.
     groups = sorted({label for part in ("absolute", "room_retrieval") for label in first.get(part, {}).get(by, {})})
     labels = [*groups, ALL] if len(groups) != 1 else groups
     columns = _columns(methods, by)
@@ -46,7 +46,7 @@ def comparison(evaluations: Mapping[str, tuple[Evaluation, str]]) -> Markup:
     """Return a table with a row per evaluation, over all queries and with the mean error under each lighting.
 
     Args:
-        evaluations: by title, with the anchor of their part of the page.
+        evaluations: evaluations by title, with the anchor of their part of the page.
     """
     lightings = list(dict.fromkeys(label for e, _ in evaluations.values() for label in e.lightings))
     units = list(dict.fromkeys(e.unit for e, _ in evaluations.values() if e.absolute is not None))
@@ -82,7 +82,7 @@ def comparison(evaluations: Mapping[str, tuple[Evaluation, str]]) -> Markup:
 
 
 def labels_of(part: Mapping[str, Any]) -> list[str]:
-    """Return the lightings of some measures, and `ALL` where there are none or several."""
+    """Return the lightings of some measures, and `ALL` if there are none or several."""
     labels = list(part["lighting"])
     return [*labels, ALL] if len(labels) != 1 else labels
 
@@ -94,7 +94,7 @@ def group_of(part: Mapping[str, Any], label: str) -> Mapping[str, Any]:
 
 
 def middle_recall(group: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Return the recall@1 within the middle one of the radii, which one would name first; None if there is none."""
+    """Return the recall@1 within the middle one of the radii, the headline figure; None if there is none."""
     first = [recall for recall in (group or {}).get("recall", []) if recall["k"] == 1]
     return first[len(first) // 2] if first else None
 
@@ -109,9 +109,9 @@ def grid(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[Content]]], na
     """Return a table of numbers with a row for each label; the row of all queries is marked.
 
     Args:
-        heads: of the columns, that of the labels first.
-        rows: label, and the cells of the other columns.
-        name: class of the table.
+        heads: column headings, that of the labels first.
+        rows: label and the cells of the other columns.
+        name: CSS class of the table.
     """
     head = tag("tr", *(tag("th.n" if i else "th", _unbroken(text), scope="col") for i, text in enumerate(heads)))
     body = (
@@ -127,13 +127,13 @@ def grid(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[Content]]], na
 
 
 def mean_bar(mean: float | None, floor: float | None, longest: float, best: bool = False) -> Markup:
-    """Return a mean error with a bar below it: the part that the map's floor explains, and the rest."""
+    """Return a mean error with a bar below it: the part explained by the map's floor, and the rest."""
     text = tag("b", number(mean)) if best else number(mean)
     return parts_bar(text, floor or 0.0, mean or 0.0, longest)
 
 
 def parts_bar(text: Content, part: float, whole: float, longest: float) -> Markup:
-    """Return a number with a bar below it that shows a part of it, as shares of the longest bar."""
+    """Return a number with a bar below it that shows one part of it, scaled to the longest bar."""
     if not longest > 0:
         return join(text)
     bits = [
@@ -144,12 +144,12 @@ def parts_bar(text: Content, part: float, whole: float, longest: float) -> Marku
 
 
 def scrolling(table: Markup) -> Markup:
-    """Return a table that scrolls on its own where the page is too narrow for it."""
+    """Return a table that scrolls by itself if the page is too narrow for it."""
     return tag("div.scroll", table, tabindex=0)
 
 
 def flattened(value: Any, prefix: str = "", most: int = 400) -> list[tuple[str, Content]]:
-    """Return nested measures as pairs of a dotted name and a text."""
+    """Return nested measures as pairs of a dotted name and its text."""
     pairs: list[tuple[str, Content]] = []
     items = value.items() if isinstance(value, Mapping) else enumerate(value)
     for key, item in items:
@@ -217,7 +217,7 @@ def _mean_cell(group: Mapping[str, Any] | None, longest: float, best: bool) -> M
 
 
 def _unbroken(text: str) -> str:
-    """Return a text whose unit stays with its number or its name."""
+    """Return a text whose unit is not separated from its number or name by a line break."""
     return text.replace(" ", "\u00a0") if len(text) < 12 else text
 
 
@@ -228,7 +228,7 @@ def _group(part: Mapping[str, Any] | None, label: str, by: str) -> Mapping[str, 
 
 
 def _best(methods: Mapping[str, Mapping[str, Any]], label: str, by: str) -> list[str]:
-    """Return the methods with the smallest mean error, where there is a choice."""
+    """Return the methods with the smallest mean error, if there are several methods."""
     means = {name: _value(_group(m.get("absolute"), label, by), "error", math.inf) for name, m in methods.items()}
     return [name for name, mean in means.items() if mean == min(means.values())] if len(means) > 1 else []
 

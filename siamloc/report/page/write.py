@@ -1,4 +1,4 @@
-"""The report: one HTML page with everything inside it, made from the result files of one run or several."""
+"""The report: one self-contained HTML page, made from the result files of one run or several."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ _ASSETS = Path(__file__).parent / "assets"
 
 @typed
 def write_report(folders: str | Path | Sequence[str | Path], out: str | Path, max_bytes: int = MAX_BYTES) -> Path:
-    """Write one HTML page about runs, which needs nothing but itself, and return its path.
+    """Write one self-contained HTML page about runs, and return its path.
 
-    The numbers come from the result files alone; the pictures are read from the files that they name. Pictures become
-    smaller, then fewer, until the page keeps to its size, and the page says so.
+    The numbers come from the result files only; the images are read from the files named there. Images become smaller,
+    then fewer, until the page fits its size limit; the page notes this.
 
     Args:
-        folders: of one run or of several, or of single evaluations. Several are compared first, and then shown one
-            after another.
+        folders: folders of one run, of several runs, or of single evaluations. Several are compared first, then shown
+            one after another.
         out: the file to write.
-        max_bytes: the largest size of the file.
+        max_bytes: maximum size of the file.
 
     Raises:
         ConfigError: a folder that is missing or holds no evaluation, or a file whose name does not end in .html.
-        FormatError: result files that are not whole.
-        DataError: so many runs that even without pictures the page would be too large.
-        StorageError: the disk refuses.
+        FormatError: incomplete result files.
+        DataError: too many runs: the page would be too large even without images.
+        StorageError: the disk is full or cannot be written to.
     """
     if Path(out).suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"the report is a web page: give it a name ending .html, not {out}")
+        raise ConfigError(f"the report is a web page: give it a name ending in .html, not {out}")
     runs = gather([folders] if isinstance(folders, str | Path) else folders)
     parts = parts_of(runs)
     large = large_pictures(parts, int(max_bytes * _LARGE_SHARE))
@@ -174,7 +174,7 @@ def _evaluation(part: Part, large: dict[tuple[int, str], str], sheets: list[Shee
 
 
 def _date(evaluation: Evaluation) -> str:
-    """Return when an evaluation was made, in UTC, as people write it."""
+    """Return the date of an evaluation, in UTC, in readable form."""
     try:
         made = datetime.datetime.fromisoformat(str(evaluation.results.get("created")))
     except ValueError:

@@ -2,8 +2,8 @@
 
 const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
-const AGES = 6; // shades of the way so far
-const KEPT = 2000; // poses of it
+const AGES = 6; // shades of the path so far
+const KEPT = 2000; // poses of the path
 const SIGMAS = 2.45; // radius that holds 95 % of a plane's normal distribution
 
 function drawn(kind, parent, attributes) {
@@ -31,7 +31,7 @@ function drawMap() {
   const margin = 0.09 * extent;
   const box = [low[0] - margin, -high[1] - margin, high[0] - low[0] + 2 * margin, high[1] - low[1] + 2 * margin];
   plan.setAttribute("viewBox", box.map((value) => value.toFixed(4)).join(" "));
-  // y goes up on the plan; the picture's goes down.
+  // y points up on the plan, but down in the SVG.
   const world = drawn("g", plan, { transform: "scale(1 -1)" });
   size = Math.max(box[2], box[3]) / 150;
   layers = { map: drawn("g", world), way: drawn("g", world), truth: drawn("g", world), robot: drawn("g", world) };
@@ -64,7 +64,7 @@ function drawWay() {
   if (!layers.way) return; // a map without positions has no plan
   const paths = layers.way.children, step = Math.ceil(track.length / AGES) || 1;
   for (let age = 0; age < AGES; age++) {
-    // Each shade begins with the last pose of the one before, so that the way has no gaps.
+    // Each shade begins with the last pose of the one before, so that the path has no gaps.
     const begin = Math.max(0, track.length - (AGES - age) * step - 1), end = Math.max(0, track.length - (AGES - age - 1) * step);
     let path = "", pen = false;
     for (const [x, y, lost] of track.slice(begin, end)) {
@@ -111,7 +111,7 @@ function drawRobot(state) {
 }
 
 function say(state, lost) {
-  const words = { waiting: "waiting", running: "located", "left out": "image left out", ended: "end of the drive", fault: "stopped" };
+  const words = { waiting: "waiting", running: "located", "left out": "image skipped", ended: "end of the drive", fault: "stopped" };
   const status = $("status");
   status.dataset.state = state.status === "running" && lost ? "lost" : state.status;
   status.textContent = state.status === "running" && lost ? "lost" : words[state.status];
@@ -119,7 +119,7 @@ function say(state, lost) {
   const silent = !lost && state.status === "running";
   banner.className = silent ? "silent" : calm ? "calm" : "";
   banner.textContent = silent ? "" : state.status === "ended" ? `End of the drive after ${state.number} images`
-    : state.status === "running" ? "Lost: this image shows nothing that the map shows, or too large an error is expected"
+    : state.status === "running" ? "Lost: this image shows nothing that is on the map, or the expected error is too large"
       : state.text;
 }
 
@@ -146,7 +146,7 @@ function show(state) {
   $("room").className = $("position").className = lost ? "lost-text" : "";
   $("position").textContent = known(state.x) ? `${number(state.x, 2)}, ${number(state.y, 2)}` : "unknown";
   $("heading").textContent = known(state.theta) ? `${Math.round(state.theta * 180 / Math.PI)}°` : "–";
-  // Where the robot is lost, what is expected of a right match says nothing.
+  // When the robot is lost, the error expected of a correct match is meaningless.
   $("error").textContent = lost ? "unknown" : known(state.error_m) ? `${number(state.error_m, 2)} ${unit}` : "–";
   $("off-card").hidden = !known(state.off_by);
   $("off").textContent = `${number(state.off_by, 2)} ${unit}`;

@@ -21,12 +21,12 @@ _SECONDS = 60.0
 
 
 class Browser:
-    """A browser with one window, and a log of everything that it asked for or complained about.
+    """A browser with one window, and a log of everything it requested or complained about.
 
     Args:
         profile: empty folder for the browser's own files.
-        width: of the window in pixels.
-        height: of the window in pixels.
+        width: width of the window in pixels.
+        height: height of the window in pixels.
     """
 
     def __init__(self, profile: Path, width: int = 1000, height: int = 1400) -> None:
@@ -120,7 +120,7 @@ class Browser:
         return [f"{entry['level']}: {entry['message']}" for entry in self._ask("POST", "/se/log", {"type": "browser"})]
 
     def requests(self) -> list[str]:
-        """Return the addresses that were asked for since the last call."""
+        """Return the addresses requested since the last call."""
         entries = self._ask("POST", "/se/log", {"type": "performance"})
         messages = [json.loads(entry["message"])["message"] for entry in entries]
         return [m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"]

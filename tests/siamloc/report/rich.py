@@ -1,4 +1,4 @@
-"""A run that was measured in every way: further estimates, nodes first, disturbed queries, pairs."""
+"""A run with every kind of measurement: further estimates, nodes first, disturbed queries, pairs."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def write_robustness(folder: Path, queries: FrameTable, known: FrameTable, worse
 
 
 def write_located(folder: Path, queries: int = 7) -> None:
-    """Write what there is where no query has a pose."""
+    """Write what there is when no query has a pose."""
     columns = {"query": np.arange(queries), "est_x": np.zeros(queries), "est_y": np.ones(queries)}
     skipped = {"absolute": f"{queries} of {queries} queries have no position"}
     _save(folder, Result("hog", {}, {"located": columns}, skipped=skipped), "hog")

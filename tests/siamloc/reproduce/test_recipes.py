@@ -28,7 +28,7 @@ NOT_ASKED = {"t_sun_needs_sunny_frames"}  # compares trainings of sizes that a s
 
 @pytest.fixture(scope="session")
 def root(tmp_path_factory):
-    """A data set in COLD's layout, with the runs that recipes name, and another building beside it."""
+    """A data set in COLD's layout, with the runs that recipes name, and another building next to it."""
     beside = tmp_path_factory.mktemp("drawn")
     drawn(beside / "mini", RUNS, FRAMES)
     drawn(beside / "freiburg_like", {"cloudy3": 12}, FRAMES // 2)
@@ -289,7 +289,7 @@ def test_as_many_nodes_by_both_methods(root, out):
 
 def test_another_building_that_is_missing_is_named(root, tmp_path):
     (tmp_path / "mini").symlink_to(root)
-    with pytest.raises(DataError, match=r"freiburg_like is looked for in .*freiburg_like, which does not exist"):
+    with pytest.raises(DataError, match=r"freiburg_like is expected in .*freiburg_like, which does not exist"):
         reproduce("c_figure_19", data="mini", root=tmp_path / "mini", scale="smoke", out=tmp_path, progress=False)
 
 
@@ -320,11 +320,11 @@ def test_what_stands_beside_ours_is_left_out_of_claims(root, out):
     ("options", "kind", "says"),
     [
         ({"id": "table_5_77"}, ConfigError, "there is no recipe 'table_5_77'; did you mean 'table_5_7' or 'table_5_"),
-        ({"id": "x"}, ConfigError, "there is no recipe 'x'; `siamloc reproduce --list` names all"),
+        ({"id": "x"}, ConfigError, "there is no recipe 'x'; `siamloc reproduce --list` lists all"),
         ({"id": "figure_4_16"}, ConfigError, "there is nothing to measure for figure_4_16: it is a drawing"),
         ({"scale": "long"}, ConfigError, "unknown scale 'long'"),
         ({"data": "colt"}, ConfigError, "did you mean 'cold'"),
-        ({"data": "cold"}, ConfigError, "say where COLD Freiburg, part A, path 2 lies: root=FOLDER"),
+        ({"data": "cold"}, ConfigError, "say where COLD Freiburg, part A, path 2 is: root=FOLDER"),
         (
             {"data": "mini", "root": "nowhere"},
             DataError,

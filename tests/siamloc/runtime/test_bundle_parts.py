@@ -1,4 +1,4 @@
-"""Bundles of analytic descriptors, with a coarse layer, with pictures, and with fewer digits."""
+"""Bundles of analytic descriptors, with a coarse layer, with pictures, and with lower precision."""
 
 from __future__ import annotations
 
@@ -92,7 +92,10 @@ def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memor
     images, monday, _ = world
     known = maps.build(described("hog"), images, monday, progress=False)
     bundle = runtime.export(described("hog"), known, tmp_path / "bundle").path
-    for hostile, says in (({"bins": 10**9}, "up to 16,384 for bins"), ({"bins": "many"}, "does not know")):
+    for hostile, says in (
+        ({"bins": 10**9}, "up to 16,384 for bins"),
+        ({"bins": "many"}, "in a way unknown to this"),
+    ):
         identity = {**known.identity, **hostile}
         replace(known, identity=identity).save(bundle / "map.npz")
         about = read_json(bundle / "bundle.json")

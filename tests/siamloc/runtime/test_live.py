@@ -1,4 +1,4 @@
-"""The page that shows where the robot is: what it serves, to whom, and what a browser makes of it."""
+"""The page that shows where the robot is: what it serves, to whom, and what a browser shows."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def asked(page, path, method="GET", **headers):
 
 
 class Events:
-    """What a browser hears."""
+    """The events that a browser receives."""
 
     def __init__(self, page):
         self._connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
@@ -183,12 +183,12 @@ def test_an_empty_video_ends_in_a_sentence(world, tmp_path):
     folder, _ = world
     (tmp_path / "a.mp4").write_bytes(b"")
     with runtime.Live(runtime.Localizer(folder / "bundle"), tmp_path / "a.mp4", port=0) as page:
-        with pytest.raises(DataError, match=r"a\.mp4 gives no picture"):
+        with pytest.raises(DataError, match=r"a\.mp4 gives no image"):
             page.join(30)
         events = Events(page)
         state = next(events)
         events.close()
-        assert (state["status"], "gives no picture" in state["text"]) == ("fault", True)
+        assert (state["status"], "gives no image" in state["text"]) == ("fault", True)
 
 
 def test_a_port_in_use_and_an_unknown_address_are_one_sentence(world, played):
@@ -221,7 +221,7 @@ def test_the_command_serves_until_it_is_interrupted(world):
     try:
         url = process.stdout.readline()
         assert url.startswith("http://127.0.0.1:")
-        assert process.stdout.readline() == f"{count} images, and their end: the page stays until Ctrl-C\n"
+        assert process.stdout.readline() == f"{count} images, all done: the page stays until Ctrl-C\n"
         process.send_signal(2)
         assert process.wait(20) == 130
         assert process.stderr.read() == ""
@@ -246,7 +246,7 @@ def test_nothing_of_it_runs_on(world):
     folder, _ = world
     before = threading.active_count()
     page = runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=1)
-    page.close()  # never begun
+    page.close()  # never started
     with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=1):
         pass
     for _ in range(50):

@@ -161,7 +161,7 @@ def test_a_bundle_of_another_version_is_refused(bare, tmp_path, version, advice)
 
 @pytest.mark.parametrize("image", [np.zeros((0, 0, 3), np.uint8), np.zeros((0, 640, 3), np.uint8), []])
 def test_an_empty_image_is_refused_in_one_sentence(bare, image):
-    with pytest.raises(DataError, match="the image is empty: the camera gave no picture"):
+    with pytest.raises(DataError, match="the image is empty: the camera returned no data"):
         Localizer(bare).locate(image)
 
 
@@ -171,7 +171,7 @@ def test_a_bundle_without_a_map_describes_alone(world, tmp_path):
         export(network, None, tmp_path / "bundle")
     opened = export(network.module, None, tmp_path / "bundle", preprocessing=Preprocessing.of(IMAGES))
     assert (opened.load_map(), opened.image_size) == (None, SIZE)
-    assert "descriptors alone" in opened.summary()
+    assert "descriptors only" in opened.summary()
     with pytest.raises(ConfigError, match="holds no map"):
         Localizer(tmp_path / "bundle")
 
@@ -219,7 +219,7 @@ def test_lines_of_json_hold_the_same(bundle, tmp_path):
     assert (first["x"], first["candidates"][0]["image"]) == (location.x, location.candidates[0].image)
     assert (first["covariance"], first["pose"], first["off_by"], first["fault"]) == (None, None, None, None)
     assert second == {"image": "b.png", "fault": "why", "pose": None, "off_by": None}
-    with pytest.raises(ConfigError, match=r"must be a table, \.csv, or lines of JSON, \.jsonl"):
+    with pytest.raises(ConfigError, match=r"must be a table \(\.csv\) or lines of JSON \(\.jsonl\)"):
         next(written(tmp_path / "locations.txt", []))
 
 
@@ -231,7 +231,7 @@ def test_who_stops_early_has_what_there_was(tmp_path):
     assert len((tmp_path / "locations.csv").read_text().splitlines()) == 4
 
 
-@pytest.mark.parametrize("stop", [KeyboardInterrupt("stop"), DataError("camera:0 gives no more pictures")])
+@pytest.mark.parametrize("stop", [KeyboardInterrupt("stop"), DataError("camera:0 gives no more images")])
 def test_what_was_located_before_an_interrupt_or_an_error_is_kept(tmp_path, stop):
     def located(count):
         for number in range(count):
@@ -298,7 +298,7 @@ def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path, con
     done = subprocess.run(
         [sys.executable, "-c", code, tmp_path / "film.mp4"], capture_output=True, text=True, check=False
     )
-    assert "it is no video, or empty" in done.stderr.splitlines()[-1]
+    assert "it is not a video, or it is empty" in done.stderr.splitlines()[-1]
     assert done.stderr.startswith("Traceback")
 
 
@@ -307,9 +307,9 @@ def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path, con
     [
         ("nowhere.png", "there is no image"),
         ("empty", "holds no images"),
-        ("film.mp4", "gives no picture: it is no video, or empty"),
-        ("camera:99", "camera:99 gives no picture: look at its plug"),
-        ("camera:front", "is no camera: give its number"),
+        ("film.mp4", "gives no image: it is not a video, or it is empty"),
+        ("camera:99", "camera:99 gives no image: check that it is plugged in"),
+        ("camera:front", "is not a camera: give its number"),
     ],
 )
 def test_what_gives_no_images_is_said(bundle, tmp_path, name, says):

@@ -140,7 +140,7 @@ def test_a_file_of_other_weights_fails_the_comparison(exported):
 
 def test_a_network_of_another_length_fails_the_comparison(exported):
     _, path, _ = exported
-    with pytest.raises(SiamlocError, match=r"shape \(1, 5\) for \(1, 10\)"):
+    with pytest.raises(SiamlocError, match=r"shape \(1, 5\) instead of \(1, 10\)"):
         parity(build("vgg11_bn", "fc500_100_10", SIZE), path)
 
 

@@ -4,7 +4,7 @@
   const sheets = read("sheets").map((set) => ({ ...set, loaded: new Map() }));
   const PLACEHOLDER = { "-1": "missing", "-2": "left out" };
 
-  /** Return a promise of one sheet's image; it is decoded when it is first needed. */
+  /** Return a promise of one sheet's image, decoded on first use. */
   function sheetImage(set, number) {
     if (!set.loaded.has(number)) {
       const image = new Image();
@@ -14,7 +14,7 @@
     return set.loaded.get(number);
   }
 
-  /** Show a small picture in a figure; what is drawn late for an earlier query is dropped. */
+  /** Show a small picture in a figure; a late result for an earlier query is dropped. */
   function showPicture(figure, set, number) {
     const canvas = figure.querySelector("canvas");
     const ticket = (figure.ticket = {});
@@ -45,13 +45,13 @@
   const colour = (element, name) => getComputedStyle(element).getPropertyValue(name).trim();
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-  /** The largest of 1, 2, 5 times a power of ten that is not above a value. */
+  /** The largest of 1, 2, 5 times a power of ten that does not exceed a value. */
   function roundStep(value) {
     const power = 10 ** Math.floor(Math.log10(value));
     return [5, 2, 1].find((k) => k * power <= value * (1 + 1e-9)) * power;
   }
 
-  /** Distance of a point to a segment. */
+  /** Distance from a point to a segment. */
   function toSegment(px, py, ax, ay, bx, by) {
     const dx = bx - ax, dy = by - ay, square = dx * dx + dy * dy;
     const t = square ? clamp(((px - ax) * dx + (py - ay) * dy) / square, 0, 1) : 0;
@@ -72,7 +72,7 @@
       this.zoom = 1;
       const { query, map } = data;
       if (data.along) {
-        // Along a line: true against estimated position, map frames on the diagonal where both are equal.
+        // Along a line: estimated against true position, map frames on the diagonal where both are equal.
         const along = data.along, estimated = along === "x" ? query.ex : query.ey;
         Object.assign(this, { x: query[along], y: query[along], ex: query[along], ey: estimated });
         Object.assign(this, { mx: map[along], my: map[along] });
@@ -112,7 +112,7 @@
       }));
       canvas.addEventListener("keydown", (event) => this.key(event));
       canvas.addEventListener("wheel", (event) => {
-        // The page scrolls on unless one is at work in the plan.
+        // The page keeps scrolling unless the plan is in focus.
         if (document.activeElement !== canvas && !event.ctrlKey) return;
         event.preventDefault();
         this.zoomBy(Math.exp(-event.deltaY / 400), event.offsetX, event.offsetY);
@@ -166,7 +166,7 @@
       return [(this.width - 2 * margin) / this.extent[0], (this.height - 2 * margin) / this.extent[1]];
     }
 
-    /** Pixels of a unit downwards; across it is as many on a plan, and what fills the width along a line. */
+    /** Pixels per unit vertically; horizontally the same on a plan, and whatever fills the width along a line. */
     get scale() {
       return this.zoom * (this.data.along ? this.fits[1] : Math.min(...this.fits));
     }
@@ -233,7 +233,7 @@
       event.preventDefault();
     }
 
-    /** Show a query from elsewhere on the page: under all lightings, all classes, whole plan. */
+    /** Show a query selected elsewhere on the page: all lightings, all classes, whole plan. */
     show(i) {
       this.hidden.clear();
       this.article.querySelectorAll(".classes input").forEach((box) => { box.checked = true; });
@@ -252,7 +252,7 @@
       for (const i of this.byError) {
         if (!this.visible(i)) continue;
         const [ax, ay] = this.place(this.x[i], this.y[i]);
-        // A query's own place counts for more than its arrow, which crosses others.
+        // A query's own position takes precedence over its arrow, which crosses others.
         let distance = Math.hypot(px - ax, py - ay);
         if (distance > 4) {
           const [bx, by] = this.place(this.ex[i], this.ey[i]);
@@ -378,7 +378,7 @@
       if (this.data.labels.length > 40 || this.data.along) return;
       this.context.textAlign = "center";
       const taken = [];
-      // Rooms with many frames come first; a name that would cover another one has to wait for more zoom.
+      // Rooms with many frames come first; a name that would cover another is shown only at a higher zoom.
       for (const [room, at] of [...this.data.labels].sort((a, b) => b[2] - a[2])) {
         const [x, y] = this.place(this.mx[at], this.my[at]);
         const half = 3.6 * room.length + 3;

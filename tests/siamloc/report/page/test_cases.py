@@ -32,7 +32,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def figures_in_outline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the figures empty: other tests look at them, and drawing takes long."""
+    """Leave the figures empty: other tests check them, and drawing takes long."""
 
     def outline(figure: object, name: str, title: str) -> Markup:
         return tag("figure.picture", tag("svg", id=name))
@@ -71,7 +71,7 @@ def test_the_page_keeps_to_its_size_and_says_what_it_left_out(run: Path, tmp_pat
     assert (tmp_path / "report.html").stat().st_size <= limit
     data = pages.data_of(page, "data-0")
     left_out = data["query"]["picture"].count(-2)
-    assert ("thinned out" in notes(page)) == (left_out > 0)
+    assert ("Some pictures are left out" in notes(page)) == (left_out > 0)
     if limit == 140_000:
         assert left_out > 0
         worst = int(np.argmax(data["query"]["error"]))
@@ -174,8 +174,8 @@ def test_several_runs_are_compared_first(run: Path, tmp_path: Path) -> None:
 def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
     runs = [pages.write_run(tmp_path / name, n=n) for name, n in (("a", 20), ("b", 21))]
     assert notes_of_comparison(report(tmp_path, *runs)) == (
-        "Compare b · network with a · network with care, since they differ in their queries (21 and 20, 0 of them the "
-        "same)."
+        "Take care when comparing b · network with a · network: they differ in their queries (21 and 20, 0 of them in "
+        "common)."
     )
     path = runs[1] / "evaluation" / "network" / "results.json"
     write_json(path, {**read_json(path), "protocol": "same_run"})
@@ -186,7 +186,7 @@ def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
 
 
 def moved(table: FrameTable, root: str = "", **columns: np.ndarray) -> FrameTable:
-    """Return frames whose files lie elsewhere, or with other columns."""
+    """Return frames whose files are elsewhere, or that have other columns."""
     values = {name: getattr(table, name) for name in ("x", "y", "theta", "room", "sequence", "lighting")}
     return FrameTable(path=np.array([f"{root}{path}" for path in table.path]), **{**values, **columns})
 
@@ -210,7 +210,7 @@ def test_a_map_that_differs_is_named_even_if_its_files_have_the_same_names(tmp_p
     elsewhere[:5] += 0.5
     second = localized(tmp_path / "b", queries, moved(known, x=elsewhere))
     said = notes_of_comparison(report(tmp_path, first, second))
-    assert "differ in their map frames (20 and 20, 15 of them the same)" in said
+    assert "differ in their map frames (20 and 20, 15 of them in common)" in said
     assert "queries" not in said
 
 
@@ -302,4 +302,4 @@ def test_the_command(tmp_path: Path, capsys, monkeypatch) -> None:
     assert main(["report", "run=a", "runs=[b]"]) == 2
     assert "not both" in capsys.readouterr().err
     assert main(["report", f"run={run}", "out=page.pdf"]) == 2
-    assert "ending .html" in capsys.readouterr().err
+    assert "ending in .html" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The page as a file: what stands in it, and that it agrees with the result files."""
+"""The page as a file: what it contains, and that it agrees with the result files."""
 
 from __future__ import annotations
 

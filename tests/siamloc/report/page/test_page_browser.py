@@ -60,7 +60,7 @@ def page(run: Path, browser: Browser) -> Browser:
 
 
 def state(browser: Browser) -> dict[str, str]:
-    """Return what the plan says about itself."""
+    """Return what the plan reports about itself."""
     return browser.run("return {...document.querySelector('.stage canvas').dataset}")
 
 

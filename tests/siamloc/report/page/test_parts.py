@@ -44,7 +44,7 @@ def rows(section: Element, table: str) -> dict[str, list[str]]:
 
 
 def words(section: Element) -> set[str]:
-    """Return what is written in the figures of a part."""
+    """Return the texts in the figures of a part."""
     return {text.text.strip() for svg in section.all("svg") for text in svg.all("text")}
 
 
@@ -167,9 +167,11 @@ def test_robustness_of_several_runs_is_compared(run: Path, tmp_path: Path) -> No
     results = read_json(other / "results.json")
     results["measures"]["robustness"]["radius"] = 1.0
     write_json(other / "results.json", results)
-    assert "measured on different queries, maps or levels in these evaluations" in notes(report(tmp_path, first, other))
+    assert "these evaluations measured it on different queries, maps or levels" in notes(report(tmp_path, first, other))
     rich.write_robustness(other, rich.scenes.frames(9, 60), rich.scenes.frames(8, 40))
-    assert "and is not compared" in notes(report(tmp_path, first, other)), "as many queries and frames, but others"
+    assert "Robustness is not compared" in notes(report(tmp_path, first, other)), (
+        "as many queries and frames, but others"
+    )
 
 
 def test_confusion_matrices_of_all_and_by_lighting(run: Path, page: Element) -> None:
@@ -240,7 +242,7 @@ def test_without_any_pose_the_page_says_so_in_one_sentence(tmp_path: Path) -> No
     rich.write_located(tmp_path / "run" / "evaluation" / "hog")
     page = report(tmp_path, tmp_path / "run")
     assert notes(page) == (
-        "No query has a true position to compare with: 7 queries were located, in located.csv, and none is scored."
+        "No query has a true position to compare with: 7 queries were located (see located.csv), and none is scored."
     )
     assert [section.attributes["class"] for section in page.all("section")] == ["configuration"]
     assert not page.all("table", class_="summary")
@@ -255,7 +257,7 @@ def test_poses_of_some_queries_and_runs_without_any(run: Path, tmp_path: Path) -
     write_json(some / "results.json", results)
     rich.write_located(tmp_path / "none")
     page = report(tmp_path, some, tmp_path / "none")
-    assert "Of 1 query the true position is unknown: located.csv says where they were found." in notes(page)
+    assert "The true position of 1 query is unknown: located.csv holds the estimates." in notes(page)
     assert "7 queries were located" in notes(page)
     assert len(page.all("table", class_="comparison")) == 0, "one of the two has nothing to compare"
     assert read_rows(some)["error"].size == 60
