@@ -1,6 +1,6 @@
 """A ROS 2 node that locates the images of a camera: sensor_msgs/Image in, geometry_msgs/PoseWithCovarianceStamped out.
 
-It needs ROS 2 with rclpy, and of siamloc what `pip install siamloc` brings, without torch.
+It needs ROS 2 with rclpy, and siamloc as installed by `pip install siamloc`, without torch.
 
     python localizer_node.py --ros-args -p bundle:=robot.zip -r image:=/camera/image_raw -r pose:=/siamloc/pose
 """
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from siamloc.runtime import Localizer, Location
 
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0], "mono8": [0, 0, 0]}
-UNKNOWN = 1e6  # variance of what is not known
-HEADING_VARIANCE = math.radians(5) ** 2  # of yours: a bundle does not tell
+UNKNOWN = 1e6  # variance of unknown coordinates
+HEADING_VARIANCE = math.radians(5) ** 2  # adapt it to your robot: a bundle does not contain it
 
 
 def pixels(message: Any) -> NDArray[np.uint8]:
-    """Return the image of a sensor_msgs/Image as (rows, columns, 3), RGB, whatever its rows are padded with."""
+    """Return the image of a sensor_msgs/Image as (rows, columns, 3), RGB, without any padding of its rows."""
     if message.encoding not in CHANNELS:
         raise ValueError(f"images are encoded as {', '.join(CHANNELS)}, got {message.encoding}")
     depth = {"mono8": 1, "rgba8": 4, "bgra8": 4}.get(message.encoding, 3)
@@ -31,7 +31,7 @@ def pixels(message: Any) -> NDArray[np.uint8]:
 
 
 def fill(message: Any, location: Location) -> Any:
-    """Write a location into a geometry_msgs/PoseWithCovarianceStamped; what the robot does not know gets no weight."""
+    """Write a location into a geometry_msgs/PoseWithCovarianceStamped; unknown values get a large variance."""
     pose, spread = message.pose.pose, np.diag(np.full(6, UNKNOWN))
     pose.position.x, pose.position.y, pose.position.z = location.x, location.y, 0.0
     heading = 0.0 if math.isnan(location.theta) else location.theta
@@ -39,7 +39,7 @@ def fill(message: Any, location: Location) -> Any:
     if location.covariance is not None:
         spread[:2, :2] = location.covariance
     elif not math.isnan(location.error_m):
-        spread[[0, 1], [0, 1]] = location.error_m**2 / 2  # of x and of y, if the error is their root mean square
+        spread[[0, 1], [0, 1]] = location.error_m**2 / 2  # of x and of y each, if the error is the RMS distance
     if not math.isnan(location.theta):
         spread[5, 5] = HEADING_VARIANCE
     message.pose.covariance = spread.ravel().tolist()
@@ -65,7 +65,7 @@ def main() -> None:
         def located(self, image: Image) -> None:
             try:
                 location = self.localizer.locate(pixels(image))
-            except ValueError as error:  # a picture of another kind: the next one may do
+            except ValueError as error:  # an unsupported image: the next one may be fine
                 self.get_logger().error(str(error), throttle_duration_sec=5.0)
                 return
             if location.lost or math.isnan(location.x):
