@@ -126,7 +126,7 @@ def _read_settings(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise AugmentError(f"{path} is not whole JSON ({error}): choose another folder") from error
+        raise AugmentError(f"{path} is incomplete or invalid JSON ({error}): choose another folder") from error
     if not isinstance(found, dict):
         raise AugmentError(f"{path} contains no settings: choose another folder")
     return found

@@ -1,6 +1,6 @@
-"""Evaluation: one call for each task, one kind of result, and the pure measures that they use.
+"""Evaluation: a function for each task, a common type of result, and the measures as pure functions.
 
-A task takes a map, the panoramas and the frames to be located, and returns a `Result`:
+A task takes a map, panoramas and the frames to locate, and returns a `Result`:
 
     result = siamloc.evaluation.localization(known, images, tuesday, baselines=["hog"])
     print(result.measures["error"], result.table())

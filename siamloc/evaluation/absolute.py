@@ -38,24 +38,24 @@ def evaluate_absolute(
     headings: ArrayLike | None = None,
     excluded: NDArray[np.bool_] | None = None,
 ) -> Result:
-    """Locate queries in a map and compare with their true poses.
+    """Locate queries in a map and compare the results with their true poses.
 
     The table "queries" has a row for each query; its column `first_rank_within_<radius>` is the rank of the first
-    retrieved frame within that radius, 0 where none of those retrieved is. The table "map" has what pictures need.
+    retrieved frame within that radius, 0 if there is none. The table "map" has the data for pictures.
 
     Args:
-        visual_map: m frames, all with positions.
-        descriptors: of the queries (n, D), n at least 1; None where their retrieval is given.
+        visual_map: a map of m frames, all with positions.
+        descriptors: of the queries (n, D), n at least 1; None if their retrieval is given.
         frames: the queries (n), all with positions.
         radii: radii of the recall, in units of x and y.
-        ks: numbers of retrieved frames for the recall; that of 1 % of the map is always measured too.
-        retrieval: what the map's search gave, to search only once; it must hold enough neighbours.
-        headings: estimated headings of the queries (n,), rad; measured where the true one is known.
-        excluded: (n, m) map frames that a query was not compared with; its floor leaves them out too.
+        ks: numbers of retrieved frames for the recall; the recall for 1 % of the map is always measured, too.
+        retrieval: result of a search in the map, to avoid a second search; it must hold enough neighbours.
+        headings: estimated headings of the queries (n,), rad; evaluated where the true heading is known.
+        excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
 
     Raises:
-        ConfigError: no radii or ks, or ones that repeat or are out of range.
-        DataError: frames without positions, or descriptors that do not fit the frames or the map.
+        ConfigError: no radii or ks, or values that repeat or are out of range.
+        DataError: frames without positions, or descriptors that do not match the frames or the map.
     """
     radii, ks = check_recalls(radii, ks)
     _require_positions(frames, "queries")
@@ -89,10 +89,10 @@ def evaluate_absolute(
 
 
 def with_baseline(result: Result, name: str, baseline: Result) -> Result:
-    """Return a result with the errors of another method on the same queries alongside its own.
+    """Return a result that also has the errors of another method on the same queries.
 
     Raises:
-        DataError: the baseline answered other queries.
+        DataError: the baseline was evaluated on other queries.
     """
     own, other = result.tables["queries"], baseline.tables["queries"]
     if not np.array_equal(own["path"], other["path"]):
@@ -112,15 +112,15 @@ def with_baseline(result: Result, name: str, baseline: Result) -> Result:
 
 
 def neighbours(ks: Sequence[int], map_frames: int) -> int:
-    """Return how many neighbours of each query the recalls need."""
+    """Return the number of neighbours of each query that the recalls need."""
     return min(max(*ks, one_percent(map_frames)), map_frames)
 
 
 def most_neighbours(k: int, map_frames: int, excluded: NDArray[np.bool_] | None) -> int:
-    """Return how many of k neighbours every query can have in a map, of which it may not find some frames.
+    """Return the number of neighbours, at most k, that every query can have in a map without its excluded frames.
 
     Raises:
-        DataError: a query may find none at all.
+        DataError: all map frames are excluded for a query.
     """
     most = map_frames if excluded is None else int((~excluded).sum(axis=1).min(initial=map_frames))
     if most < 1:
@@ -131,16 +131,16 @@ def most_neighbours(k: int, map_frames: int, excluded: NDArray[np.bool_] | None)
 def measures_of(
     columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
 ) -> dict[str, Any]:
-    """Return all measures from the columns of `queries.csv`, pooled over queries.
+    """Return all measures, pooled over queries, from the columns of `queries.csv`.
 
     Returns:
         unit, map_frames, radii, ks, the groups "overall", "lighting" (by label) and "room" (by label), and
-        "room_by_lighting" ([T] table 5.15): by room and lighting `queries`, `error` and `floor`. A group
-        holds `queries`; `error`, `floor` and `excess` (error - floor) as summaries; `hit_rate`, a list of `tolerance`,
-        `rate`, `hits` and `queries`, for the tolerance 0 and each of the radii; `recall` as a list of
-        `metrics.Recall` as dictionaries, one per radius and k; `recall_at_one_percent`, one per radius;
-        `baselines` by name; and `heading_error` in degrees where headings were estimated and the true ones are known.
-        Queries without a label count as "(unlabelled)" where others carry one.
+        "room_by_lighting" ([T] table 5.15): `queries`, `error` and `floor` by room and lighting. A group holds
+        `queries`; `error`, `floor` and `excess` (error - floor) as summaries; `hit_rate`, a list of `tolerance`,
+        `rate`, `hits` and `queries`, for the tolerance 0 and each of the radii; `recall`, a list of `metrics.Recall` as
+        dictionaries, one per radius and k; `recall_at_one_percent`, one per radius; `baselines` by name; and
+        `heading_error` in degrees if headings were estimated and the true ones are known. Queries without a label
+        count as "(unlabelled)" if others have one.
     """
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
@@ -174,7 +174,7 @@ def rank_column(radius: float) -> str:
 
 
 def baseline_names(columns: Mapping[str, NDArray]) -> list[str]:
-    """Return the names of the baselines whose errors stand among the columns."""
+    """Return the names of the baselines whose errors are among the columns."""
     return [name.removeprefix("baseline_") for name in columns if name.startswith("baseline_")]
 
 
@@ -185,7 +185,7 @@ def _columns(
     known_rooms, rooms = room_names(known, frames)
     estimated = known.xy[match]
     error = localization_error(estimated, frames.xy)
-    # The floor is at most the error; the minimum takes care of the last bit, so that the excess is never negative.
+    # The floor is at most the error; the minimum guards against rounding, so that the excess is never negative.
     floor = np.minimum(error_floor(known.xy, frames.xy, excluded), error)
     return {
         "query": np.arange(len(frames)),
@@ -231,8 +231,8 @@ def _group(
 def _hit_rate(excess: NDArray[np.float64], tolerance: float) -> dict[str, Any]:
     """Return the share of queries whose answer is the geometrically nearest map frame ([T] 3.5.1), or nearly so.
 
-    With a tolerance, answers that lie at most so much farther away count as well. Frames that are equally near up to
-    rounding, a nanometre, are all the nearest one.
+    With a tolerance, answers count as well if they are farther away by at most that distance. Frames that are equally
+    near up to rounding (a nanometre) all count as the nearest one.
     """
     hits = int((excess <= tolerance + 1e-9).sum())
     rate = hits / len(excess) if len(excess) else math.nan
@@ -240,7 +240,7 @@ def _hit_rate(excess: NDArray[np.float64], tolerance: float) -> dict[str, Any]:
 
 
 def _heading(numbers: Mapping[str, NDArray]) -> dict[str, Any]:
-    """Return the summary of the heading errors in degrees; nothing where none is known."""
+    """Return the summary of the heading errors in degrees; empty if none is known."""
     if "heading_error" not in numbers:
         return {}
     known = numbers["heading_error"][np.isfinite(numbers["heading_error"])]
@@ -251,7 +251,7 @@ def check_recalls(radii: Sequence[float], ks: Sequence[int]) -> tuple[tuple[floa
     """Return the radii and ks of recalls as plain numbers.
 
     Raises:
-        ConfigError: none, or such that are out of range or appear twice.
+        ConfigError: no values, or values that are out of range or appear twice.
     """
     radii, ks = tuple(float(radius) for radius in radii), tuple(ks)
     if not radii or not all(0 <= radius < np.inf for radius in radii) or len(set(radii)) < len(radii):

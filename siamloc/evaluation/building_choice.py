@@ -1,4 +1,4 @@
-"""Which of several buildings a query is in, by the building whose map is nearest ([C] 5.3.3)."""
+"""Choose the building of a query: the one with the nearest map ([C] 5.3.3)."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ def buildings(
     protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     name: str | None = None,
 ) -> Result:
-    """Choose the building of each query: that of the map with the nearest frame, or nearest node.
+    """Choose the building of each query by the map with the nearest frame or the nearest node.
 
     Args:
-        known: maps of one building each, or one map that is split by building.
+        known: maps of one building each, or a single map that is split by building.
         images: panoramas of the queries.
         queries: frames with a building; those without are left out.
-        layers: nodes over the map of each building, by the building's name; its frames if None.
-        protocol: who may be compared with whom; see `localization`.
-        name: what the results are called.
+        layers: coarse layer for the map of each building, by the building's name; map frames are compared if None.
+        protocol: which map frames a query may be compared with; see `localization`.
+        name: name of the results.
 
     Raises:
-        ConfigError: fewer than two buildings, maps by different descriptors or distances, a building without its
-            layer, or descriptors whose means have no meaning with layers.
-        DataError: map frames without a building, queries in one that has no map, or a layer of another map.
+        ConfigError: fewer than two buildings, maps with different descriptors or distances, a building without its
+            layer, or layers with descriptors whose means are meaningless.
+        DataError: map frames without a building, queries in a building without a map, or a layer of another map.
 
     Example:
         >>> import siamloc
@@ -62,7 +62,7 @@ def buildings(
     describer = first.descriptor
     if describer.aligned and layers is not None:
         raise ConfigError(
-            f"descriptors of {describer.name} are compared after turning, so that their means have no meaning: leave "
+            f"descriptors of {describer.name} are compared after turning, so their means are meaningless: leave "
             "the layers out, or use another descriptor"
         )
     session = Session(first, images, queries, protocol="same_run", name=name)
@@ -102,10 +102,10 @@ def buildings(
 
 @typed
 def by_building(known: Sequence[VisualMap]) -> dict[str, VisualMap]:
-    """Return maps of one building each, by the building's name.
+    """Return one map per building, by the building's name.
 
     Raises:
-        ConfigError: fewer than two buildings, one of them twice, or maps by different descriptors.
+        ConfigError: fewer than two buildings, one of them twice, or maps with different descriptors.
         DataError: frames without a building.
     """
     found: dict[str, VisualMap] = {}
@@ -157,7 +157,7 @@ def _layers_of(candidates: Mapping[str, VisualMap], layers: Mapping[str, CoarseL
 
 
 def _known_buildings(session: Session, labels: list[str]) -> FrameTable:
-    """Return the queries whose building is known, and note how many have none."""
+    """Return the queries whose building is known, and record how many have none."""
     queries = session.queries
     has = queries.building != ""
     if text := session.lacking(has, "queries have no building"):
@@ -189,18 +189,18 @@ def _nearest(
 def evaluate_buildings(
     frames: FrameTable, labels: Sequence[str], apart: ArrayLike, nearest: ArrayLike, names: Sequence[ArrayLike]
 ) -> Result:
-    """Take the building of the nearest representative for each query's building; of equally near ones the first.
+    """Predict the building of each query as that of the nearest representative, the first of equally near ones.
 
     Args:
         frames: n queries, each in one of the buildings.
         labels: names of B buildings, B at least 2.
         apart: distance of each query's descriptor to the nearest representative of each building (n, B).
         nearest: row of that representative in its map (n, B).
-        names: of the representatives of each building.
+        names: names of the representatives of each building.
 
     Raises:
-        DataError: fewer than two buildings, one that is named twice, no queries, queries whose building is unknown or
-            has no map, or distances that do not fit.
+        DataError: fewer than two buildings, a building that is named twice, no queries, queries whose building is
+            unknown or has no map, or distances of the wrong shape.
     """
     known, distance = tuple(map(str, labels)), np.asarray(apart, dtype=np.float64)
     rows = np.asarray(nearest, dtype=np.int64)
@@ -251,7 +251,7 @@ def evaluate_buildings(
 
 
 def measures_of(columns: Columns, labels: Sequence[str]) -> dict[str, Any]:
-    """Return the measures that follow from the columns alone.
+    """Return the measures that can be computed from the columns.
 
     Returns:
         The groups "overall" and "lighting" (by label), each with `accuracy`, `correct`, `queries` and the same by

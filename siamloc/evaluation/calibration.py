@@ -1,4 +1,4 @@
-"""How well predicted errors hold: the calibration curve, and what the verdict "lost" is worth."""
+"""Quality of predicted errors: the calibration curve, and precision and recall of the verdict "lost"."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from siamloc.results import rows_by_label
 
 
 def calibration_curve(predicted: ArrayLike, error: ArrayLike, bins: int = 10) -> list[dict[str, Any]]:
-    """Return what was predicted and observed, in bins of about equally many queries.
+    """Return mean predicted and observed errors in bins with about equal numbers of queries.
 
     Args:
         predicted: expected errors (n,).
-        error: errors (n,).
-        bins: how many at most; equal predictions stay in one bin.
+        error: observed errors (n,).
+        bins: largest number of bins; equal predictions stay in the same bin.
 
     Returns:
-        For each bin, in order of the prediction: `count`, and `predicted` and `observed`, the means of both.
+        For each bin, in order of the prediction: `count`, and the means `predicted` and `observed`.
 
     Raises:
         ConfigError: bins below 1.
@@ -45,17 +45,17 @@ def calibration_curve(predicted: ArrayLike, error: ArrayLike, bins: int = 10) ->
 def lost_measures(
     predicted: ArrayLike, error: ArrayLike, lost_above: float, called: ArrayLike | None = None
 ) -> dict[str, Any]:
-    """Return how well "lost", a predicted error above a threshold, agrees with real errors above it.
+    """Return how well the verdict "lost", a predicted error above a threshold, agrees with true errors above it.
 
     Args:
-        predicted: errors (n,).
-        error: the real ones (n,).
+        predicted: predicted errors (n,).
+        error: true errors (n,).
         lost_above: the threshold.
-        called: which queries were called lost (n,), where that does not follow from the predicted errors alone.
+        called: which queries were called lost (n,), if that does not follow from the predicted errors alone.
 
     Returns:
         lost_above; `called`, `lost` and `both`, numbers of queries; `precision`, both / called; `recall`, both / lost;
-        NaN where there are none.
+        NaN if the denominator is zero.
 
     Raises:
         ConfigError: a threshold that is not positive.
@@ -79,17 +79,17 @@ def lost_measures(
 
 
 def measures_of(columns: Mapping[str, NDArray], lost_above: float, bins: int = 10) -> dict[str, Any]:
-    """Return how well `error_m` predicts `error`, by these columns of `queries.csv`: overall, by lighting and by room.
+    """Return how well column `error_m` of `queries.csv` predicts column `error`: overall, by lighting and by room.
 
-    Which queries were called lost is in the column `lost`, where there is one.
+    The column `lost`, if there is one, holds which queries were called lost.
 
     Returns:
         The groups "overall", "lighting" (by label) and "room" (by label). A group holds `queries`; `predicted` and
-        `observed`, the means; `gap`, the mean over queries of the difference between both in their bin of the
-        calibration curve; `curve`, as `calibration_curve`; and `lost`, as `lost_measures`.
+        `observed`, the means; `gap`, the difference between both in a query's bin of the calibration curve, averaged
+        over queries; `curve`, as from `calibration_curve`; and `lost`, as from `lost_measures`.
 
     Raises:
-        ConfigError, DataError: as `calibration_curve` and `lost_measures`.
+        ConfigError, DataError: as for `calibration_curve` and `lost_measures`.
     """
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:

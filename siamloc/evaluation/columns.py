@@ -1,4 +1,4 @@
-"""Columns of equal length: the form in which tasks hand over what became of each query."""
+"""Columns of equal length: the form in which tasks return the result for each query."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from siamloc.results import Columns
 
 
 def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
-    """Return each table's rooms by names that tell them apart: with their building only where there are several."""
+    """Return unique names of each table's rooms, with the building only if there are several."""
     buildings = {building for table in tables for building in np.unique(table.building).tolist()}
     return [table.room if len(buildings) <= 1 else table.place for table in tables]
 
 
 def map_columns(known: FrameTable, queries: FrameTable) -> Columns:
-    """Return what `map.csv` holds of a map's frames, for the pictures and for comparing runs."""
+    """Return the columns of `map.csv` for a map's frames, used for pictures and to compare runs."""
     rooms = room_names(known, queries)[0]
     return {"path": known.path, "x": known.x, "y": known.y, "theta": known.theta, "room": rooms}
 
 
 def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
-    """Return which rooms of the queries the map lacks and what to do about it; nothing if it has all."""
+    """Return a text on which rooms of the queries the map lacks and what to do about it; empty if it lacks none."""
     in_map, rooms = room_names(known, queries)
     missing = sorted(set(rooms.tolist()) - set(in_map.tolist()) - {""})
     if not missing:
@@ -41,7 +41,7 @@ def check_retrieval(found: Retrieval, frames: FrameTable) -> None:
     """Refuse a retrieval of other queries.
 
     Raises:
-        DataError: it has not one row for each of the queries.
+        DataError: it does not have one row for each query.
     """
     if len(found) != len(frames):
         raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")
@@ -50,7 +50,7 @@ def check_retrieval(found: Retrieval, frames: FrameTable) -> None:
 def retrieve(
     visual_map: VisualMap, descriptors: ArrayLike | None, frames: FrameTable, k: int, retrieval: Retrieval | None
 ) -> Retrieval:
-    """Return the retrieval that was given, or search the map for the descriptors.
+    """Return the given retrieval, or search the map for the descriptors.
 
     Raises:
         DataError: no queries, not one descriptor or result for each, or neither descriptors nor a retrieval.
@@ -61,7 +61,7 @@ def retrieve(
         check_retrieval(retrieval, frames)
         return retrieval
     if descriptors is None:
-        raise DataError("queries are evaluated by their descriptors or by their retrieval: give one of the two")
+        raise DataError("queries need descriptors or a retrieval to be evaluated: give one of the two")
     values = np.asarray(descriptors)
     if values.ndim != 2 or len(values) != len(frames):
         raise DataError(f"{len(frames)} queries need descriptors of shape ({len(frames)}, D), got {values.shape}")

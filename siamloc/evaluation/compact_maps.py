@@ -1,4 +1,4 @@
-"""Localization in compact maps, against the number of nodes ([C] 5.2-5.4)."""
+"""Localization in compact maps as a function of the number of nodes ([C] 5.2-5.4)."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ Way = Literal["spectral", "som", "sample"]
 
 @dataclass(frozen=True)
 class Compact(Settings):
-    """Which compact maps are made.
+    """Which compact maps are built.
 
     Attributes:
-        nodes: how many nodes each of them has; a self-organizing map has a grid of about as many.
+        nodes: number of nodes of each map; a self-organizing map has a grid with about as many units.
         ways: how frames become nodes: "spectral" clustering, a self-organizing map ("som"), or plain sampling
-            ("sample"), where one frame of each run of frames is kept as it is.
+            ("sample"), which keeps one frame of each run of frames unchanged.
     """
 
     WHERE = "task"
@@ -67,29 +67,29 @@ def compact(
     seed: Seed = 0,
     settings: Compact,
 ) -> Result:
-    """Locate queries in maps of fewer and fewer nodes, each of which one descriptor stands for.
+    """Locate queries in maps with different numbers of nodes, each of which is represented by one descriptor.
 
-    A query has two errors: to the position of the node whose representative is most like it, as [C] has it, and to the
-    most similar frame inside that node, for a robot that keeps the frames as well.
+    A query has two errors: the distance to the position of the node with the most similar representative, as in [C],
+    and the distance to the most similar frame inside that node, for a robot that keeps the frames as well.
 
     Args:
-        known: the map, whose descriptors the representatives are made of; frames without a position are left out.
+        known: the map whose descriptors form the representatives; frames without a position are left out.
         images: panoramas of the queries.
-        queries: frames to be located; those without a position are left out.
-        clusters: a map of the same frames by another descriptor, whose descriptors are clustered ([C] 5.3: nodes by
-            gist, representatives by another descriptor); `known` if None.
-        protocol: who may be compared with whom; see `localization`.
-        name: what the results are called.
-        seed: of the clusterings.
-        settings: instead of its fields as keywords.
+        queries: frames to locate; those without a position are left out.
+        clusters: a map of the same frames with the descriptors to be clustered ([C] 5.3: nodes by gist, representatives
+            by another descriptor); `known` if None.
+        protocol: which map frames a query may be compared with; see `localization`.
+        name: name of the results.
+        seed: seed of the clusterings.
+        settings: all settings in one object, instead of one keyword each.
 
     Returns:
-        The tables "compact", a row for each way, number of nodes and lighting, and "answers", a row for each query as
-        well.
+        A result with the tables "compact", with a row for each way, number of nodes and lighting, and "answers", with a
+        row for each query as well.
 
     Raises:
-        ConfigError: more nodes than frames, or descriptors that have to be turned first, whose means have no meaning.
-        DataError: clusters over other frames, or nothing has a position.
+        ConfigError: more nodes than frames, or descriptors that have to be turned first, whose means are meaningless.
+        DataError: `clusters` has other frames, or no map frame or no query has a position.
 
     Example:
         >>> import siamloc
@@ -156,20 +156,20 @@ def _check(settings: Compact, known: VisualMap, clusters: VisualMap) -> None:
     for one in (known, clusters):
         if means and one.aligned:
             raise ConfigError(
-                f"descriptors of {one.descriptor.name} are compared after turning, so that their means have no "
-                "meaning: use task.ways=[sample], or another descriptor"
+                f"descriptors of {one.descriptor.name} are compared after turning, so their means are "
+                "meaningless: use task.ways=[sample], or another descriptor"
             )
 
 
 @dataclass(frozen=True)
 class _Located:
-    """What became of the queries in one compact map."""
+    """Results of the queries in one compact map."""
 
     answers: Columns
     measures: dict[str, Any]
 
     def rows(self, known: VisualMap) -> list[dict[str, Any]]:
-        """Return a row for all queries, and one for each lighting where there are several."""
+        """Return a row for all queries, and one for each lighting."""
         groups = {"all": np.arange(len(self.answers["error"])), **rows_by_label(self.answers["lighting"])}
         return [{**self.measures, **self._errors(label, rows)} for label, rows in groups.items()]
 
@@ -186,7 +186,7 @@ class _Located:
 
 
 def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row of the table as `results.json` has it."""
+    """Return a row of the table in the nested form of `results.json`."""
     errors = {key: row[key] for key in ("mean", "median", "p95")}
     frames = {key: row[f"{key}_frames"] for key in ("mean", "median")}
     flat = (*errors, *(f"{key}_frames" for key in frames))
@@ -205,7 +205,7 @@ def _located(
     clock = Stopwatch()
     with clock.of("build", len(known)):
         labels = _labels(clusters, way, nodes, seed)
-    if way == "sample":  # the frames that are kept stand for themselves
+    if way == "sample":  # the kept frames represent themselves
         kept = clustering.sample_rows(len(known), nodes)
         standing = known.take(kept)
         positions, numbers = standing.frames.xy, nodes * known.width
@@ -245,7 +245,7 @@ def _located(
 
 
 def _nearest(search: Callable[[], Retrieval], clock: Stopwatch, queries: int) -> NDArray[np.int64]:
-    """Search, again and again where that is short, so that its time means something; return the nearest (n,)."""
+    """Return the nearest (n,); repeat a short search so that its timing is meaningful."""
     start = time.perf_counter()
     for _ in range(_REPEATED):
         with clock.of("search", queries):
@@ -263,7 +263,7 @@ def _labels(clusters: VisualMap, way: str, nodes: int, seed: int) -> NDArray[np.
 
 
 def grid_of(nodes: int) -> tuple[int, int]:
-    """Return the grid of a self-organizing map with about so many places, as square as can be.
+    """Return the grid of a self-organizing map with about this number of units, as square as possible.
 
     Example:
         >>> grid_of(40), grid_of(10), grid_of(7)
@@ -281,8 +281,8 @@ def _inside(
     described: Description,
     nearest: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Return the most similar frame of the node that was found for each query (n,)."""
-    if layer is None:  # descriptors that are turned first have no layer of means
+    """Return, for each query, the most similar frame of the node that was found (n,)."""
+    if layer is None:  # no means, since descriptors are turned first
         barred = labels[None, :] != nearest[:, None]
         return match(known, described, 1, excluded=barred).indices[:, 0]
     ranking = NodeRanking(nearest[:, None], np.full(len(nearest), len(layer)))
@@ -290,7 +290,7 @@ def _inside(
 
 
 def _compactness(known: VisualMap, clusters: VisualMap, labels: NDArray[np.int64]) -> dict[str, float]:
-    """Return how compact the nodes are, on the floor and in the space of the descriptors ([C] eq. 7-11)."""
+    """Return how compact the nodes are, in position and in descriptor space ([C] eq. 7-11)."""
     from analytic import measures
 
     several = len(np.unique(labels)) > 1

@@ -1,4 +1,4 @@
-"""Evaluations side by side: what differs between them, what each measured, and which is the best."""
+"""Compare evaluations: the settings that differ, the measures of each, and which one is the best."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ _HIGHEST = (
     *("silhouette", "descriptor_silhouette", "purity", "precision", "f1"),
 )
 _ALWAYS = ("descriptor", "distance", "heading", "build")
-# What only says where things lie, or follows from the rest.
+# Keys that only say where files are, or that follow from the others.
 _LEFT_OUT = ("data.cache", "data.name", "model.image_size", "frames", "data.unit")
 
 
 @typed
 def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -> Comparison:
-    """Compare evaluations by what they measured: those of a sweep, or any others.
+    """Compare the measures of evaluations, of a sweep or any others.
 
-    A row holds the settings that differ between the evaluations, what was swept first; the mean error of all queries as
-    "error" and by lighting as "error.night", "hit_rate", "recall@1_0.5" for the recall within 0.5 m, and the share of
-    rooms found as "room", each where it was measured; `queries`, their number; and `folder`.
+    A row holds the settings that differ between the evaluations, swept ones first; then, if measured, the mean error of
+    all queries as "error" and by lighting as "error.night", "hit_rate", "recall@1_0.5" for the recall within 0.5 m, and
+    the share of rooms found as "room"; and finally `queries`, their number, and `folder`.
 
     Args:
-        folders: of a sweep, a run, or an evaluation; everything inside counts. Or several of them.
-        by: the measure that counts: one of the columns, another recall such as "recall@5_0.5", "recall@1" for its first
-            radius, or any number in `results.json` by its place, such as "absolute.overall.error.median".
-            "error", else "room", if None. Of recalls, rates, accuracies and the like the highest is the best,
-            of all others the lowest.
+        folders: the folder of a sweep, a run or an evaluation, or several of them; all evaluations inside are used.
+        by: the measure to rank by: one of the columns, another recall such as "recall@5_0.5", "recall@1" for its first
+            radius, or any number in `results.json` by its path, such as "absolute.overall.error.median". If None,
+            "error", or else "room". For recalls, rates, accuracies and the like the highest value is the best, for all
+            others the lowest.
 
     Raises:
-        ConfigError: no evaluations, or none with such a measure.
-        FormatError: results that are not whole.
+        ConfigError: no evaluations, or none with this measure.
+        FormatError: incomplete results.
 
     Example:
         >>> print(siamloc.evaluation.compare("runs/robot", by="recall@1"))  # doctest: +SKIP
@@ -76,7 +76,7 @@ def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -
 
 
 def highest_is_best(measure: str) -> bool:
-    """Say whether the highest value of a measure is the best; of all others it is the lowest.
+    """Whether the highest value of a measure is the best; otherwise it is the lowest.
 
     Example:
         >>> highest_is_best("recall@1_0.5"), highest_is_best("error.night")
@@ -86,7 +86,7 @@ def highest_is_best(measure: str) -> bool:
 
 
 def _chosen(by: str | None, known: Sequence[str], parts: Container[str]) -> str:
-    """Return the measure that counts, in its full name."""
+    """Return the full name of the measure to rank by."""
     if by is None:
         by = next((name for name in _CHOSEN_BY if name in known), None)
     if by == "recall@1":
@@ -96,14 +96,16 @@ def _chosen(by: str | None, known: Sequence[str], parts: Container[str]) -> str:
     short = sorted(name for name in known if name.partition(".")[0] not in parts)
     if by is None:
         places = [name for name in known if name not in short]
-        raise ConfigError(f"these evaluations measured neither errors nor rooms: say what counts, by={places[0]}, say")
+        raise ConfigError(
+            f"these evaluations measured neither errors nor rooms: choose a measure, such as by={places[0]}"
+        )
     placed = by.partition(".")[0] in parts
     near = get_close_matches(by, known, 5, 0.5) if placed else []
     raise ConfigError(f"no evaluation has the measure {by!r}: {hint(by, near or ['recall@1', *short])}")
 
 
 def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:
-    """Return the measures of an evaluation by name: those with names of their own first, then all by their place."""
+    """Return the measures of an evaluation by name: those with short names first, then all by their path."""
     try:
         parts = results["measures"]
         found = dict(_named(parts))
@@ -153,7 +155,7 @@ def _number(value: Any) -> float:
 
 
 def _columns(known: Iterable[str]) -> list[str]:
-    """Return the measures that are always shown, of all that there are."""
+    """Return those of the known measures that are always shown."""
     names = list(known)
     errors = [name for name in names if name.split(".")[0] == "error" and name.count(".") < 2]
     further = [f"{name}.error" for name in FURTHER if f"{name}.error" in names]
@@ -163,16 +165,16 @@ def _columns(known: Iterable[str]) -> list[str]:
 
 
 def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the settings of each evaluation by key, and the keys of those that differ, what was swept first.
+    """Return the settings of each evaluation by key, and the keys of those that differ, swept ones first.
 
-    Where sweeps say what they swept, or runs what they were trained with, nothing else counts: the rest follows.
+    If sweeps record what they swept, or runs what they were trained with, only those settings count: the rest follows.
     """
     swept = [dict(one.get("swept") or {}) for one in results]
     trained = [_of_training(path) for path in paths]
     own = [_of_evaluation(one) for one in results]
     first = list(dict.fromkeys(key for said in swept for key in said))
     of_runs = differing([found for found in trained if found])
-    if all(found.get("model.seed") == found.get("seed") for found in trained):  # as commands have it
+    if all(found.get("model.seed") == found.get("seed") for found in trained):  # as set by the commands
         of_runs = [key for key in of_runs if key != "model.seed"]
     settings = []
     for training, found, said in zip(trained, own, swept, strict=True):
@@ -183,7 +185,7 @@ def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tu
         further += [key for found in own for key in found]
     keys = differing(settings, dict.fromkeys([*first, *further]))
     for group in ("descriptor", "build"):
-        if group in keys:  # each has parameters of its own
+        if group in keys:  # each has its own parameters
             keys = [key for key in keys if key in first or not key.startswith(f"{group}.")]
     return settings, keys
 

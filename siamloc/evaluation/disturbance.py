@@ -1,4 +1,4 @@
-"""`Disturbance`: what happens to query images, at several levels ([T] 3.4.2)."""
+"""`Disturbance`: disturb query images at several levels ([T] 3.4.2)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _KINDS = ("noise", "occlusion", "turn", "effect")
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Something that happens to query images, at several levels.
+    """A disturbance of query images, at several levels.
 
     Attributes:
         name: "noise", "occlusion", "turn", or an effect of `augment`.
-        levels: variances on images in [0, 1]; shares of the columns; degrees turned left; strengths in [-1, 1].
-        kind: "effect" for what comes from `augment`, also where that has an effect called noise; else the name.
+        levels: noise variances for images in [0, 1]; shares of the columns; degrees turned left; strengths in [-1, 1].
+        kind: "effect" for an effect of `augment`, even one called noise; otherwise the name.
         circular: whether columns wrap around.
 
     Raises:
@@ -57,17 +57,17 @@ class Disturbance:
 
     @property
     def unit(self) -> str:
-        """What the levels count."""
+        """Unit of the levels."""
         return _NAMES.get(self.kind, "strength")
 
     def apply(self, images: Images, level: float, rows: NDArray[np.int64], seed: int = 0) -> Images:
-        """Return disturbed images, each with draws of its own that are the same at every level.
+        """Return disturbed images; random draws differ between images, but not between levels.
 
         Args:
             images: (B, 3, H, W) uint8, RGB.
             level: one of the levels.
-            rows: numbers of the queries (B,), that the draws follow from together with the seed.
-            seed: of all draws.
+            rows: indices of the queries (B,), which determine the draws together with the seed.
+            seed: seed of all draws.
         """
         from analytic import disturb
 
@@ -85,7 +85,7 @@ class Disturbance:
         return np.stack(made)
 
     def _with_effect(self, images: Images, strength: float, rows: NDArray[np.int64], seed: int) -> Images:
-        """Apply an effect with strengths given and everything else (places, forms) drawn."""
+        """Apply an effect with given strengths; everything else (places, forms) is drawn."""
         import torch
 
         effect, batch = self._effect(), torch.from_numpy(np.ascontiguousarray(images))

@@ -1,4 +1,4 @@
-"""Robustness: the error of absolute localization when queries are disturbed more and more ([T] 3.4.2)."""
+"""Robustness: the error of absolute localization for increasingly disturbed queries ([T] 3.4.2)."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ _STRENGTHS = (0, 0.25, 0.5, 0.75, 1)
 
 @dataclass(frozen=True)
 class Robustness(Settings):
-    """What happens to the queries' images; the map stays clean.
+    """How the queries' images are disturbed; the map stays clean.
 
     Attributes:
-        every: take every k-th query.
-        radius: share of the queries located this near, in the unit of the positions.
-        noise: variances on images in [0, 1]; those of the thesis if None, none if ().
+        every: use every k-th query.
+        radius: the share of queries located within this radius is measured, in the unit of the positions.
+        noise: noise variances for images in [0, 1]; those of the thesis if None, none if ().
         occlusion: shares of the columns behind bars; those of the thesis if None, none if ().
-        turn: degrees that the robot has turned left.
+        turn: degrees by which the robot has turned left.
         effects: effects of `augment`, such as "bulb", "darken" or "blur".
-        strengths: of each effect: 0 does nothing, 1 is the far end of its ranges.
+        strengths: strengths of each effect: 0 has no effect, 1 is the far end of its ranges.
     """
 
     WHERE = "task.robustness"
@@ -54,10 +54,10 @@ class Robustness(Settings):
     strengths: tuple[Annotated[float, Rule("a number from -1 to 1", lambda value: -1 <= value <= 1)], ...] = _STRENGTHS
 
     def disturbances(self, circular: bool) -> list[Disturbance]:
-        """Return what the settings ask for.
+        """Return the disturbances that the settings request.
 
         Raises:
-            ConfigError: nothing is asked for, something twice, or levels out of range.
+            ConfigError: no disturbance, the same one twice, or levels out of range.
         """
         from analytic.disturb import NOISE_LEVELS, OCCLUSION_LEVELS
 
@@ -95,21 +95,22 @@ def robustness(
 ) -> Result:
     """Measure how errors grow when the queries' images are disturbed.
 
-    Where the map or the queries have no position at all, answers are judged by their room: the error is 1 in a wrong
+    If the map or the queries have no positions at all, answers are judged by their room: the error is 1 in a wrong
     room and 0 in the right one.
 
     Args:
-        known: the map; frames without a position are left out, of the queries too.
+        known: the map; frames without a position are left out, and so are queries without one.
         images: panoramas of the queries (and of the map's frames for baselines).
-        queries: frames to be located.
-        protocol: who may be compared with whom; see `localization`.
+        queries: frames to locate.
+        protocol: which map frames a query may be compared with; see `localization`.
         baselines: descriptors measured on the same frames; see `localization`.
-        name: what the results are called.
-        seed: of the noise, the bars and the effects' places.
-        settings: instead of its fields as keywords.
+        name: name of the results.
+        seed: seed of the noise, the bars and the places of effects.
+        settings: all settings in one object, instead of one keyword each.
 
     Returns:
-        The tables "robustness", a row per method, disturbance and level, and "answers", a row per query as well.
+        A result with the tables "robustness", a row per method, disturbance and level, and "answers", a row per query
+        as well.
 
     Example:
         >>> import siamloc
@@ -161,16 +162,16 @@ def locate_disturbed(
     disturbances: Sequence[Disturbance],
     seed: int = 0,
 ) -> dict[tuple[str, float], Answer]:
-    """Return what is answered for each query by disturbance and level.
+    """Return the answers for each query by disturbance and level.
 
-    Levels that leave the images as they are share one search.
+    Levels that leave the images unchanged share one search.
 
     Args:
         locate: describes images and finds their nearest map frames.
         images: (B, 3, H, W) uint8, RGB.
-        rows: numbers of the queries (B,).
-        disturbances: what happens to them.
-        seed: of all draws.
+        rows: indices of the queries (B,).
+        disturbances: the disturbances to apply.
+        seed: seed of all draws.
     """
     clean: Answer | None = None
     found: dict[tuple[str, float], Answer] = {}
@@ -187,7 +188,7 @@ def locate_disturbed(
 
 
 def _unturned(answer: Answer, disturbance: Disturbance, level: float) -> Answer:
-    """Return headings of the robot before it turned on the spot, which are what the true ones are."""
+    """Return an answer with the headings before the robot turned on the spot, comparable to the true ones."""
     if disturbance.kind != "turn":
         return answer
     turned = np.radians(level)
@@ -238,7 +239,7 @@ def _located(
 def _geometrically_nearest(
     known: FrameTable, queries: FrameTable, excluded: NDArray[np.bool_] | None
 ) -> NDArray[np.int64] | None:
-    """Return the map frame (n,) that lies nearest to each query; None where positions are not known."""
+    """Return the map frame (n,) that is nearest to each query in position; None if a position is unknown."""
     if not known.has_position.all() or not queries.has_position.all():
         return None
     rows = np.empty(len(queries), dtype=np.int64)

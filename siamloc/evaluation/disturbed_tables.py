@@ -1,4 +1,4 @@
-"""Tables of robustness: a row for each answer, and a row for each method, disturbance and level."""
+"""Tables of robustness: one with a row per answer, one with a row per method, disturbance and level."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from siamloc.results import Columns
 
 @dataclass(frozen=True)
 class Answer:
-    """What a descriptor says of images.
+    """Answers of a descriptor for a batch of images.
 
     Attributes:
         nearest: rows of the most similar map frames (B,).
-        heading: by them (B,), rad; NaN where it gives none.
-        heading_nearest: by the geometrically nearest map frames (B,), rad ([T] 3.5.3-3.5.4).
+        heading: headings from these map frames (B,), rad; NaN where there is none.
+        heading_nearest: headings from the geometrically nearest map frames (B,), rad ([T] 3.5.3-3.5.4).
 
-    Headings that are left out are NaN.
+    Headings that are not given are NaN.
     """
 
     nearest: NDArray[np.int64]
@@ -40,7 +40,7 @@ class Answer:
 
     @staticmethod
     def concatenate(parts: Sequence[Answer]) -> Answer:
-        """Return the answers for one batch of queries after the other."""
+        """Join the answers for consecutive batches of queries."""
         return Answer(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Answer)))
 
 
@@ -52,18 +52,18 @@ def answers(
     by_room: bool = False,
     excluded: NDArray[np.bool_] | None = None,
 ) -> Columns:
-    """Return one row for each query, disturbance and level: what `answers.csv` holds.
+    """Return a row for each query, disturbance and level: the columns of `answers.csv`.
 
     Args:
         method: name of the descriptor.
         known: m map frames with positions.
         queries: n frames with positions.
-        found: by disturbance and level what was answered for each query (n,).
+        found: the answers for all queries (n,), by disturbance and level.
         by_room: judge by rooms instead of positions: the error is 1 in a wrong room.
-        excluded: (n, m) map frames that a query was not compared with; its floor leaves them out too.
+        excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
 
     Raises:
-        DataError: no queries, nothing found, or frames without positions.
+        DataError: no queries, no answers, or frames without positions.
     """
     if not len(queries) or not found:
         raise DataError("robustness needs at least one query and one disturbance")
@@ -96,18 +96,18 @@ def answers(
 
 
 def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Columns:
-    """Return one row for each method, disturbance and level, from the rows of `answers`: `robustness.csv`.
+    """Return a row for each method, disturbance and level, from the rows of `answers`: columns of `robustness.csv`.
 
     Args:
-        columns: method, disturbance, level, error, floor.
-        radius: not negative; an error exactly as large counts as within.
-        map_frames: in the map.
+        columns: the columns that `answers` returned.
+        radius: not negative; an error equal to it counts as within.
+        map_frames: number of frames in the map.
 
     Returns:
         method, disturbance, level, queries, map_frames; mean, median, p95 of the errors, floor (mean), excess (mean);
         hit_rate, the share of queries whose answer is the geometrically nearest map frame; heading and heading_nearest,
-        mean errors in degrees by the frame found and by the nearest one, NaN where no heading is known;
-        radius, within (queries), share (of all queries), answerable (queries with a map frame that near).
+        mean errors in degrees with the frame found and with the nearest one, NaN if no heading is known; radius, within
+        (queries), share (of all queries), answerable (queries with a map frame within the radius).
 
     Raises:
         ConfigError: a negative radius.
@@ -147,11 +147,11 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
 def measures(
     table: Mapping[str, NDArray], disturbances: Sequence[Disturbance], unit: str, every: int
 ) -> dict[str, Any]:
-    """Return what `results.json` holds, from the rows of `curves`.
+    """Return the measures for `results.json`, from the rows of `curves`.
 
     Returns:
         unit, every, radius, queries, map_frames, `disturbances` (name, kind, unit, levels), and `methods`: by method
-        and disturbance a list with one entry for each level.
+        and disturbance, a list with an entry for each level.
     """
     shared = ("queries", "map_frames", "radius")
     own = [name for name in table if name not in ("method", "disturbance", *shared)]
@@ -171,18 +171,18 @@ def measures(
 
 
 def concatenated(parts: Sequence[Mapping[str, NDArray]]) -> Columns:
-    """Return tables of the same columns one below the other."""
+    """Join tables with the same columns."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _turned_wrongly(estimated: NDArray[np.float64], theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the errors of headings (n,) in rad, NaN where the estimated or the true one is not known."""
+    """Return the errors of headings (n,) in rad, NaN if the estimated or the true one is unknown."""
     error, known = np.full(len(theta), np.nan), np.isfinite(estimated) & np.isfinite(theta)
     error[known] = heading_error(estimated[known], theta[known])
     return error
 
 
 def _mean(values: NDArray[np.float64]) -> float:
-    """Return the mean of the values that are known; NaN where none is."""
+    """Return the mean of the known values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else np.nan

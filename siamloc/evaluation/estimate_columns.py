@@ -1,4 +1,4 @@
-"""The columns and the measures of one more estimate of each query: filtered, refined, or of queries without a pose."""
+"""Columns and measures of further estimates of each query: filtered, refined, or for queries without a pose."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from siamloc.results import Columns, rows_by_label
 def estimate_columns(
     name: str, estimated_xy: ArrayLike, frames: FrameTable, headings: ArrayLike | None = None
 ) -> Columns:
-    """Return the columns of one more estimate of each query.
+    """Return the columns of a further estimate of each query.
 
     Args:
-        name: what the columns' names begin with.
+        name: prefix of the columns' names.
         estimated_xy: (n, 2).
         frames: the queries (n), all with positions.
         headings: estimated headings (n,), rad, NaN where unknown.
 
     Returns:
         `<name>_est_x`, `<name>_est_y`, `<name>_error`; with headings also `<name>_est_theta` and
-        `<name>_heading_error` in degrees, NaN where one of the two headings is unknown.
+        `<name>_heading_error` in degrees, NaN if one of the two headings is unknown.
 
     Raises:
-        DataError: arrays that do not fit each other, or positions that are unknown.
+        DataError: arrays that do not match each other, or unknown positions.
     """
     xy = np.asarray(estimated_xy, dtype=np.float64)
     error = localization_error(xy, frames.xy)
@@ -54,12 +54,12 @@ def estimate_columns(
 def measures_of(
     columns: Mapping[str, NDArray], name: str, radii: Sequence[float], map_frames: int, unit: str
 ) -> dict[str, Any]:
-    """Return the measures of one more estimate, from the columns of `queries.csv`.
+    """Return the measures of a further estimate, from the columns of `queries.csv`.
 
     Returns:
-        What `siamloc.evaluation.absolute.measures_of` returns, with the recall of the estimate itself (k = 1) alone.
-        The excess is that over the nearest map frame, and negative where an estimate between frames is nearer.
-        `inside` is the share of true positions inside the 90 % ellipse, where an estimate has one.
+        The measures of `siamloc.evaluation.absolute.measures_of`, but with the recall only for the estimate itself
+        (k = 1). The excess is relative to the nearest map frame, and negative if an estimate between frames is nearer.
+        `inside` is the share of true positions inside the 90 % ellipse, if the estimate has one.
     """
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
@@ -98,15 +98,15 @@ def located_columns(
     errors: ErrorModel | None = None,
     poses: tuple[str, RefinedPoses] | None = None,
 ) -> Columns:
-    """Return where queries were found whose true poses are unknown: what `located.csv` holds.
+    """Return where queries with unknown true poses were found: the columns of `located.csv`.
 
     Args:
-        known: m frames, all with positions.
+        known: a map of m frames, all with positions.
         frames: the queries (n).
         found: their nearest map frames.
         headings: estimated headings (n,), rad.
-        errors: the model of the expected error, with a threshold of being lost.
-        poses: finer than the map, with what their columns' names begin with.
+        errors: the error model, with a threshold for lost queries.
+        poses: prefix of the columns' names, and poses finer than the map.
 
     Raises:
         DataError: a retrieval of other queries, or of too few frames for the error model.

@@ -1,4 +1,4 @@
-"""Estimates alongside the single-frame one, on the same queries: filtered, between frames, expected errors."""
+"""Further estimates on the same queries as the single-frame one: filtered, between frames, expected errors."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from siamloc.maps.visual_map import VisualMap
 from siamloc.results import FURTHER, Columns
 from siamloc.settings import Count, NotNegative, Positive, Probability, Settings
 
-MATCHES = 20  # that an error model looks at
-ESTIMATES = {"interpolate": "interpolated", "relative": "refined"}  # what finer poses are called, by their method
-_ELSEWHERE = 3.0  # place radii that take a place and what is seen from it out of the map
-_STANDING = 0.01  # step of a filter in a map whose frames are all at one place
+MATCHES = 20  # used by an error model
+ESTIMATES = {"interpolate": "interpolated", "relative": "refined"}  # names of finer poses, by their method
+_ELSEWHERE = 3.0  # place radii within which map frames are removed, so that a place and its view are off the map
+_STANDING = 0.01  # step of a filter in a map whose frames are all in the same place
 
 
 @dataclass(frozen=True)
 class FilterSettings(Settings):
-    """The sequence filter.
+    """Settings of the sequence filter.
 
     Attributes:
-        temperature: of the softmax of the descriptor distances; learned from the map if None.
-        kidnapping: probability that the robot is anywhere.
+        temperature: temperature of the softmax of the descriptor distances; learned from the map if None.
+        kidnapping: probability that the robot could be anywhere.
     """
 
     WHERE = "task.filter_settings"
@@ -48,21 +48,21 @@ class FilterSettings(Settings):
 
 @dataclass(frozen=True)
 class Estimates(Settings):
-    """What is estimated of each query besides the position of the nearest map frame.
+    """Estimates for each query in addition to the position of the nearest map frame.
 
     Attributes:
-        filter: follow the robot through each sequence; keeps the distances of all queries to all map frames. With
-            `refine`, poses between them are followed as well.
-        filter_settings: of that filter.
-        filter_tune: choose both of them on the validation frames.
+        filter: track the robot through each sequence; keeps the distances of all queries to all map frames. With
+            `refine`, poses between map frames are tracked as well.
+        filter_settings: settings of that filter.
+        filter_tune: choose temperature and kidnapping on the validation frames.
         refine: a pose finer than the map: "interpolate" takes one between the nearest map frames, "relative" compares
-            the query with each of them, by a network built with relative=True; "none" leaves it out. With validation
-            frames the ellipses of "relative" are learned from them.
-        neighbours: how many of the nearest map frames that looks at.
-        error_model: expected error of each query, learned on the validation frames: of the finer pose with `refine`,
-            else of the nearest map frame's.
-        lost_above: a larger expected error means lost, in the unit of the positions.
-        place_radius: map frames farther apart are different places: for interpolation and the error model.
+            the query with each of them, with a network built with relative=True; "none" leaves it out. The ellipses of
+            "relative" are learned from validation frames, if given.
+        neighbours: number of nearest map frames used to refine a pose.
+        error_model: predict the expected error of each query, learned on the validation frames: that of the finer pose
+            with `refine`, else that of the nearest map frame's pose.
+        lost_above: expected error above which a query counts as lost, in the unit of the positions.
+        place_radius: map frames farther apart are different places, for interpolation and the error model.
     """
 
     WHERE = "task"
@@ -84,13 +84,13 @@ class Estimates(Settings):
 
 @dataclass(frozen=True)
 class Validation:
-    """Validation frames with positions, looked for in the map as queries are.
+    """Validation frames with positions, searched in the map like queries.
 
     Attributes:
-        frames: n.
-        search: of all of them.
-        elsewhere: of those that are far from some of the map's frames, among these alone: so a picture is found that
-            shows nothing of what the map shows.
+        frames: n validation frames.
+        search: the search for all of them.
+        elsewhere: the search for those that are far from enough of the map's frames, among these only: this is how an
+            image is found that shows nothing that is on the map.
     """
 
     frames: FrameTable
@@ -99,15 +99,15 @@ class Validation:
 
 
 def needs_validation(settings: Estimates) -> bool:
-    """Return whether validation frames are needed to learn from."""
+    """Whether validation frames are needed for learning."""
     return settings.error_model or (settings.filter and settings.filter_tune)
 
 
 def search_validation(session: Session, frames: FrameTable | None, settings: Estimates, known: VisualMap) -> Validation:
-    """Look for validation frames in the map.
+    """Search for validation frames in the map.
 
     Raises:
-        ConfigError: there are none.
+        ConfigError: there are no validation frames.
         DataError: none of them has a position.
     """
     if frames is None:
@@ -135,21 +135,21 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
 
 
 def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
-    """Return how poses are made finer than a map, before anything is learned; None where they are not."""
+    """Return how poses are made finer than a map, before anything is learned; None if they are not."""
     if settings.refine == "none":
         return None
     return Refinement(settings.refine, settings.neighbours, settings.place_radius, map_digest=known.digest)
 
 
 def prepared(settings: Estimates, search: Search) -> Search:
-    """Return a search for all that the further estimates need.
+    """Return a search that provides everything the further estimates need.
 
     Raises:
-        DataError: poses by comparison, and headings of the map that cannot be right.
+        DataError: `refine` is "relative", and the map has headings that cannot be right.
     """
     if settings.refine == "relative":
         for finding in wrong_headings(search.known.frames):
-            raise DataError(f"task.refine=relative rests on the headings of the map: {finding}")
+            raise DataError(f"task.refine=relative depends on the headings of the map: {finding}")
     finer = refinement(settings, search.known)
     wanted = max(search.k, 0 if finer is None else finer.neighbours, MATCHES if settings.error_model else 0)
     k = most_neighbours(wanted, len(search.known), search.excluded)
@@ -161,14 +161,14 @@ def prepared(settings: Estimates, search: Search) -> Search:
 def with_estimates(
     result: Result, session: Session, settings: Estimates, search: Search, queries: FrameTable
 ) -> Result:
-    """Return a result of absolute localization with the further estimates that the settings ask for.
+    """Return a result of absolute localization with the further estimates that the settings request.
 
     Args:
-        result: of the single-frame estimates.
-        session: with validation frames where `needs_validation`.
-        settings: of the task.
-        search: as `prepared` returned it, run.
-        queries: those of the search (n), all with positions.
+        result: result of the single-frame estimates.
+        session: a session, with validation frames if `needs_validation`.
+        settings: settings of the task.
+        search: a search that `prepared` returned and that has been run.
+        queries: the queries of the search (n), all with positions.
 
     Raises:
         DataError: validation frames without positions, or too few.
@@ -212,7 +212,7 @@ def with_estimates(
 
 
 def learned_from(session: Session, settings: Estimates, known: VisualMap) -> Validation | None:
-    """Return the validation frames, looked for in the map, where anything is learned from them."""
+    """Return the validation frames, searched in the map; None if nothing is learned from them."""
     learns = needs_validation(settings) or (settings.refine == "relative" and session.validation is not None)
     return search_validation(session, session.validation, settings, known) if learns else None
 
@@ -220,10 +220,10 @@ def learned_from(session: Session, settings: Estimates, known: VisualMap) -> Val
 def filtered(
     settings: Estimates, search: Search, queries: FrameTable, validation: Validation | None
 ) -> tuple[Columns, dict[str, Any], NDArray[np.float64]]:
-    """Follow the robot through the queries of each sequence.
+    """Track the robot through the queries of each sequence.
 
     Returns:
-        The columns, what the filter ran with, and positions (n, 2) between map frames.
+        The columns, the filter's parameters, and positions (n, 2) between map frames.
     """
     known = search.known
     temperature, kidnapping = settings.filter_settings.temperature, settings.filter_settings.kidnapping
@@ -262,8 +262,8 @@ def learned_refinement(
 ) -> tuple[Refinement, dict[str, Any]]:
     """Return how the robot makes finer poses, and what that was learned from.
 
-    How wide the ellipses of poses by comparison are is learned from validation frames, where there are enough; it is
-    noted where not.
+    The width of the ellipses of poses by comparison is learned from validation frames. If there are too few, that is
+    recorded in `skipped`.
     """
     about: dict[str, Any] = {"neighbours": refinement.neighbours}
     if refinement.method == "interpolate":
@@ -290,13 +290,13 @@ def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) ->
 
 
 def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedPoses) -> tuple[Columns, dict[str, Any]]:
-    """Follow the poses by comparison through the queries of each sequence; return columns, and what that ran with.
+    """Filter poses by comparison along the queries of each sequence; return the columns and the filter's parameters.
 
     Args:
-        step: how far the map's drives go between two queries; where the queries go farther, theirs is taken.
-        kidnapping: as `PoseFilter` takes it.
-        queries: n.
-        poses: of them.
+        step: distance the map's drives go between two queries; if the queries go farther, theirs is used.
+        kidnapping: as for `PoseFilter`.
+        queries: n queries.
+        poses: their poses.
     """
     gone = [np.hypot(*np.diff(poses.xy[rows], axis=0).T) for rows in queries.rows_by("sequence").values()]
     usual = float(np.median(steps)) if len(steps := np.concatenate([np.empty(0), *gone])) else 0.0
@@ -316,7 +316,7 @@ def learned_errors(
 ) -> tuple[ErrorModel, dict[str, Any]]:
     """Return the error model of a map, learned on the validation frames, and what it was learned from.
 
-    Where there are too few to learn what is foreign, that is noted.
+    If there are too few frames to learn the threshold for foreign queries, that is recorded in `skipped`.
 
     Raises:
         DataError: too few validation frames.
@@ -349,7 +349,7 @@ def learned_errors(
 
 
 def _interval(frames: FrameTable) -> float | None:
-    """Return the median time between consecutive frames of one sequence; None where there are no times."""
+    """Return the median time between consecutive frames of a sequence; None if there are no times."""
     seconds = np.concatenate(
         [np.empty(0), *(np.diff(frames.time[rows]) for rows in frames.rows_by("sequence").values())]
     )
@@ -358,7 +358,7 @@ def _interval(frames: FrameTable) -> float | None:
 
 
 def _with_columns(result: Result, name: str, columns: Columns, about: dict[str, Any]) -> Result:
-    """Return a result with one more estimate of each query: its columns, its measures and what made it."""
+    """Return a result with a further estimate of each query: its columns, measures and parameters."""
     table, held = {**result.tables["queries"], **columns}, result.parts["absolute"]
     measures = measures_of(table, name, held["radii"], held["map_frames"], held["unit"])
     return replace(

@@ -1,4 +1,4 @@
-"""Hierarchical localization: a coarse layer says in which nodes to look, the fine layer where in them ([T] 5.2.1)."""
+"""Hierarchical localization: the coarse layer gives the nodes to search, the fine layer the frame ([T] 5.2.1)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, cost
 from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, NodeRanking, Ranking, rank_by_position
+from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, Ranking
+from siamloc.maps.ranking import NodeRanking, rank_by_position
 from siamloc.results import Columns, rows_by_label
 from siamloc.settings import Count, Natural, NotNegative, Rule, Settings
 from siamloc.stopwatch import Stopwatch
@@ -36,11 +37,11 @@ class CoarseRanking(Settings):
     """How the nodes are ranked for a query.
 
     Attributes:
-        by: by their "representatives", by the "vote" of the nearest map frames, or, where they are rooms, by the
+        by: by their "representatives", by the "vote" of the nearest map frames, or, if nodes are rooms, by the
             "classifier" that a network was trained with to name them.
-        neighbours: frames that vote.
-        ratio: candidates whose representative is farther than so many times the nearest one are not searched, at
-            least 1; all of them are if None.
+        neighbours: number of map frames that vote.
+        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched, at
+            least 1; None searches all candidates.
     """
 
     WHERE = "task.coarse"
@@ -55,11 +56,11 @@ class Hierarchical(Settings):
     """How the two layers are searched, and what is measured.
 
     Attributes:
-        candidates: nodes searched for each query.
-        coarse: how they are ranked.
-        along: so many frames before and after the nearest one, in its drive, are searched as well where they lie in
-            another node.
-        radii: recall: a map frame this near counts as found, in the unit of the positions.
+        candidates: number of nodes searched for each query.
+        coarse: how nodes are ranked.
+        along: number of frames before and after the nearest one, in its drive, that are searched as well if they lie
+            in another node.
+        radii: recall: a map frame within this radius counts as found, in the unit of the positions.
         ks: recall: numbers of retrieved frames.
     """
 
@@ -88,22 +89,22 @@ def hierarchical(
     name: str | None = None,
     settings: Hierarchical,
 ) -> Result:
-    """Search the nodes of a coarse layer first and the frames inside the best of them then.
+    """Locate queries by first ranking the nodes of a coarse layer and then searching the frames in the best of them.
 
-    The search in the whole map, and in the node that is truly right, are measured on the same queries.
+    For comparison, the search in the whole map and the search in the true node are measured on the same queries.
 
     Args:
         known: the map; all its frames have positions.
         images: panoramas of the queries.
-        queries: frames to be located; those without a position are located without a score, in the table "located".
-        layer: nodes over the frames of the map, or of `coarse_map` where there is one, from `siamloc.maps.group`.
-        coarse_map: a map of the same frames by another descriptor, which ranks the nodes; the map itself if None.
-        protocol: who may be compared with whom; see `localization`.
-        name: what the results are called.
-        settings: instead of its fields as keywords.
+        queries: frames to locate; those without a position are located without a score, in the table "located".
+        layer: nodes over the frames of the map, or of `coarse_map` if given, from `siamloc.maps.group`.
+        coarse_map: a map of the same frames with another descriptor, which ranks the nodes; the map itself if None.
+        protocol: which map frames a query may be compared with; see `localization`.
+        name: name of the results.
+        settings: all settings in one object, instead of one keyword each.
 
     Raises:
-        ConfigError: queries that the protocol forbids, or descriptors by which nodes cannot be ranked this way.
+        ConfigError: queries that the protocol forbids, or descriptors with which nodes cannot be ranked this way.
         DataError: a layer of another map, a coarse map of other frames, or map frames without a position.
 
     Example:
@@ -180,30 +181,30 @@ def evaluate_hierarchical(
     ks: Sequence[int] = (1, 5, 10, 20),
     headings: ArrayLike | None = None,
 ) -> Result:
-    """Compare what hierarchical search found with the queries' true poses.
+    """Compare the results of a hierarchical search with the queries' true poses.
 
     The table "queries" is that of `evaluate_absolute` with further columns: `node` of the estimate and `true_node`,
-    that of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one text, the best first;
-    `coarse_correct`, whether the true node was tried (a frame in no node is always searched, so that a query whose true
-    frame is in none counts as correct); `frames_compared` and `comparisons`, which counts the comparisons with the
-    coarse layer as well; `error_perfect_coarse` and `error_absolute`, the errors on the same query of a search in the
-    true node alone and in the whole map. The table "map" has the `node` of each frame, the table "nodes" a row for each
+    that of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one string, the best first;
+    `coarse_correct`, whether the true node was tried (a frame in no node is always searched, so a query whose true
+    frame is in none counts as correct); `frames_compared` and `comparisons`, which also counts the comparisons with the
+    coarse layer; `error_perfect_coarse` and `error_absolute`, the errors of a search for the same query in the true
+    node alone and in the whole map. The table "map" has the `node` of each frame, the table "nodes" a row for each
     node.
 
     Args:
-        visual_map: m frames, all with positions.
-        layer: nodes over them.
+        visual_map: a map of m frames, all with positions.
+        layer: nodes over these frames.
         frames: the queries (n), all with positions.
-        found: by the search that is measured, with `siamloc.evaluation.absolute.neighbours(ks, m)` neighbours.
-        perfect: with the nodes of `rank_by_position`, the perfect coarse layer, at least one neighbour.
-        whole: by the search in the whole map, at least one neighbour.
+        found: result of the search to measure, with `siamloc.evaluation.absolute.neighbours(ks, m)` neighbours.
+        perfect: result with the nodes of `rank_by_position`, a perfect coarse layer, with at least one neighbour.
+        whole: result of the search in the whole map, with at least one neighbour.
         radii: radii of the recall, in units of x and y.
         ks: numbers of retrieved frames for the recall.
-        headings: estimated headings of the queries (n,), rad; measured where the true one is known.
+        headings: estimated headings of the queries (n,), rad; evaluated where the true heading is known.
 
     Raises:
-        ConfigError: as `evaluate_absolute`.
-        DataError: as `evaluate_absolute`, a layer of another map, or retrievals of other queries.
+        ConfigError: as for `evaluate_absolute`.
+        DataError: as for `evaluate_absolute`, a layer of another map, or retrievals of other queries.
     """
     if len(layer.labels) != len(visual_map):
         raise DataError(f"the layer has labels for {len(layer.labels)} frames, the map has {len(visual_map)}")
@@ -246,13 +247,13 @@ def evaluate_hierarchical(
 def measures_of(
     columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
 ) -> dict[str, Any]:
-    """Return all measures from the columns of `queries.csv`, pooled over queries.
+    """Return all measures, pooled over queries, from the columns of `queries.csv`.
 
     Returns:
-        What `siamloc.evaluation.absolute.measures_of` returns. Each group further holds `coarse` (accuracy, correct,
+        The measures of `siamloc.evaluation.absolute.measures_of`. Each group also holds `coarse` (accuracy, correct,
         queries); `given_right`, `given_wrong`, `perfect_coarse` and `absolute`, each with `queries` and the summary
-        `error`; `loss`, by what share the mean error exceeds that of the search in the whole map; and `comparisons`
-        (mean, max, share of the map, frames_share without the comparisons with the coarse layer).
+        `error`; `loss`, the share by which the mean error exceeds that of the search in the whole map; and
+        `comparisons` (mean, max, share of the map, frames_share without the comparisons with the coarse layer).
     """
     measures = absolute.measures_of(columns, radii, ks, map_frames, unit)
     measures["overall"].update(_coarse(columns, np.arange(len(columns["error"])), map_frames))
@@ -296,17 +297,17 @@ def _listed(nodes: list[int]) -> str:
 
 @dataclass(frozen=True)
 class _Found:
-    """What became of each query: by both layers, by a perfect coarse layer, and in the whole map."""
+    """Results of the queries: with both layers, with a perfect coarse layer, and in the whole map."""
 
     both: HierarchicalRetrieval
-    perfect: HierarchicalRetrieval | None  # of the queries with positions alone
+    perfect: HierarchicalRetrieval | None  # only of queries with positions
     whole: Retrieval
     headings: NDArray[np.float64] | None
     cost: dict[str, Any]
 
 
 def _run(session: Session, search: HierarchicalSearch, settings: Hierarchical) -> _Found:
-    """Look for all queries, batch by batch where the descriptions are large."""
+    """Search for all queries, batch by batch if the descriptions are large."""
     known, queries = session.known, session.queries
     scored, rankings, clock = queries.has_position, None, Stopwatch()
     if search.coarse is not known:

@@ -1,4 +1,4 @@
-"""What a coarse layer is worth: compactness, rooms, loop closures, and what it costs ([C] 3, [I] 5, [T] 4.4)."""
+"""Quality of a coarse layer: compactness, rooms, loop closures and cost ([C] 3, [I] 5, [T] 4.4)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from siamloc.settings import Count, NotNegative, Settings
 
 @dataclass(frozen=True)
 class MapMeasures(Settings):
-    """Loop closures.
+    """Settings for loop closures.
 
     Attributes:
-        closure_radius: a loop closure is right if its two frames lie this near, in the unit of the positions.
-        closure_gap: frames that it has to bridge.
+        closure_radius: a loop closure is correct if its frames lie within this radius, in the unit of the positions.
+        closure_gap: number of frames that a loop closure has to span.
     """
 
     WHERE = "task"
@@ -40,15 +40,15 @@ class MapMeasures(Settings):
 
 @takes(MapMeasures)
 def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings: MapMeasures) -> Result:
-    """Measure the nodes of a map: how compact they are, how they fit the rooms, which loops they close, their cost.
+    """Measure the nodes of a map: compactness, agreement with the rooms, loop closures and cost.
 
-    Positions are needed only for what they measure: without them the result holds the rest.
+    Measures that need positions are left out if there are none.
 
     Args:
         known: the map, its frames in capture order.
         built: nodes over its frames, from `siamloc.maps.group`.
-        name: what the results are called.
-        settings: instead of its fields as keywords.
+        name: name of the results.
+        settings: all settings in one object, instead of one keyword each.
 
     Raises:
         DataError: nodes over another map.
@@ -96,13 +96,13 @@ def evaluate_mapping(
     """Measure a coarse layer.
 
     Args:
-        known: n frames in capture order; what positions measure is left out for frames without one.
-        layer: nodes over them.
-        descriptor: what described the map; loop closures are its most similar earlier frames.
-        radius: a closure is right if its frames lie within it, in units of x and y.
-        gap: frames that a closure has to bridge.
-        seconds: what placing each frame took (n,), or all of them (1,); not measured if None.
-        reasons: of an incremental mapper, for each frame (n,).
+        known: a map of n frames in capture order; frames without a position do not count in measures that need one.
+        layer: nodes over these frames.
+        descriptor: descriptor of the map, which finds the most similar earlier frames for loop closures.
+        radius: a closure is correct if its frames lie within this radius, in units of x and y.
+        gap: number of frames that a closure has to span.
+        seconds: time for placing each frame (n,), or all of them (1,); not measured if None.
+        reasons: reasons of an incremental mapper, for each frame (n,).
 
     Raises:
         ConfigError: a radius or gap out of range.
@@ -149,14 +149,14 @@ def evaluate_mapping(
 
 
 def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) -> dict[str, Any]:
-    """Return the measures that follow from the columns of `frames.csv`.
+    """Return the measures that can be computed from the columns of `frames.csv`.
 
     Returns:
         frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
-        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); both of the frames that
-        have a position, NaN where none has; `purity` per room and overall, with its denominators; `closures` with
-        precision, recall, F1 and theirs, NaN unless all frames have a position; `ms_per_frame` as mean,
-        median and p95, NaN where it was not measured; `reasons`, counted, where there are any.
+        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); both for the frames that
+        have a position, NaN if there are none; `purity` per room and overall, with the number of frames; `closures`
+        with precision, recall, F1 and their denominators, NaN unless all frames have a position; `ms_per_frame` as
+        mean, median and p95, NaN if not measured; `reasons` with their counts, if any.
     """
     from analytic import measures
 
@@ -192,9 +192,9 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
 
 
 def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor, gap: int) -> NDArray[np.int64]:
-    """Return the frame that each frame closes a loop with (n,), -1 for none.
+    """Return the frame with which each frame closes a loop (n,), -1 for none.
 
-    It is the most similar of the frames of its node that came at least `gap` frames earlier.
+    It is the most similar frame of the same node that is at least `gap` frames earlier.
     """
     found = np.full(len(known), -1, dtype=np.int64)
     for node in range(int(labels.max()) + 1):
@@ -237,7 +237,7 @@ def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
 
 
 def _inertias(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the moment of inertia of each node (k,) from its frames that have a position; NaN where none has."""
+    """Return the moment of inertia of each node (k,), from its frames with a position; NaN if there are none."""
     from analytic import measures
 
     used = np.isfinite(xy).all(axis=1) & (labels >= 0)

@@ -1,4 +1,4 @@
-"""Where a query was taken, and in which room, by the map frame that looks most like it ([T] 5.3.4-5.3.5)."""
+"""Estimate the pose and the room of a query from the most similar map frame ([T] 5.3.4-5.3.5)."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ from siamloc.stopwatch import Stopwatch
 
 @dataclass(frozen=True)
 class JudgedPairs(Settings):
-    """Pairs of queries that are judged to be from one room or two.
+    """Pairs of queries that are judged to be from the same room or not.
 
     Attributes:
-        count: how many.
-        same_room_share: share of pairs from one room.
+        count: number of pairs.
+        same_room_share: share of pairs from the same room.
     """
 
     WHERE = "task.pairs"
@@ -57,13 +57,13 @@ class JudgedPairs(Settings):
 
 @dataclass(frozen=True)
 class Localization(Estimates):
-    """What is measured of the queries; the further estimates as in `Estimates`.
+    """What is measured for the queries; further estimates as in `Estimates`.
 
     Attributes:
         names: "absolute" for poses, "room_retrieval" for rooms.
-        radii: recall: a map frame this near counts as found, in the unit of the positions.
+        radii: recall: a map frame within this radius counts as found, in the unit of the positions.
         ks: recall: numbers of retrieved frames.
-        pairs: pairs of queries that are judged as well, where a network describes.
+        pairs: pairs of queries that are judged as well, if the descriptor is a network.
     """
 
     WHERE = "task"
@@ -101,24 +101,24 @@ def localization(
     seed: Seed = 0,
     settings: Localization,
 ) -> Result:
-    """Locate queries in a map and compare with their true poses and rooms.
+    """Locate queries in a map and compare the results with their true poses and rooms.
 
-    Queries without a pose are located too, in the table "located"; they are not scored.
+    Queries without a pose are located as well, in the table "located", but not scored.
 
     Args:
         known: the map, from `siamloc.maps.build`.
         images: panoramas of the queries (and of the map's frames for baselines).
-        queries: frames to be located.
-        validation: frames from which the filter's settings and the expected error are learned.
+        queries: frames to locate.
+        validation: frames from which the filter's settings and expected errors are learned.
         protocol: "cross_run": no query comes from a drive in the map; "same_run"; or a `Protocol`.
         baselines: descriptors measured on the same frames: names such as "hog", or a mapping of names to descriptors.
-        name: what the results are called; that of the descriptor if None.
-        seed: of the judged pairs.
-        settings: instead of its fields as keywords.
+        name: name of the results; that of the descriptor if None.
+        seed: seed of the judged pairs.
+        settings: all settings in one object, instead of one keyword each.
 
     Returns:
-        Parts "absolute" and "room_retrieval", as far as the data have poses and rooms; "room_pairs" for
-        networks; "absolute_filtered", "absolute_interpolated", "absolute_refined" and "calibration" where asked for.
+        A result with the parts "absolute" and "room_retrieval", if the data have poses and rooms; "room_pairs" for
+        networks; "absolute_filtered", "absolute_interpolated", "absolute_refined" and "calibration" if requested.
 
     Raises:
         ConfigError: settings that contradict each other, or queries that the protocol forbids.
@@ -146,7 +146,7 @@ def localization(
         seed=seed,
     )
     result = _measured(session, settings, session.name, known)
-    # Where no query can be scored there is nothing that a baseline could be compared with.
+    # If no query can be scored, there is nothing to compare a baseline with.
     for label, other in session.baselines.items() if result.parts else ():
         alone = replace(settings, filter=False, filter_tune=False, refine="none", error_model=False)
         baseline = _measured(session, alone, label, session.map_by(other), main=False)
@@ -164,7 +164,7 @@ def localization(
 
 @typed
 def rooms(known: VisualMap, images: PanoramaLibrary, queries: FrameTable, **options: Any) -> Result:
-    """Find the room of queries by the map frame that looks most like each; options are those of `localization`.
+    """Predict the room of each query from the most similar map frame; options as for `localization`.
 
     Poses are not needed.
 
@@ -181,7 +181,7 @@ def rooms(known: VisualMap, images: PanoramaLibrary, queries: FrameTable, **opti
 
 @typed
 def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTable, **options: Any) -> ErrorModel:
-    """Learn from validation frames how far off an estimate in a map probably is.
+    """Learn from validation frames to predict the error of an estimate in a map.
 
     Args:
         known: the map; frames without a position are left out.
@@ -207,7 +207,7 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
 
 
 def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:
-    """Measure one descriptor; `main` for the map's own, whose queries without a pose are located as well."""
+    """Measure one descriptor; with `main`, for the map's own, queries without a pose are located as well."""
     queries = session.queries
     skipped: dict[str, str] = {}
     searches: dict[str, Search] = {}
@@ -223,7 +223,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     if main and len(bare) and known.frames.has_position.any():
         try:
             searches["located"] = _search_bare(session, settings, known.placed(), bare)
-        except DataError as error:  # a way along the drive that is not known, so that near frames cannot be left out
+        except DataError as error:  # without positions along the drive, near frames cannot be left out
             skipped["located"] = str(error)
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(skipped.values())}")
@@ -253,7 +253,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
 
 
 def _search(session: Session, what: str, task: str, known: VisualMap, k: int, skipped: dict[str, str]) -> Search | None:
-    """Return the search among the frames that have what a task needs, and note how many do not."""
+    """Return the search among the frames that have what a task needs, and record how many do not."""
     in_map, in_queries = (
         table.has_position if what == "position" else table.room != "" for table in (known.frames, session.queries)
     )
@@ -277,8 +277,8 @@ def _search_bare(session: Session, settings: Localization, placed: VisualMap, ro
 
 
 def _located(result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable) -> Result:
-    """Return the result with where queries without a pose were found."""
-    if "absolute" not in result.parts:  # where it is, it has learned all this
+    """Return the result with the table of queries without a pose."""
+    if "absolute" not in result.parts:  # otherwise, all this was learned there
         alone = replace(settings, filter=False, filter_tune=False)
         validation, about = learned_from(session, alone, search.known), {}
         if search.refinement is not None:
@@ -305,10 +305,10 @@ def _with_pairs(
     queries: FrameTable,
     skipped: dict[str, str],
 ) -> Result:
-    """Return the result with pairs of queries judged by the distance of their descriptors, if a network made them.
+    """Return the result with pairs of queries judged by the distance of their descriptors, if they are a network's.
 
-    The limit is half the margin of the loss that the network was trained with; without one, as after a training on
-    batches of places, what tells pairs of map frames apart best.
+    The limit is half the margin of the loss that the network was trained with; without a margin, as after training on
+    batches of places, it is the limit that best separates pairs of map frames.
     """
     if not hasattr(known.descriptor, "margin"):
         skipped["room_pairs"] = f"{known.descriptor.name} has no margin by which to judge pairs"
@@ -334,10 +334,10 @@ def _with_pairs(
 
 
 def _margin_of_map(known: VisualMap, wanted: PairSettings, seed: int) -> float:
-    """Learn a margin from pairs of map frames, half of them from one room.
+    """Learn a margin from pairs of map frames, half of them from the same room.
 
     Raises:
-        SiamlocError: map frames without such pairs.
+        SiamlocError: the map frames have no such pairs.
     """
     labelled = known.frames.room != ""
     frames, vectors = known.frames.take(labelled), known.descriptors[labelled].astype(np.float64)

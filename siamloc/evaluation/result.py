@@ -1,4 +1,4 @@
-"""`Result`: what an evaluation found, whatever the task: measures, tables, pictures, files."""
+"""`Result`: the result of an evaluation, the same for every task: measures, tables, pictures, files."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ _KEPT = (
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Measures, and the tables that they follow from.
+    """Measures, and the tables from which they are computed.
 
     Attributes:
-        name: what its folder and its rows in a comparison are called, such as "hog".
-        parts: measures by kind, such as "absolute" and "room_retrieval": what `results.json` holds.
+        name: name of its folder and of its rows in a comparison, such as "hog".
+        parts: measures by kind, such as "absolute" and "room_retrieval", as in `results.json`.
         tables: columns by name; "queries" becomes `queries.csv`, "map" `map.csv`.
-        denominators: how many queries, map frames, pairs or nodes the measures rest on.
+        denominators: numbers of queries, map frames, pairs or nodes behind the measures.
         skipped: what could not be measured, with the reason.
         baselines: results of other methods on the same queries, by name.
-        cost: what the method takes and keeps; see `siamloc.evaluation.session.cost`.
+        cost: time and memory of the method; see `siamloc.evaluation.session.cost`.
         about: what was evaluated: data, protocol, descriptor and so on, as plain values.
-        settings: of the evaluation, as plain values.
-        error_model: what was learned of the error, where that was asked for.
-        refinement: how poses were refined, where that was asked for: the robot does it alike.
-        layer: folder of the coarse layer, where there is one on disk: some pictures need it.
+        settings: settings of the evaluation, as plain values.
+        error_model: the learned error model, if requested.
+        refinement: how poses were refined, if requested; the robot does the same.
+        layer: folder of the coarse layer, if it is on disk; some pictures need it.
 
     Example:
         >>> import siamloc
@@ -74,7 +74,7 @@ class Result:
 
     @property
     def measures(self) -> dict[str, Any]:
-        """Measures of the first part, those of all queries on top: `measures["error"]["mean"]`.
+        """Measures of the first part; those over all queries are at the top level: `measures["error"]["mean"]`.
 
         The groups follow under "lighting" and "room": `measures["lighting"]["night"]["error"]`.
         """
@@ -114,10 +114,10 @@ class Result:
         return f'{shown}<img src="data:image/png;base64,{b64encode(picture.getvalue()).decode()}">'
 
     def table(self) -> str:
-        """Return the measures as text: a table by method and lighting, and what they rest on.
+        """Return the measures as text: a table by method and lighting, and the numbers behind it.
 
         Raises:
-            FormatError: measures that are not whole, as of a file that was altered.
+            FormatError: incomplete measures, as from an altered file.
         """
         from rich.errors import ConsoleError
 
@@ -132,10 +132,10 @@ class Result:
             raise FormatError(f"the measures of {self.name} are not whole ({error!r}): evaluate again") from error
 
     def plot(self, name: str | None = None) -> Figure:
-        """Return a picture of the result: the first that suits it, or the one of this name, such as "error_curve".
+        """Return a picture of the result: the first one available, or the one with this name, such as "error_curve".
 
         Raises:
-            DataError: no such picture; those there are are named.
+            DataError: there is no such picture; the message lists the available ones.
         """
         from siamloc.report.draw import pictures
 
@@ -146,10 +146,10 @@ class Result:
 
     @typed
     def save(self, folder: str | Path, *, pictures: bool = True) -> list[Path]:
-        """Write `results.json`, a CSV file for each table, and the pictures; return the pictures' paths.
+        """Write `results.json`, a CSV file for each table, and the pictures; return the paths of the pictures.
 
         Raises:
-            StorageError: the disk refuses.
+            StorageError: the disk is full or cannot be written to.
         """
         folder = Path(folder)
         older = tables_of(folder)
@@ -170,7 +170,7 @@ class Result:
                 from siamloc.report.draw import save_all
 
                 drawn = save_all(fresh, self.layer)
-        # What only the result had that was replaced; nothing else is ever removed.
+        # Remove files that only the replaced result had, and nothing else.
         gone = (older - tables_of(folder)) | {name for name, model in learned.items() if model is None}
         with storage_errors(folder):
             for name in gone:
@@ -178,7 +178,7 @@ class Result:
         return [folder / path.name for path in drawn]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what `results.json` holds, without the tables."""
+        """Return the content of `results.json`, without the tables."""
         return {
             "command": "evaluate",
             "name": self.name,
@@ -194,10 +194,10 @@ class Result:
     @classmethod
     @typed
     def load(cls, folder: str | Path) -> Result:
-        """Read a result that `save` wrote; the tables of its baselines come among its own, as `queries_hog`.
+        """Read a result that `save` wrote; the tables of its baselines are among its own, such as `queries_hog`.
 
         Raises:
-            FormatError: a file is missing, cut short, altered, or of a newer version.
+            FormatError: a file is missing, truncated, altered, or of a newer version.
         """
         from siamloc.maps.error_model import ErrorModel
         from siamloc.maps.refinement import Refinement
@@ -224,7 +224,7 @@ class Result:
         )
 
     def joined(self, other: Result) -> Result:
-        """Return the result with the parts, tables and remarks of another one on the same queries."""
+        """Return the result with the parts, tables and remarks of another result on the same queries."""
         return replace(
             self,
             parts={**self.parts, **other.parts},

@@ -1,4 +1,4 @@
-"""Room retrieval: is a pair from one room ([T] 5.3.4), and in which room is a query."""
+"""Room retrieval: whether a pair is from the same room ([T] 5.3.4), and in which room a query is."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns, rows_by_label
 
-TOP = (1, 5, 10)  # numbers of retrieved frames among which the right room is looked for
-DEPTH = 100  # retrieved frames that average precision looks at
+TOP = (1, 5, 10)  # numbers of retrieved frames among which the right room must be
+DEPTH = 100  # retrieved frames used for average precision
 
 
 def pair_measures(columns: Mapping[str, NDArray], margin: float, threshold: float) -> dict[str, Any]:
@@ -28,8 +28,8 @@ def pair_measures(columns: Mapping[str, NDArray], margin: float, threshold: floa
 
     Returns:
         margin, threshold, and the groups "overall" and "lighting" (by label): `metrics.PairAccuracy` as dictionaries,
-        with the `auc`. Then `auc` of all pairs, and `curve`: one dictionary of threshold, same, different and overall
-        for each threshold. The groups by lighting hold a `curve` of their own.
+        with the `auc`. Then the `auc` of all pairs, and `curve`: a dictionary of threshold, same, different and overall
+        for each threshold. Each group by lighting has its own `curve`.
     """
 
     def accuracy(rows: NDArray) -> tuple[dict[str, Any], list[dict[str, float]]]:
@@ -57,14 +57,14 @@ def room_measures(columns: Mapping[str, NDArray], labels: Sequence[str], missing
 
     Args:
         columns: room, predicted_room, correct, lighting, first_rank and chance of each query.
-        labels: rooms of the map and of the queries: the order of the confusion matrix.
-        missing: rooms that queries are in and the map lacks: none of those can be right.
+        labels: rooms of the map and of the queries, in the order of the confusion matrix.
+        missing: rooms of queries that the map lacks, so these queries cannot be right.
 
     Returns:
         The groups "overall", "room" (by label) and "lighting" (by label), each with `accuracy`, `correct`, `queries`,
         `top` (the share of queries with a frame of their room among the k nearest, by k), `mean_average_precision` (of
-        the 100 nearest frames) and `chance` (what a map frame drawn at random would reach); `confusion` with
-        the `labels`, the `counts` of all queries (row = true room, column = room of the match) and those by `lighting`;
+        the 100 nearest frames) and `chance` (the accuracy of a map frame drawn at random); `confusion` with the
+        `labels`, the `counts` of all queries (row = true room, column = room of the match) and those by `lighting`;
         and `rooms_missing_in_map`.
     """
     room, predicted = columns["room"], columns["predicted_room"]
@@ -114,13 +114,13 @@ def evaluate_pairs(
         second: descriptors (n, D).
         same: True for pairs from one room (n,).
         margin: the contrastive loss's margin, positive.
-        threshold: dissimilarity min(distance / margin, 1) below which a pair is taken for one room; in (0, 1].
+        threshold: dissimilarity min(distance / margin, 1) below which a pair is judged to be from one room; in (0, 1].
         lighting: of each pair (n,), for measures by lighting.
         labels: more columns for `pairs.csv`, such as the two paths and rooms.
 
     Raises:
-        ConfigError: a margin or threshold out of range, or an extra column with a name that is taken.
-        DataError: arrays that do not fit each other, or descriptors that are not finite.
+        ConfigError: a margin or threshold out of range, or a further column whose name is taken.
+        DataError: arrays that do not match each other, or descriptors that are not finite.
     """
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     if a.ndim != 2 or a.shape != b.shape or not len(a):
@@ -129,7 +129,7 @@ def evaluate_pairs(
     if not np.isfinite(distance).all():
         raise DataError(f"{int((~np.isfinite(distance)).sum())} of {len(a)} pairs hold values that are not finite")
     truth = np.asarray(same)
-    pair_accuracy(distance, truth, margin, threshold)  # checks all arguments before anything is built on them
+    pair_accuracy(distance, truth, margin, threshold)  # checks all arguments first
     dissimilarity = pair_dissimilarity(distance, margin)
     columns: Columns = {
         "pair": np.arange(len(a)),
@@ -162,18 +162,18 @@ def evaluate_rooms(
     retrieval: Retrieval | None = None,
     excluded: NDArray[np.bool_] | None = None,
 ) -> Result:
-    """Take the room of the nearest map frame for each query's room.
+    """Predict the room of each query as that of the nearest map frame.
 
     Args:
-        visual_map: m frames, all with room labels.
-        descriptors: of the queries (n, D), n at least 1; None where their retrieval is given.
+        visual_map: a map of m frames, all with room labels.
+        descriptors: of the queries (n, D), n at least 1; None if their retrieval is given.
         frames: the queries (n), all with room labels. Rooms of different buildings are different rooms.
-        retrieval: what the map's search gave, to search only once; with `neighbours(m)` frames, or fewer: then top-k
-            and average precision look at these alone.
+        retrieval: result of a search in the map, to avoid a second search; with `neighbours(m)` frames, or fewer: then
+            top-k and average precision use only these.
         excluded: (n, m) map frames that a query was not compared with.
 
     Raises:
-        DataError: frames without room labels, or descriptors that do not fit the frames or the map.
+        DataError: frames without room labels, or descriptors that do not match the frames or the map.
     """
     _require_rooms(frames, "queries")
     _require_rooms(visual_map.frames, "map frames")
@@ -205,17 +205,18 @@ def evaluate_rooms(
 
 
 def neighbours(map_frames: int) -> int:
-    """Return how many neighbours of each query the measures of room retrieval look at."""
+    """Return the number of neighbours of each query that the measures of room retrieval use."""
     return min(DEPTH, map_frames)
 
 
 def _ranking(
     room: NDArray[np.str_], known: NDArray[np.str_], found: Retrieval, excluded: NDArray[np.bool_] | None
 ) -> Columns:
-    """Return what follows from the rooms of all frames that were retrieved for a query.
+    """Return the columns that depend on the rooms of all frames retrieved for a query.
 
-    Average precision of the k retrieved frames: the sum, over those of the right room, of the share of the right room
-    among the frames up to each, divided by k or by the frames of that room in the map, whichever is smaller.
+    Average precision of the k retrieved frames: the sum, over frames of the right room, of the share of that room among
+    the frames up to each of them, divided by k or by the number of frames of that room in the map, whichever is
+    smaller.
     """
     right = known[found.indices] == room[:, None]
     precision = np.cumsum(right, axis=1) / np.arange(1, right.shape[1] + 1)

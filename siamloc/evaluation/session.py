@@ -1,4 +1,4 @@
-"""`Session`: what all tasks of an evaluation share: a map, images, queries, and who may be compared with whom."""
+"""`Session`: what all evaluation tasks share: a map, images, queries, and what may be compared with what."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | str | 
 
 @dataclass
 class Search:
-    """Frames to be looked for in a map, and what was found so far.
+    """Frames to find in a map, and the results so far.
 
     Attributes:
         known: map frames that have what the task needs.
-        rows: of the frames that have it (n,), in order.
-        k: neighbours wanted.
-        refinement: how poses finer than the map are made; None for none.
+        rows: rows of the frames that have what the task needs (n,), in order.
+        k: number of neighbours to find.
+        refinement: how poses finer than the map are made; None to make none.
         with_distances: whether the distances to all map frames are kept, n x m float64; infinite where excluded.
         excluded: (n, m) map frames that a frame is not compared with; None if there are none.
-        clock: counts what the steps "search" and "heading" take.
+        clock: measures the time of the steps "search" and "heading".
     """
 
     known: VisualMap
@@ -49,7 +49,7 @@ class Search:
     _refined: list[RefinedPoses] = field(default_factory=list)
 
     def take_in(self, queries: Description) -> None:
-        """Look for the next frames."""
+        """Search for the next frames."""
         start = sum(map(len, self._found))
         barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
         with self.clock.of("search", len(queries)):
@@ -65,12 +65,12 @@ class Search:
 
     @property
     def retrieval(self) -> Retrieval:
-        """The nearest map frames of all."""
+        """The nearest map frames of all frames."""
         return Retrieval.concatenate(self._found)
 
     @property
     def refined(self) -> RefinedPoses:
-        """Poses finer than the map's."""
+        """Poses finer than the map."""
         return RefinedPoses.concatenate(self._refined)
 
     @property
@@ -80,7 +80,7 @@ class Search:
 
     @property
     def headings(self) -> NDArray[np.float64] | None:
-        """Headings by the nearest map frame (n,), NaN if unknown; None where none is known."""
+        """Headings from the nearest map frame (n,), NaN if unknown; None if all are unknown."""
         turned = np.concatenate(self._turned)
         return turned if np.isfinite(turned).any() else None
 
@@ -90,22 +90,22 @@ class Session:
 
     Args:
         known: the map; `known.descriptor` describes the queries.
-        images: panoramas of the queries, and of the map's frames where they have to be described again.
-        queries: frames to be located.
-        validation: frames to learn from what the queries must not be asked: settings of the filter, expected errors;
-            of other sequences than the queries and the map.
-        protocol: who may be compared with whom: a `Protocol` such as Protocol(leave_one_out=True), its fields as a
-            mapping, or its kind, "cross_run" or "same_run".
-        baselines: descriptors to measure on the same frames: one or several, by name or made, or a mapping of names to
-            descriptors.
-        name: what the results are called; that of the descriptor if None.
-        seed: of everything that is drawn.
+        images: panoramas of the queries, and of the map's frames if they have to be described again.
+        queries: frames to locate.
+        validation: frames for what must not be learned from the queries: settings of the filter and expected errors;
+            from other sequences than the queries and the map.
+        protocol: which map frames a query may be compared with: a `Protocol` such as Protocol(leave_one_out=True), its
+            fields as a mapping, or its kind, "cross_run" or "same_run".
+        baselines: descriptors to measure on the same frames: one or several, as names or objects, or a mapping of names
+            to descriptors.
+        name: name of the results; that of the descriptor if None.
+        seed: seed of all random draws.
 
     Raises:
-        ConfigError: arguments of another kind, queries that the protocol forbids in this map, validation frames of the
-            map's or the queries' sequences, panoramas made in another way than those of the map, or an unknown
+        ConfigError: arguments of the wrong type, queries that the protocol forbids in this map, validation frames from
+            the map's or the queries' sequences, panoramas made in another way than those of the map, or an unknown
             baseline.
-        DataError: no query's image can be read.
+        DataError: no image of the queries can be read.
     """
 
     @typed
@@ -143,14 +143,14 @@ class Session:
         return f"Session({self.name}: {len(self.queries)} queries in {self.known!r}, {self.protocol.kind})"
 
     def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
-        """Return which map frames (n, m) each query is not compared with, by the protocol; None for none."""
+        """Return which map frames (n, m) each query is not compared with under the protocol; None for none."""
         return self.protocol.excluded(queries, known)
 
     def refuse_exclusion(self, task: str) -> None:
-        """Refuse a protocol that leaves map frames out, for a task that compares with all of them.
+        """Refuse a protocol that excludes map frames, for a task that compares queries with all of them.
 
         Raises:
-            ConfigError: the protocol does.
+            ConfigError: the protocol excludes map frames.
         """
         if self.protocol.excludes:
             raise ConfigError(
@@ -159,7 +159,7 @@ class Session:
             )
 
     def map_by(self, other: Descriptor) -> VisualMap:
-        """Return a map of the same frames by another descriptor."""
+        """Return a map of the same frames with another descriptor."""
         if other is self.known.descriptor:
             return self.known
         return maps.build(other, self.images, self.known.frames)
@@ -169,7 +169,7 @@ class Session:
     ) -> Iterable[Description]:
         """Return descriptions of frames, in one part unless the descriptor compares after turning.
 
-        The parts of such descriptors are large, so that only those of a batch are there at once.
+        Descriptions by such descriptors are large, so only one batch at a time is in memory.
         """
         parts = maps.describe(by, self.images, frames, progress=f"describing {what}", clock=clock)
         return parts if by.aligned else [Description.concatenate(list(parts))]
@@ -182,7 +182,7 @@ class Session:
         what: str,
         clock: Stopwatch | None = None,
     ) -> NDArray[np.float32] | None:
-        """Describe frames and look for them; return the position parts, or None where they are too large to keep."""
+        """Describe frames and search for them; return the position parts, or None if they are too large to keep."""
         start, vectors = 0, []
         for part in self.parts_of(by, frames, what, clock):
             for search in searches.values():
@@ -196,10 +196,10 @@ class Session:
         return vectors[0] if vectors else None
 
     def lacking(self, has: NDArray[np.bool_], what: str) -> str:
-        """Return how many frames lack something, in words; nothing if all have it.
+        """Return a text on how many frames lack something; empty if none does.
 
         Raises:
-            DataError: some lack it, others do not, and the images' `on_error` is "raise".
+            DataError: some frames lack it, others do not, and the images' `on_error` is "raise".
         """
         if has.all():
             return ""
@@ -209,13 +209,13 @@ class Session:
         return text
 
     def comparable(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
-        """Return which map frames (m,) and queries (n,) have what answers are judged by, and whether that is rooms.
+        """Return which map frames (m,) and queries (n,) can be judged, and whether they are judged by room.
 
-        It is positions, and rooms where the map or the queries have no position at all. How many frames lack it is
-        noted.
+        They are judged by position, or by room if the map or the queries have no positions at all. The number of frames
+        without them is recorded in `skipped`.
 
         Raises:
-            DataError: neither is known, or some frames lack it and `on_error` is "raise".
+            DataError: neither is known, or some frames lack them and `on_error` is "raise".
         """
         tables = {"map frames": self.known.frames, "queries": self.queries}
         by_room = any(not frames.has_position.any() for frames in tables.values())
@@ -228,7 +228,7 @@ class Session:
         return masks["map frames"], masks["queries"], by_room
 
     def about(self) -> dict[str, Any]:
-        """Return what is evaluated, as plain values: data, protocol and descriptor."""
+        """Return what is evaluated (data, protocol and descriptor) as plain values."""
         known = self.known.made.get("data", {})
         return {
             "data": {
@@ -252,7 +252,7 @@ class Session:
         }
 
     def _check_apart(self) -> None:
-        """Refuse queries and validation frames of the map's own run, unless the protocol allows for them."""
+        """Refuse queries and validation frames from the map's own run, unless the protocol allows them."""
         if self.validation is not None and (what := shared_with(self.known.frames, self.validation)):
             raise ConfigError(
                 f"{what} is in the map and in the validation, so that nothing could be learned of the errors on "
@@ -275,14 +275,14 @@ class Session:
 
 
 def cost(known: VisualMap, clock: Stopwatch) -> dict[str, Any]:
-    """Return what a method takes and keeps ([T] figures 3.17-3.47, table 5.19), for "cost" in `results.json`.
+    """Return time and memory of a method ([T] figures 3.17-3.47, table 5.19), for "cost" in `results.json`.
 
     Returns:
-        describe_ms, search_ms, heading_ms: for one image, in batches as they came; decoding does not count. None for
-        what was not done.
-        numbers: in the position part of a descriptor.
-        bytes: of a map frame, with what its heading is found by.
-        map_frames: that were searched.
+        describe_ms, search_ms, heading_ms: time per image, in batches as processed, without decoding. None for a step
+        that was not run.
+        numbers: numbers in the position part of a descriptor.
+        bytes: bytes of a map frame, including its orientation part.
+        map_frames: number of frames searched.
     """
     turning = known.orientation if known.heading is None else known.heading.values
     kept: list[NDArray[Any]] = [known.descriptors]
@@ -297,7 +297,7 @@ def cost(known: VisualMap, clock: Stopwatch) -> dict[str, Any]:
 
 
 def shared_with(known: FrameTable, frames: FrameTable) -> str:
-    """Return the first sequence or image that two tables share, in words; nothing if there is none."""
+    """Return a text with the first sequence or image that two tables share; empty if there is none."""
     sequences = sorted(set(known.sequence.tolist()) & set(frames.sequence.tolist()))
     copies = np.flatnonzero(np.isin(frames.path, known.path))
     if sequences:
@@ -313,7 +313,7 @@ def _readable(images: PanoramaLibrary, frames: FrameTable, what: str) -> FrameTa
 
 
 def as_protocol(protocol: Protocol | Mapping[str, Any] | str) -> Protocol:
-    """Return a protocol that is given as such, by its fields, or by its kind.
+    """Return a protocol that is given as an object, by its fields, or by its kind.
 
     Raises:
         ConfigError: an unknown kind or field.
@@ -324,7 +324,7 @@ def as_protocol(protocol: Protocol | Mapping[str, Any] | str) -> Protocol:
 
 
 def _check_kinds(known: object, images: object, queries: object) -> None:
-    """Refuse arguments of another kind, such as two that were exchanged, in one sentence."""
+    """Refuse arguments of the wrong type, such as two in the wrong order, with a short message."""
     for what, value, kind in (("known", known, VisualMap), ("images", images, PanoramaLibrary)):
         if not isinstance(value, kind):
             raise ConfigError(f"{what} must be a {kind.__name__}, got {value!r}: the order is known, images, queries")

@@ -1,4 +1,4 @@
-"""Results as text: what `Result.table()` returns, a notebook shows and the commands print."""
+"""Results as text, as returned by `Result.table()`, shown in notebooks and printed by the commands."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def text_of(
     located: int = 0,
     costs: Mapping[str, Measures] | None = None,
 ) -> str:
-    """Return a result's tables, what they rest on, and what could not be measured.
+    """Return a result's tables, the numbers behind them, and what could not be measured.
 
     Args:
-        name: of the method.
-        parts: its measures by kind, as `Result.parts` holds them.
-        baselines: those of the other methods, by name.
+        name: name of the method.
+        parts: its measures by kind, as in `Result.parts`.
+        baselines: measures of the other methods, by name.
         skipped: what could not be measured, with the reason.
-        located: how many queries were located without a score.
-        costs: what methods take and keep, by name.
+        located: number of queries that were located without a score.
+        costs: time and memory of the methods, by name.
     """
     lines: list[str] = []
     if "absolute" in parts or "room_retrieval" in parts:
@@ -110,7 +110,7 @@ def _cells(measures: Measures, lighting: str, first: Measures, with_heading: boo
             yield _number(value)
         yield _number(absolute["floor"]["mean"])
         yield _number(absolute["excess"]["mean"])
-        yield _percent(absolute["hit_rate"][0]["rate"]) if "hit_rate" in absolute else "-"  # not of finer poses
+        yield _percent(absolute["hit_rate"][0]["rate"]) if "hit_rate" in absolute else "-"  # not for finer poses
         yield from (_percent(recall["recall"]) for recall in absolute["recall"] if recall["k"] == 1)
         if with_heading:
             yield _number(absolute["heading_error"]["mean"], 1) if "heading_error" in absolute else "-"
@@ -146,7 +146,7 @@ def _calibration(name: str, measures: Measures) -> list[str]:
 
 
 def _hierarchical(name: str, measures: Measures) -> list[str]:
-    """Return a row per lighting: errors of both layers together and taken apart, and the comparisons they took."""
+    """Return a row per lighting: errors of both layers together and separately, and the number of comparisons."""
     table, unit = _table("lighting"), measures["unit"]
     heads = ["mean", "95 %", "floor", "excess", "right\nnode", "wrong\nnode", "perfect\nnodes", "whole\nmap"]
     for head in heads:
@@ -197,7 +197,7 @@ def _mapping(name: str, measures: Measures) -> list[str]:
 
 
 def _compact(name: str, measures: Measures) -> list[str]:
-    """Return a row for each compact map and lighting: both errors, how compact the nodes are, and the time."""
+    """Return a row for each compact map and lighting: both errors, compactness of the nodes, and times."""
     unit = measures["unit"]
     table = _table("nodes by", "lighting")
     _number_column(table, "nodes")
@@ -268,7 +268,7 @@ _WRITERS: dict[str, Callable[[str, Measures], list[str]]] = {
 
 
 def _lightings(measures: Measures) -> list[str]:
-    """Return the lightings of all queries: some may have a room and no position, or the other way round."""
+    """Return the lightings of all queries: some may have a room but no position, or vice versa."""
     parts = [measures[name]["lighting"] for name in ("absolute", "room_retrieval") if name in measures]
     labels = sorted({label for part in parts for label in part})
     return [*labels, "all"] if len(labels) != 1 else labels
@@ -294,7 +294,7 @@ def _number_column(table: Table, head: str) -> None:
 def _text(table: Table) -> str:
     from rich.console import Console
 
-    # As wide as the table needs: what it is shown on decides about folding.
+    # As wide as the table needs: wrapping is left to the display.
     out = StringIO()
     Console(file=out, width=250, color_system=None, force_jupyter=False).print(table)
     return "\n".join(line.rstrip() for line in out.getvalue().rstrip("\n").split("\n"))

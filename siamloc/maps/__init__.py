@@ -1,4 +1,4 @@
-"""Maps: descriptors with poses and rooms on disk, exact search in them, coarse layers and the sequence filter.
+"""Maps: descriptors stored with poses and rooms, exact search, coarse layers and the sequence filter.
 
     known = siamloc.maps.build("hog", images, monday)
     found = known.search(vectors, k=5)
@@ -18,11 +18,12 @@ if TYPE_CHECKING:
     from siamloc.maps.error_model import ErrorModel
     from siamloc.maps.grouping import WAYS, Built, group
     from siamloc.maps.heading import HeadingPart, WithHeading
-    from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch, NodeRanking
+    from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch
     from siamloc.maps.interpolation import interpolate_poses
     from siamloc.maps.matching import frame_distances, headings, match
     from siamloc.maps.pose_filter import PoseFilter
     from siamloc.maps.projector import write_projector
+    from siamloc.maps.ranking import NodeRanking
     from siamloc.maps.refinement import RefinedPoses, Refinement, refine
     from siamloc.maps.search import Retrieval, VectorIndex
     from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
@@ -42,7 +43,7 @@ _HOMES = {
     "HierarchicalRetrieval": "hierarchy",
     "HierarchicalSearch": "hierarchy",
     "LayerSearch": "hierarchy",
-    "NodeRanking": "hierarchy",
+    "NodeRanking": "ranking",
     "interpolate_poses": "interpolation",
     "frame_distances": "matching",
     "headings": "matching",

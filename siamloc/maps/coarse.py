@@ -1,4 +1,4 @@
-"""`CoarseLayer`: which frames of a map belong together, and what stands for each group."""
+"""`CoarseLayer`: which frames of a map belong together, with a representative for each group."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class CoarseLayer:
         labels: (n,) the node of each map frame, 0 ... k - 1 and none of them empty; UNASSIGNED for frames in no node.
         representatives: (k, D) float32, the mean descriptor of each node ([C] 4).
         positions: (k, 2) the mean position of each node's frames, NaN where no frame has one.
-        names: (k,) what nodes are called: rooms by their codes, others by their number.
-        edges: (e, 2) nodes that the robot went between, each pair once, the smaller number first.
-        made: how the layer was built (method, parameters), and what building it took, as plain values.
-        classifier: what names the node of a descriptor, its classes in the order of the nodes; where the nodes are
-            rooms, and the network that described the map was trained to name them. Else None.
+        names: (k,) names of the nodes: room codes for rooms, numbers otherwise.
+        edges: (e, 2) pairs of nodes between which the robot moved, each pair once, the smaller number first.
+        made: how the layer was built (method, parameters) and what that cost, as plain values.
+        classifier: predicts the node of a descriptor, with classes in the order of the nodes. None unless the nodes
+            are rooms and the network that described the map was trained to name them.
 
     Raises:
-        DataError: parts that do not fit each other.
+        DataError: parts that do not match each other.
     """
 
     labels: NDArray[np.int64]
@@ -57,7 +57,7 @@ class CoarseLayer:
         if labels.ndim != 1 or labels.dtype.kind not in "iu" or (labels < UNASSIGNED).any():
             raise DataError(f"a coarse layer needs a whole number from -1 for each frame, got {labels.dtype}")
         if not k or sorted(set(labels.tolist()) - {UNASSIGNED}) != list(range(k)):
-            raise DataError(f"a coarse layer of {k} representatives needs frames of the nodes 0 ... {k - 1}, each used")
+            raise DataError(f"a coarse layer of {k} representatives needs frames in each node, 0 ... {k - 1}")
         if self.positions.shape != (k, 2) or self.names.shape != (k,) or self.edges.shape != (len(self.edges), 2):
             raise DataError(
                 f"{k} nodes need positions ({k}, 2), names ({k},) and edges (e, 2), got {self.positions.shape}, "
@@ -86,18 +86,18 @@ class CoarseLayer:
         names: ArrayLike | None = None,
         made: Mapping[str, Any] | None = None,
     ) -> CoarseLayer:
-        """Build the layer that labels of a map's frames make.
+        """Build a layer from labels of a map's frames.
 
-        Nodes are connected where consecutive frames of one sequence lie in them.
+        Two nodes are connected if consecutive frames of a sequence lie in them.
 
         Args:
-            known: n frames.
+            known: a map of n frames.
             labels: (n,) node of each, 0 ... k - 1, or UNASSIGNED.
             names: (k,); the numbers if None.
-            made: how.
+            made: how the layer was built.
 
         Raises:
-            DataError: not one label for each frame, none that is assigned, or a node without frames.
+            DataError: not one label for each frame, no frame in a node, or a node without frames.
         """
         from analytic.clustering import positions, representatives
 
@@ -122,9 +122,9 @@ class CoarseLayer:
 
     @classmethod
     def of_rooms(cls, known: VisualMap) -> CoarseLayer:
-        """Build the layer of the rooms; frames without a label are in no node.
+        """Build a layer with a node for each room; frames without a room label are in no node.
 
-        Where the map's network was trained to name them all, the layer has its classifier.
+        If the map's network was trained to name all of these rooms, the layer has its classifier.
 
         Raises:
             DataError: no frame has a room label.
@@ -139,15 +139,15 @@ class CoarseLayer:
         return replace(layer, classifier=naming(known, layer))
 
     def members(self, node: int) -> NDArray[np.int64]:
-        """Return the rows of the map in a node."""
+        """Return the rows of the map that are in a node."""
         return np.flatnonzero(self.labels == node)
 
     @typed
     def save(self, path: str | Path) -> None:
-        """Write the layer into one npz file, atomically.
+        """Write the layer to an npz file, atomically.
 
         Raises:
-            StorageError: the disk refuses.
+            StorageError: the disk is full or cannot be written to.
         """
         header = {"format": _FORMAT, "version": _VERSION, "nodes": len(self), "made": plain(self.made)}
         with atomic_path(path) as temporary, temporary.open("wb") as file:
@@ -167,7 +167,7 @@ class CoarseLayer:
         """Read a layer that `save` wrote.
 
         Raises:
-            FormatError: the file is missing, cut short, no such layer, or of a newer version.
+            FormatError: the file is missing, truncated, not a coarse layer, or of a newer version.
         """
         path = Path(path)
         if not path.is_file():
@@ -176,14 +176,14 @@ class CoarseLayer:
 
     @classmethod
     def loads(cls, content: bytes, source: str) -> CoarseLayer:
-        """Read what a file by `save` holds.
+        """Read a layer from the content of a file that `save` wrote.
 
         Args:
             content: of the file.
             source: what to call it in error messages.
 
         Raises:
-            FormatError: as `load`.
+            FormatError: as for `load`.
         """
         return cls._read(content, source)
 
@@ -215,7 +215,7 @@ _CLASSES = ("class_weight", "class_bias")
 
 
 def naming(known: VisualMap, layer: CoarseLayer) -> RoomClassifier | None:
-    """Return what names the nodes of a layer by a map's descriptors; None where nothing does, or not all of them."""
+    """Return the classifier that names a layer's nodes by a map's descriptors; None if none knows all of them."""
     rooms = getattr(known.describes, "rooms", None)
     if not isinstance(rooms, RoomClassifier) or not set(layer.names.tolist()) <= set(rooms.names.tolist()):
         return None
@@ -223,7 +223,7 @@ def naming(known: VisualMap, layer: CoarseLayer) -> RoomClassifier | None:
 
 
 def connections(labels: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
-    """Return the pairs of nodes (e, 2) that the robot went between; frames in no node are passed over."""
+    """Return the pairs of nodes (e, 2) between which the robot moved; frames in no node are skipped."""
     pairs: set[tuple[int, int]] = set()
     for name in dict.fromkeys(sequence.tolist()):
         passed = labels[(sequence == name) & (labels >= 0)]

@@ -1,4 +1,4 @@
-"""From images to a map: `build` describes a robot's frames, `describe` those to be found in the map."""
+"""From images to maps: `build` describes the frames of a map, `describe` those to be found in it."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ def build(
     made: Mapping[str, Any] | None = None,
     progress: bool = True,
 ) -> VisualMap:
-    """Describe frames and keep them as the map that queries are searched in.
+    """Describe frames and return the map in which queries are searched.
 
     Args:
-        described_by: a network (B, 3, H, W) -> (B, D), or any descriptor, or the name of an analytic one such as "hog".
+        described_by: a network (B, 3, H, W) -> (B, D), any descriptor, or the name of an analytic one such as "hog".
         images: panoramas of the frames.
-        frames: those of the map; the ones whose image cannot be read are left out.
-        heading: what finds headings beside a network: an analytic descriptor, or its name. If None, a network with the
-            head `fourier` or `magnitudes` that wraps around finds them itself, others find none.
-        distance: how descriptors are compared, a name in `analytic.DISTANCES`; the descriptor's own if None.
-        device: where descriptors are computed, such as "cuda"; where they are if None.
-        made: further plain values for the record (`VisualMap.made`).
-        progress: whether to show how far the work is.
+        frames: the frames of the map; those whose image cannot be read are left out.
+        heading: an analytic descriptor, or its name, that gives headings alongside a network. If None, a network that
+            wraps around and has the head `fourier` or `magnitudes` gives them itself, and other networks give none.
+        distance: how descriptors are compared, a name in `analytic.DISTANCES`; the descriptor's default if None.
+        device: where descriptors are computed, such as "cuda"; unchanged if None.
+        made: further plain values for reference (`VisualMap.made`).
+        progress: whether to show the progress.
 
     Raises:
         ConfigError: an unknown name or distance, or two descriptors that do not work together.
-        DataError: no image can be read, or descriptors that are not finite.
+        DataError: no image can be read, or descriptors are not finite.
 
     Example:
         >>> import cv2, numpy as np, tempfile
@@ -111,20 +111,20 @@ def describe(
     progress: str | None = None,
     clock: Stopwatch | None = None,
 ) -> Iterator[Description]:
-    """Yield the descriptions of frames batch by batch, in order: `Description.concatenate(list(...))` joins them.
+    """Yield the descriptions of frames batch by batch, in order; `Description.concatenate(list(...))` joins them.
 
-    Descriptions that are compared after turning are large, so that it is better to search batch by batch.
+    Descriptions that are compared after turning are large, so it is better to search batch by batch.
 
     Args:
-        by: a descriptor, or the map in which the frames are to be found: then its `describer`, after making sure that
-            the panoramas are made alike.
+        by: a descriptor, or the map in which the frames are to be found: then its `describer`, after a check that the
+            panoramas are made in the same way.
         images: panoramas of the frames.
         frames: n frames, all readable.
-        progress: the work in words, to show how far it is; None to show nothing.
-        clock: counts what describing takes, decoding aside, as its step "describe".
+        progress: label of the progress bar; None to show nothing.
+        clock: measures the time spent on describing, without decoding, as its step "describe".
 
     Raises:
-        ConfigError: the map cannot describe, or its panoramas were made in another way.
+        ConfigError: the map has no descriptor, or its panoramas were made in another way.
     """
     if isinstance(by, VisualMap):
         by.check_images(images.preprocessing.parameters())
@@ -140,11 +140,11 @@ def _timed(clock: Stopwatch, by: Descriptor, batch: NDArray[np.uint8]) -> Descri
 
 
 def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool = True, device: str | None = None) -> Descriptor:
-    """Return what describes images: a descriptor as it is, a network wrapped, an analytic descriptor by its name.
+    """Return a descriptor: one given as such, a wrapped network, or an analytic one by its name.
 
     Args:
-        by: what is given.
-        circular: whether the columns of the images are a full turn, for a name.
+        by: a descriptor, a network or a name.
+        circular: whether the columns of the images are a full turn; used for a name.
         device: where to compute.
 
     Raises:

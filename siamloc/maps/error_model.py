@@ -1,4 +1,4 @@
-"""How far off an estimate probably is: learned on a validation sequence, predicted from the retrieval alone."""
+"""Expected error of an estimate: learned on a validation sequence, predicted from the retrieval only."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 _POSE = "pose"
 # Chosen on drives through two buildings; benchmarks/foreign.py measures them on others.
-_KEPT = 0.99  # share of the right answers that are not foreign
-_BETWEEN = 0.55  # where the threshold lies between the strangest of these, 0, and the median of elsewhere, 1
+_KEPT = 0.99  # share of the correct answers that are not foreign
+_BETWEEN = 0.55  # position of the threshold between the strangest of these, 0, and the median of elsewhere, 1
 _MATCH = math.log(0.95 / 0.05)  # odds, as a logarithm, from which a match counts
 _REFINED = ("none", "interpolate", "relative")
-_AGREEMENT, _UNTOLD = 0.02, 1e6  # the least agreement that counts, and the deviation of a pose that nothing is known of
+_AGREEMENT, _UNTOLD = 0.02, 1e6  # smallest agreement used, and the deviation of a pose about which nothing is known
 
 
 def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Return the distance of the best match over that of the first one beyond the radius from it (n,), in [0, 1].
+    """Return the distance of the best match over that of the first match beyond the radius from it (n,), in [0, 1].
 
-    Near 1, a place elsewhere looks as much like the query. Where all neighbours lie within the radius, the farthest
-    known descriptor distance stands for the one that was not found: the score is then too high rather than too low.
+    Near 1, another place looks just as much like the query. If all neighbours lie within the radius, the farthest known
+    descriptor distance replaces the one that was not found: the score is then too high rather than too low.
     """
     apart = _from_best(found, map_xy)
     known = np.isfinite(found.distances)
@@ -55,10 +55,10 @@ def spread_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -
 
 
 def pose_score(poses: RefinedPoses) -> NDArray[np.float64]:
-    """Return how far off refined poses claim to be (n,): the logarithm of deviation by covariance over agreement.
+    """Return the error that refined poses predict of themselves (n,): log of the covariance's deviation over agreement.
 
-    Where no answer could be compared, the score is larger than any other. Of the logarithm, a few such ones do not
-    decide the mean of a group.
+    If nothing could be compared, the score is larger than any other. Because of the logarithm, a few such poses do not
+    dominate the mean of a group.
     """
     spread = np.sqrt(np.trace(poses.covariance(), axis1=1, axis2=2)) / np.maximum(poses.agreement, _AGREEMENT)
     return np.log(np.where(np.isnan(spread), _UNTOLD, np.clip(spread, 1 / _UNTOLD, _UNTOLD)))
@@ -73,25 +73,25 @@ SCORES: dict[str, Callable[[Retrieval, NDArray[np.float64], float], NDArray[np.f
 
 @dataclass(frozen=True)
 class ErrorModel(Learned):
-    """The expected error as an increasing function of one score of the retrieval or of a pose, as plain numbers.
+    """The expected error as an increasing function of a score of the retrieval or the pose, as plain numbers.
 
-    The ratio score is the default: it has no unit, so that what was learned under one lighting holds under another,
-    where all distances are larger; a weighted sum with the other scores predicted no better on queries that it had not
-    learned from. Isotonic regression assumes nothing of the function but that it does not fall.
+    The ratio score is the default: it has no unit, so a model learned under one lighting also holds under another,
+    where all distances are larger. A weighted sum with the other scores predicted no better on queries it was not
+    learned from. Isotonic regression assumes only that the function does not decrease.
 
     Attributes:
-        score: a name in `SCORES`; or "pose", that of refined poses, which looks at nothing else, see `pose_score`.
-        radius: beyond which a match is another place, in units of x and y.
-        neighbours: matches of each query that the score looks at.
+        score: a name in `SCORES`, or "pose", which uses only the refined pose, see `pose_score`.
+        radius: distance beyond which a match is another place, in units of x and y.
+        neighbours: number of matches of each query that the score uses.
         knots: scores, increasing.
-        errors: the expected error at each, not decreasing; linear between them and constant beyond.
-        queries: how many it was learned from.
-        lost_above: the expected error above which the robot counts as lost; None if none was chosen.
-        foreign_above: the strangeness above which a query shows nothing of what the map shows, so that the robot is
-            lost whatever error is expected, see `with_foreign`; None if it was not learned.
-        foreign_weight: of the descriptor distance of the best match in the strangeness; 0 with refined poses.
-        map_digest: of the map it was learned on; "" if unknown.
-        refine: of which poses the errors are: "none" for those of the nearest map frames, or a method of
+        errors: the expected error at each knot, non-decreasing; linear between knots and constant beyond.
+        queries: number of queries it was learned from.
+        lost_above: the expected error above which the robot counts as lost; None if no threshold was chosen.
+        foreign_above: the strangeness above which a query shows nothing that is on the map, so that the robot is lost
+            whatever the expected error, see `with_foreign`; None if it was not learned.
+        foreign_weight: weight of the best match's descriptor distance in the strangeness; 0 with refined poses.
+        map_digest: digest of the map it was learned on; "" if unknown.
+        refine: the poses whose errors are expected: "none" for those of the nearest map frames, or a method of
             `siamloc.maps.Refinement`.
     """
 
@@ -126,7 +126,7 @@ class ErrorModel(Learned):
             0 <= self.foreign_weight < math.inf
         ):
             raise ConfigError(
-                "what is foreign needs a threshold that is a number and a weight from 0, got "
+                "foreign queries need a finite threshold and a finite weight of at least 0, got "
                 f"{self.foreign_above} and {self.foreign_weight}"
             )
         knots, errors = np.asarray(self.knots, dtype=float), np.asarray(self.errors, dtype=float)
@@ -149,16 +149,16 @@ class ErrorModel(Learned):
     ) -> ErrorModel:
         """Learn from a validation sequence.
 
-        The errors of at least 25 queries of similar score are averaged before the regression: a single query
-        says little, the most extreme one least of all.
+        The errors of at least 25 queries with similar scores are averaged before the regression: a single query
+        means little, the most extreme one least of all.
 
         Args:
-            found: what the search gave for n validation queries.
+            found: search results of n validation queries.
             map_xy: (m, 2) positions of the map's frames.
-            errors: (n,) of the estimates that the model is to be asked about, not negative.
+            errors: (n,) of the kind of estimates whose errors the model will predict, not negative.
             score: a name in `SCORES`.
-            radius: beyond which a match is another place.
-            neighbours: matches that the score looks at; fewer where the map, or what was found, is smaller.
+            radius: distance beyond which a match is another place.
+            neighbours: number of matches that the score uses; fewer if the map, or the search result, has fewer.
 
         Raises:
             ConfigError: an unknown score, or a parameter out of range.
@@ -173,7 +173,7 @@ class ErrorModel(Learned):
         """Learn from the refined poses of a validation sequence, as `fit` does.
 
         Args:
-            poses: of n validation queries.
+            poses: poses of n validation queries.
             errors: (n,) of their positions, not negative.
 
         Raises:
@@ -214,10 +214,10 @@ class ErrorModel(Learned):
 
     @classmethod
     def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
-        """Add what older models do not say, and leave out what they say otherwise.
+        """Add what older models lack, and drop what had another meaning in them.
 
-        Before version 3, a model did not know poses between frames. Before version 5, what refined poses have of
-        strangeness was another number than their match, so that its threshold is none of this one.
+        Before version 3, models did not know poses between frames. Before version 5, the strangeness of refined poses
+        was not based on their match, so its threshold does not apply to this version.
         """
         of_poses = held.get("score") == _POSE
         if version < 3:
@@ -226,11 +226,11 @@ class ErrorModel(Learned):
 
     @property
     def of_poses(self) -> bool:
-        """Whether it was learned from refined poses, and expects their errors."""
+        """Whether the model was learned from refined poses and predicts their errors."""
         return self.score == _POSE
 
     def scores(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the score of each query (n,). Arguments and errors as `predict`."""
+        """Return the score of each query (n,). Arguments and errors as for `predict`."""
         if self.of_poses:
             raise ConfigError("the error model was learned from refined poses: give it those, by predict_poses")
         xy = np.asarray(map_xy, dtype=np.float64)
@@ -245,7 +245,7 @@ class ErrorModel(Learned):
         """Return the expected error of each query (n,), in units of x and y.
 
         Args:
-            found: what the search gave, at least `neighbours` of n queries, or the whole map.
+            found: search results of n queries, with at least `neighbours` matches each, or the whole map.
             map_xy: (m, 2) positions of the map's frames.
 
         Raises:
@@ -256,19 +256,19 @@ class ErrorModel(Learned):
     def judged(
         self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
-        """Return the expected error of each query (n,), and which are lost; None where no threshold was chosen.
+        """Return the expected error of each query (n,), and which queries are lost (None if no threshold was chosen).
 
-        A query is lost where a larger error is expected than `lost_above`, or where it shows nothing of what the map
-        shows, see `with_foreign`.
+        A query is lost if its expected error is above `lost_above`, or if it shows nothing that is on the map, see
+        `with_foreign`.
 
         Args:
-            found: what the search gave, at least `neighbours` of n queries, or the whole map.
+            found: search results of n queries, with at least `neighbours` matches each, or the whole map.
             map_xy: (m, 2) positions of the map's frames.
-            poses: the refined poses of the queries, for a model that was learned from such.
+            poses: the refined poses of the queries, for a model that was learned from refined poses.
 
         Raises:
-            ConfigError: a model of refined poses without these.
-            DataError: as `predict`.
+            ConfigError: a model of refined poses was given none.
+            DataError: as for `predict`.
         """
         scores = pose_score(self._told(poses)) if self.of_poses else self.scores(found, map_xy)
         expected = np.interp(scores, self.knots, self.errors)
@@ -277,13 +277,13 @@ class ErrorModel(Learned):
         return expected, self.lost(expected) | self.foreign(found, map_xy, poses)
 
     def foreign(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.bool_]:
-        """Return which queries (n,) show nothing of what the map shows; none where that was not learned.
+        """Return which queries (n,) show nothing that is on the map; none of them if that was not learned.
 
-        Arguments and errors as `judged`.
+        Arguments and errors as for `judged`.
         """
         if self.foreign_above is None:
             return np.zeros(len(found), dtype=bool)
-        return np.logical_not(self._strangeness(found, map_xy, poses) <= self.foreign_above)  # NaN is foreign, too
+        return np.logical_not(self._strangeness(found, map_xy, poses) <= self.foreign_above)  # NaN counts as foreign
 
     def with_foreign(
         self,
@@ -292,33 +292,34 @@ class ErrorModel(Learned):
         poses: RefinedPoses | None = None,
         elsewhere: Retrieval | None = None,
     ) -> ErrorModel:
-        """Return the model that knows a picture of another building, or by another camera, from one of the map's.
+        """Return a model that also recognizes images from another building, or from another camera, as foreign.
 
-        No such picture is needed. A query whose pose is refined is foreign where it is not likely by 95 % that any of
-        the map frames compared with it was taken near it (`RefinedPoses.match`). For others, what the map does not show
-        looks like its own places when they are taken out of it: strangeness is the model's score plus the descriptor
-        distance of the best match, in units of what it usually is elsewhere, and the threshold lies about halfway
-        between right answers and that. Either threshold lies above all right answers but the strangest 1 %.
+        No such images are needed. A query with a refined pose is foreign if there is no map frame, among those compared
+        with it, that was taken near it with a probability of at least 95 % (`RefinedPoses.match`). For other queries,
+        places outside the map are imitated by removing the map's own places from it: strangeness is the model's score
+        plus the best match's descriptor distance, in units of its usual value elsewhere, and the threshold lies about
+        halfway between correct answers and those elsewhere. Either threshold lies above all correct answers except the
+        strangest 1 %.
 
         Args:
-            right: what was found of validation queries that were located well.
+            right: search results of validation queries that were located well.
             map_xy: (m, 2) positions of the map's frames.
-            poses: their refined poses, for a model that was learned from such.
-            elsewhere: what was found of validation queries among the map frames far from where they were taken; refined
-                poses do without.
+            poses: their refined poses, for a model that was learned from refined poses.
+            elsewhere: search results of validation queries among the map frames far from where they were taken; not
+                needed with refined poses.
 
         Raises:
-            ConfigError: as `judged`.
-            DataError: fewer than 10 located well, or without refined poses fewer than 10 elsewhere.
+            ConfigError: as for `judged`.
+            DataError: fewer than 10 queries located well, or, without refined poses, fewer than 10 elsewhere.
         """
-        if poses is not None:  # those that nothing could be compared with say nothing
+        if poses is not None:  # poses without any comparison carry no information
             told = np.flatnonzero(np.isfinite(poses.match))
             right, poses = right.take(told), poses.take(told)
         others = 0 if elsewhere is None else len(elsewhere)
         if len(right) < _FEWEST or not (self.of_poses or others >= _FEWEST):
             raise DataError(
-                f"what is foreign is learned from at least {_FEWEST} validation queries that are located well, and "
-                f"without refined poses from as many with map frames far from them, got {len(right)} and {others}"
+                f"foreign queries are learned from at least {_FEWEST} validation queries that are located well, and, "
+                f"without refined poses, from as many with map frames far from them, got {len(right)} and {others}"
             )
         if self.of_poses or elsewhere is None:
             return replace(self, foreign_above=max(-_MATCH, self._strangest(right, map_xy, poses)))
@@ -328,11 +329,11 @@ class ErrorModel(Learned):
         return replace(model, foreign_above=strangest + _BETWEEN * max(0.0, usual - strangest))
 
     def _strangest(self, right: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> float:
-        """Return the strangeness of right answers that only the strangest of them pass."""
+        """Return the strangeness that only the strangest of the correct answers exceed."""
         return float(np.quantile(self._strangeness(right, map_xy, poses), _KEPT, method="lower"))
 
     def _strangeness(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> NDArray[np.float64]:
-        """Return how little each query shows of what the map shows (n,)."""
+        """Return how little of the map each query shows (n,)."""
         if not self.of_poses:
             return self.scores(found, map_xy) + self.foreign_weight * found.distances[:, 0]
         return -self._told(poses).match
@@ -344,7 +345,7 @@ class ErrorModel(Learned):
         return poses
 
     def lost(self, expected: ArrayLike) -> NDArray[np.bool_]:
-        """Return for which expected errors (n,) the robot counts as lost; `judged` knows foreign queries besides.
+        """Return for which expected errors (n,) the robot counts as lost; `judged` also considers foreign queries.
 
         Raises:
             ConfigError: no threshold was chosen.

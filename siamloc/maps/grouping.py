@@ -32,10 +32,10 @@ class Rooms(Settings):
 
 @dataclass(frozen=True)
 class Sample(Settings):
-    """Runs of consecutive frames: the baseline of the clusterings ([C] 5.4).
+    """Runs of consecutive frames: the baseline for the clusterings ([C] 5.4).
 
     Attributes:
-        nodes: how many.
+        nodes: number of nodes.
     """
 
     WHERE = "build"
@@ -48,9 +48,9 @@ class Spectral(Settings):
     """Normalized spectral clustering of the descriptors ([C] 3).
 
     Attributes:
-        nodes: how many.
+        nodes: number of nodes.
         sigma: width of the Gaussian similarity; chosen from the descriptors if None.
-        neighbours: a sparse graph of that many neighbours for each frame; all of them if None.
+        neighbours: neighbours of each frame in a sparse graph; a full graph if None.
         assign: how eigenvectors become nodes.
     """
 
@@ -67,7 +67,7 @@ class SelfOrganizing(Settings):
     """A self-organizing map of the descriptors ([C] 3).
 
     Attributes:
-        grid: rows and columns of its places; at most as many nodes.
+        grid: rows and columns of its units; each unit gives at most one node.
     """
 
     WHERE = "build"
@@ -77,7 +77,7 @@ class SelfOrganizing(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Incremental(Parameters, Settings):
-    """The mapper that grows node by node while the robot drives ([I] 4, [T] 4.3, 4.6); see its `Parameters`."""
+    """The incremental mapper, which adds nodes while the robot drives ([I] 4, [T] 4.3, 4.6); see its `Parameters`."""
 
     WHERE = "build"
 
@@ -99,15 +99,15 @@ WAYS: dict[str, type[Settings]] = {
 
 @dataclass(frozen=True, repr=False)
 class Built:
-    """A coarse layer and how it came about.
+    """A coarse layer and how it was built.
 
     Attributes:
         layer: nodes over the frames of the map.
-        seconds: what each frame took (n,) where frames came one by one; what all of them took (1,) otherwise.
-        map_digest: of the map it was built over.
-        reasons: names of `analytic.Reason`, why the incremental mapper put each frame (n) where it did at the time;
-            empty for the other ways.
-        mapper: the incremental map; None for the other ways, and after `load`.
+        seconds: time for each frame (n,) if frames were added one by one, else for all of them (1,).
+        map_digest: digest of the map it was built over.
+        reasons: names of `analytic.Reason` for each frame (n): why the incremental mapper put it where it did at the
+            time; empty for the other methods.
+        mapper: the incremental map; None for the other methods, and after `load`.
     """
 
     layer: CoarseLayer
@@ -120,10 +120,10 @@ class Built:
         return f"Built({self.summary()})"
 
     def check_map(self, known: VisualMap) -> None:
-        """Make sure that the layer was built over a map.
+        """Check that the layer was built over a map.
 
         Raises:
-            DataError: it was built over another one.
+            DataError: it was built over another map.
         """
         if self.map_digest != known.digest:
             raise DataError(
@@ -133,16 +133,16 @@ class Built:
 
     @typed
     def save(self, folder: str | Path) -> None:
-        """Write the layer with all that explains it into a folder.
+        """Write the layer, and how it was built, to a folder.
 
         Raises:
-            StorageError: the disk refuses.
+            StorageError: the disk is full or cannot be written to.
         """
         folder = Path(folder)
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         with storage_errors(folder), held(folder, wait=True):
-            # Removed first and written last: if this is interrupted, no layer lies next to what explains another.
+            # Removed first and written last: an interruption leaves no layer next to the explanation of another.
             (folder / "layer.npz").unlink(missing_ok=True)
             placing = {"seconds": self.seconds.tolist(), "reasons": list(self.reasons), "map": self.map_digest}
             write_json(folder / "placing.json", placing)
@@ -155,7 +155,7 @@ class Built:
             self.layer.save(folder / "layer.npz")
 
     def summary(self, folder: str | Path | None = None) -> str:
-        """Say in one line what was built, and where it lies."""
+        """Return one line about what was built, and where it is stored."""
         lost = int((self.layer.labels < 0).sum())
         none = f", {lost} frames in none" if lost else ""
         where, frames = "" if folder is None else f"layer: {folder}, ", len(self.layer.labels)
@@ -173,7 +173,7 @@ class Built:
         """Read what `save` wrote, except the mapper: that is `analytic.IncrementalMapper.load(folder / "mapper.npz")`.
 
         Raises:
-            FormatError: a file is missing, cut short, something else, or of a newer version.
+            FormatError: a file is missing, truncated, of another kind, or of a newer version.
         """
         folder = Path(folder)
         layer, placing = CoarseLayer.load(folder / "layer.npz"), read_json(folder / "placing.json")
@@ -197,17 +197,17 @@ def group(
     """Group the frames of a map into the nodes of a coarse layer.
 
     Args:
-        known: n frames in capture order.
+        known: a map of n frames in capture order.
         way: a name in `WAYS`: "rooms", "sample", "spectral", "som" or "incremental".
-        seed: of clusterings.
-        folder: where the layer is kept. One that was built over this map in the same way is read from there;
-            otherwise the new one is written. Nothing is written if None.
-        progress: whether to show how far the incremental mapper is.
-        **parameters: those of the way; see its settings, such as `Spectral`.
+        seed: seed of the clusterings.
+        folder: folder of the layer. A layer that was built over this map in the same way is read from there, otherwise
+            the result is written there. Nothing is written if None.
+        progress: whether to show the progress of the incremental mapper.
+        **parameters: parameters of the method; see its settings, such as `Spectral`.
 
     Raises:
-        ConfigError: an unknown way or parameter, one out of range, or descriptors that this way cannot group.
-        DataError: no frame has a room label, or no frame came into a node.
+        ConfigError: an unknown method or parameter, a value out of range, or descriptors that it cannot group.
+        DataError: no frame has a room label, or no frame ended up in a node.
         AnalyticError: mapper parameters that contradict each other, or descriptors that cannot be clustered.
 
     Example:
@@ -234,7 +234,7 @@ def group(
 
 
 def _built_before(folder: Path, known: VisualMap, made: dict[str, Any]) -> Built | None:
-    """Return what was built over this map in this way, if it lies in the folder."""
+    """Return the layer in a folder if it was built over this map in this way, else None."""
     if not (folder / "layer.npz").is_file():
         return None
     try:
@@ -242,7 +242,7 @@ def _built_before(folder: Path, known: VisualMap, made: dict[str, Any]) -> Built
     except FormatError:
         return None
     same = all(built.layer.made.get(key) == value for key, value in made.items())
-    if made["name"] == "rooms" and built.layer.classifier is None:  # the map's network was not there then
+    if made["name"] == "rooms" and built.layer.classifier is None:  # the map's network was missing then
         same = same and naming(known, built.layer) is None
     return built if same and built.map_digest == known.digest else None
 

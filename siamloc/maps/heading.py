@@ -1,4 +1,4 @@
-"""Headings in a map of a network: by the orientation parts of the network, or of an analytic descriptor beside it."""
+"""Headings in a network's map, from the orientation parts of the network or of an additional analytic descriptor."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from siamloc.maps.packing import all_finite, packed
 
 @dataclass(frozen=True, eq=False)
 class HeadingPart:
-    """What a network, or an analytic descriptor beside it, keeps of a map's frames to find headings by.
+    """Orientation parts of a map's frames, from a network or an additional analytic descriptor, that give headings.
 
     Values are in half precision, those of each frame scaled by a power of two that brings the largest one to
-    2^13 ... 2^14: a heading is the turn of the largest correlation, which no scale changes.
+    2^13 ... 2^14: a heading is the turn with the largest correlation, and no scale changes that.
 
     Attributes:
-        identity: name and parameters of the analytic descriptor, as plain values; {"name": "network"} for what the
-            network that describes the map gives itself.
+        identity: name and parameters of the analytic descriptor, as plain values; {"name": "network"} if the parts
+            come from the network that describes the map.
         values: (n, K, F) float16, or (n, K, F, 2) for complex ones; read-only.
 
     Raises:
@@ -53,7 +53,7 @@ class HeadingPart:
 
     @classmethod
     def of(cls, descriptor: Descriptor, orientation: NDArray[Any]) -> HeadingPart:
-        """Return what is kept of the orientation parts (n, K, F) that a descriptor made.
+        """Create the heading part from the orientation parts (n, K, F) of a descriptor.
 
         Raises:
             DataError: values that are not finite.
@@ -67,7 +67,7 @@ class HeadingPart:
 
     @property
     def own(self) -> bool:
-        """Whether the descriptor of the map gives it, in one pass with the position part."""
+        """Whether it comes from the map's own descriptor, in one pass with the position part."""
         return self.identity.get("name") == NetworkHeading.name
 
     @property
@@ -77,12 +77,12 @@ class HeadingPart:
         return full if full.ndim == 3 else full.view(np.complex64)[..., 0]
 
     def take(self, rows: Any) -> HeadingPart:
-        """Return the rows given by positions or by a mask."""
+        """Return some rows, given by index or by a mask."""
         return HeadingPart(self.identity, self.values[rows])
 
     @cached_property
     def descriptor(self) -> Descriptor:
-        """What compares: the analytic descriptor, on the CPU, which loads torch only when it describes an image.
+        """The descriptor that compares the parts; an analytic one runs on the CPU and loads torch only to describe.
 
         Raises:
             AnalyticError: a descriptor or a parameter that this version does not know.
@@ -91,12 +91,12 @@ class HeadingPart:
 
 
 def is_analytic(identity: Mapping[str, Any]) -> bool:
-    """Find out whether an identity is that of an analytic descriptor, which can be made from it."""
+    """Whether an identity is that of an analytic descriptor, which can be created from it."""
     return identity.get("name") in (Thumbnail.name, *DESCRIPTORS)
 
 
 def without_images(identity: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an identity without how images became panoramas: that of the descriptor alone."""
+    """Return the identity of the descriptor alone, without the entry on how images became panoramas."""
     return {key: value for key, value in identity.items() if key != "images"}
 
 
@@ -118,7 +118,7 @@ def descriptor_of(identity: Mapping[str, Any], device: str | None = None) -> Des
 
 
 class NetworkHeading(BetweenColumns):
-    """Headings by the orientation parts that a network made, without the network: it compares them, and needs no torch.
+    """Compare orientation parts that a network computed, without the network and without torch.
 
     Example:
         >>> seen = np.random.default_rng(0).random((1, 16, 8))
@@ -131,11 +131,11 @@ class NetworkHeading(BetweenColumns):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Name and version of how the parts are made: which network it was stands in the identity of the map."""
+        """Name and version of the parts' format; the network itself is named in the identity of the map."""
         return {"name": self.name, "version": 1}
 
     def describe(self, batch: ArrayLike) -> Description:
-        """Refuse: only the network describes images.
+        """Always raise an error: only the network describes images.
 
         Raises:
             ConfigError: always.
@@ -147,8 +147,8 @@ class WithHeading(Descriptor):
     """The position part of one descriptor with the orientation part of another, in one pass over the images.
 
     Args:
-        position: what finds places, such as a trained network.
-        heading: what finds headings, an analytic descriptor.
+        position: descriptor that finds places, such as a trained network.
+        heading: analytic descriptor that gives headings.
 
     Raises:
         ConfigError: a pair that does not work together.
@@ -185,5 +185,5 @@ class WithHeading(Descriptor):
         return self.position.pairwise(queries, references, distance or self.position.default_distance)
 
     def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
-        """Return the relative heading by the orientation parts; see `Descriptor.relative_heading`."""
+        """Return the relative heading from the orientation parts; see `Descriptor.relative_heading`."""
         return self.heading.relative_heading(query, reference)

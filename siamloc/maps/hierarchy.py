@@ -1,14 +1,14 @@
 """Hierarchical search: the nearest map frames among those of a few nodes, exactly ([T] 5.2.1).
 
-First the nodes of a coarse layer are ranked, then the frames in the best of them are searched; queries that want the
-same node are compared with it together. With all nodes as candidates the answer is that of the whole map.
+First the nodes of a coarse layer are ranked, then the frames in the best of them are searched; queries with the same
+candidate node are compared with it together. With all nodes as candidates, the result is that of the whole map.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,9 +18,16 @@ from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.matching import match, nearest_in_rows
+from siamloc.maps.ranking import (
+    NodeRanking,
+    check_candidates,
+    check_ratio,
+    nearest_nodes,
+    rank_by_classifier,
+    rank_by_vote,
+)
 from siamloc.maps.search import Retrieval, VectorIndex, check_neighbours
 from siamloc.maps.visual_map import VisualMap
-from siamloc.models.room_classifier import RoomClassifier
 from siamloc.settings import Count, Natural, Rule, Settings
 
 if TYPE_CHECKING:
@@ -28,27 +35,26 @@ if TYPE_CHECKING:
     from siamloc.data.library import PanoramaLibrary
 
 Ranking = Literal["representatives", "vote", "classifier"]
-"""How nodes are ranked for a query: by their representatives ([C] 4), by the vote of the nearest map frames, or, where
-they are rooms, by the network that was trained to name them ([T] 5.4.3)."""
+"""How nodes are ranked for a query: by their representatives ([C] 4), by the votes of the nearest map frames, or, if
+the nodes are rooms, by the classifier that a network was trained with to name them ([T] 5.4.3)."""
 
-_ALIGNED_PAIRS = 1 << 17  # distances at the best turn held at once
+_ALIGNED_PAIRS = 1 << 17  # distances at the best turn, in memory at once
 _FOUND = 1 << 21  # neighbours gathered before they are sorted
-_COUNTS = 1 << 22  # votes counted at once
 
 _BY_QUERY = ("node", "tried", "frames_compared", "nodes_compared")
 
 
 @dataclass(frozen=True, eq=False)
 class HierarchicalRetrieval:
-    """What a hierarchical search found.
+    """Result of a hierarchical search.
 
     Attributes:
-        found: the nearest frames of those searched (n, k). Where these are fewer than k, the nearest one is repeated at
+        found: the nearest of the searched frames (n, k). If there are fewer than k, the nearest one is repeated at
             infinite distance.
-        node: (n,) the node of the nearest frame, UNASSIGNED if that is in none.
-        tried: (n, c) the nodes searched, as ranked.
-        frames_compared: (n,) frames searched, those in no node among them.
-        nodes_compared: (n,) descriptors compared to rank the nodes.
+        node: (n,) the node of the nearest frame, UNASSIGNED if it is in none.
+        tried: (n, c) the nodes searched, best first.
+        frames_compared: (n,) number of frames searched, including those in no node.
+        nodes_compared: (n,) number of descriptors compared to rank the nodes.
     """
 
     found: Retrieval
@@ -62,76 +68,32 @@ class HierarchicalRetrieval:
 
     @property
     def compared(self) -> NDArray[np.int64]:
-        """Descriptors compared for each query (n,), in both layers."""
+        """Number of descriptors compared for each query (n,), in both layers."""
         return self.frames_compared + self.nodes_compared
 
     @staticmethod
     def concatenate(parts: Sequence[HierarchicalRetrieval]) -> HierarchicalRetrieval:
-        """Return what was found for one batch of queries after the other."""
+        """Join the results of consecutive batches of queries."""
         found = Retrieval.concatenate([part.found for part in parts])
         return HierarchicalRetrieval(
             found, *(np.concatenate([getattr(part, name) for part in parts]) for name in _BY_QUERY)
         )
 
     def take(self, rows: NDArray) -> HierarchicalRetrieval:
-        """Return what was found for some of the queries: their numbers, or a mask."""
+        """Return the result for some of the queries, given by index or by a mask."""
         return HierarchicalRetrieval(self.found.take(rows), *(getattr(self, name)[rows] for name in _BY_QUERY))
-
-
-@dataclass(frozen=True, eq=False)
-class NodeRanking:
-    """The candidate nodes of each query.
-
-    Attributes:
-        nodes: (n, c) the best first, no node twice in a row; UNASSIGNED where a query has fewer candidates.
-        compared: (n,) descriptors that were compared to rank them.
-
-    Raises:
-        DataError: arrays that do not fit each other, or a node that appears twice in a row.
-    """
-
-    nodes: NDArray[np.int64]
-    compared: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        nodes, compared = np.asarray(self.nodes), np.asarray(self.compared)
-        whole = nodes.dtype.kind in "iu" and compared.dtype.kind in "iu"
-        if not whole or nodes.ndim != 2 or not nodes.shape[1] or compared.shape != nodes.shape[:1]:
-            raise DataError(
-                f"a ranking needs whole numbers of nodes (n, c) and of comparisons (n,), got {nodes.dtype} "
-                f"{nodes.shape} and {compared.dtype} {compared.shape}"
-            )
-        ordered = np.sort(nodes, axis=1)
-        if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != UNASSIGNED)).any():
-            raise DataError("a ranking names a node twice for one query: rank each node once")
-        object.__setattr__(self, "nodes", nodes.astype(np.int64, copy=False))
-        object.__setattr__(self, "compared", compared.astype(np.int64, copy=False))
-
-    def __len__(self) -> int:
-        return len(self.nodes)
-
-    def take(self, rows: NDArray) -> NodeRanking:
-        """Return the ranking for some of the queries: their numbers, or a mask."""
-        return NodeRanking(self.nodes[rows], self.compared[rows])
-
-    @staticmethod
-    def concatenate(parts: Sequence[NodeRanking]) -> NodeRanking:
-        """Return the rankings for one batch of queries after the other."""
-        return NodeRanking(
-            np.concatenate([part.nodes for part in parts]), np.concatenate([part.compared for part in parts])
-        )
 
 
 @dataclass(frozen=True)
 class LayerSearch(Settings):
-    """How a coarse layer is searched first; see `HierarchicalSearch`.
+    """How a coarse layer is searched before the frames; see `HierarchicalSearch`.
 
     Attributes:
         by: how nodes are ranked; see `Ranking`.
-        candidates: nodes searched for each query.
-        neighbours: map frames that vote.
-        ratio: candidates whose representative is farther than so many times the nearest one are not searched.
-        along: frames beside the nearest one, in its drive, that are searched as well.
+        candidates: number of nodes searched for each query.
+        neighbours: number of map frames that vote.
+        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched.
+        along: number of frames before and after the nearest one, in its drive, that are searched as well.
     """
 
     WHERE = "search"
@@ -143,27 +105,27 @@ class LayerSearch(Settings):
     along: Natural = 0
 
     def of_map(self, known: VisualMap, layer: CoarseLayer, coarse: VisualMap | None = None) -> HierarchicalSearch:
-        """Return the search of a map; see `HierarchicalSearch` for what it takes and refuses."""
+        """Return the search of a map; arguments and errors as for `HierarchicalSearch`."""
         return HierarchicalSearch(known, layer, coarse=coarse, **self.plain())
 
 
 class HierarchicalSearch:
-    """A map made ready for searching inside nodes.
+    """A map prepared for searching inside nodes.
 
-    Frames that are in no node are searched for every query, whatever nodes it tries: otherwise they could not be found
-    at all. The comparisons count them.
+    Frames that are in no node are searched for every query, whatever its candidate nodes: otherwise they could not be
+    found at all. They count as comparisons.
 
     Args:
-        known: m frames.
+        known: a map of m frames.
         layer: nodes over the same m frames, built over `coarse`.
-        coarse: a map of the same frames by another descriptor, which ranks the nodes; `known` if None.
+        coarse: a map of the same frames with another descriptor, which ranks the nodes; `known` if None.
         by: how nodes are ranked; see `Ranking`.
-        candidates: nodes searched for each query; all of them if there are fewer.
-        neighbours: map frames that vote.
-        ratio: candidates whose representative is farther than so many times the nearest one are not searched, at
-            least 1: most queries then search one node, those between two nodes both; None searches all candidates.
-        along: so many frames before and after the nearest one, in its drive, are searched as well where they lie in
-            another node: for queries at the border of a node. The map then holds each drive's frames in their order.
+        candidates: number of nodes searched for each query; all of them if there are fewer.
+        neighbours: number of map frames that vote.
+        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched,
+            at least 1: most queries then search one node, those between two nodes both; None searches all candidates.
+        along: number of frames before and after the nearest one, in its drive, that are searched as well if they lie
+            in another node: for queries at the border of a node. The frames of each drive must then be in order.
 
     Attributes:
         known: the map.
@@ -171,9 +133,9 @@ class HierarchicalSearch:
         coarse: the map that ranks the nodes.
 
     Raises:
-        ConfigError: numbers below 1, or below 0 for `along`, an unknown way to rank, a ratio without representatives,
-            representatives of descriptors that are compared only after turning, whose means have no meaning, or nodes
-            that no classifier names.
+        ConfigError: numbers below 1, or below 0 for `along`, an unknown ranking, a ratio without representatives,
+            representatives of descriptors that are compared only after turning, whose means are meaningless, or nodes
+            without a classifier that names them.
         DataError: a layer or a coarse map of other frames.
 
     Example:
@@ -213,18 +175,18 @@ class HierarchicalSearch:
             raise ConfigError(_not_naming(self.coarse, layer))
         if by == "representatives" and self.coarse.aligned:
             raise ConfigError(
-                f"descriptors of {self.coarse.descriptor.name} are compared after turning, and their means stand for "
-                "nothing: rank nodes by vote, or by another descriptor"
+                f"descriptors of {self.coarse.descriptor.name} are compared after turning, so their means are "
+                "meaningless: rank nodes by vote, or by another descriptor"
             )
         if ratio is not None and by != "representatives":
             raise ConfigError("a ratio compares distances of representatives: leave it out, or rank by representatives")
-        self._ratio = _check_ratio(ratio)
-        self._by, self._candidates, self._neighbours = by, _check_candidates(candidates), check_neighbours(neighbours)
+        self._ratio = check_ratio(ratio)
+        self._by, self._candidates, self._neighbours = by, check_candidates(candidates), check_neighbours(neighbours)
         if along != int(along) or along < 0:
             raise ConfigError(f"frames along the drive are a whole number from 0, got along={along}")
         self._steps = np.array([step for step in range(-int(along), int(along) + 1) if step], dtype=np.int64)
         self._order = np.argsort(layer.labels, kind="stable")
-        # Block b holds node b - 1: the frames in no node come first.
+        # Block b holds node b - 1; frames in no node come first.
         self._bounds = np.searchsorted(layer.labels[self._order], np.arange(UNASSIGNED, len(layer) + 1))
         self._representatives: VectorIndex | None = None
         self._aligned_parts: dict[int, Description] = {}
@@ -233,15 +195,15 @@ class HierarchicalSearch:
         return len(self.known)
 
     def find(self, images: PanoramaLibrary, frames: FrameTable, k: int = 1) -> HierarchicalRetrieval:
-        """Describe frames, rank the nodes for each and return its k nearest map frames among the best of them.
+        """Describe frames, rank the nodes for each, and return its k nearest map frames in the best nodes.
 
         Args:
             images: panoramas of the frames.
             frames: n queries.
-            k: how many map frames to return for each.
+            k: number of map frames to return for each.
 
         Raises:
-            AnalyticError, ConfigError, DataError: as `rank` and `search`.
+            AnalyticError, ConfigError, DataError: as for `rank` and `search`.
         """
         from siamloc.maps.describing import describe
 
@@ -254,7 +216,7 @@ class HierarchicalSearch:
         )
 
     def rank(self, queries: Description) -> NodeRanking:
-        """Return the candidate nodes of queries (n), described by the descriptor of `coarse`.
+        """Return the candidate nodes of queries (n) that were described with the descriptor of `coarse`.
 
         Raises:
             AnalyticError, DataError: descriptions that cannot be compared with the coarse map.
@@ -268,21 +230,21 @@ class HierarchicalSearch:
             return rank_by_classifier(queries.position, self.layer.classifier, self._candidates)
         if self._representatives is None:
             self._representatives = VectorIndex(self.layer.representatives, self.coarse.distance)
-        return _nearest_nodes(self._representatives, queries.position, self._candidates, self._ratio)
+        return nearest_nodes(self._representatives, queries.position, self._candidates, self._ratio)
 
     def search(self, queries: Description | ArrayLike, ranking: NodeRanking, k: int = 1) -> HierarchicalRetrieval:
-        """Return the k nearest frames of each query among those of its candidate nodes, and `along` them, exactly.
+        """Return the exact k nearest frames of each query in its candidate nodes, and `along` the nearest one.
 
-        Of equally near frames the smaller row of the map comes first. The answer does not depend on the other queries.
+        Of equally near frames, the smaller row of the map comes first. The result does not depend on other queries.
 
         Args:
-            queries: n descriptions, or their vectors (n, D) where the descriptor is not aligned.
+            queries: n descriptions, or their vectors (n, D) if the descriptor is not aligned.
             ranking: the candidate nodes of each.
-            k: how many frames to return, at least 1; min(k, m) of them.
+            k: number of frames to return, at least 1; min(k, m) are returned.
 
         Raises:
-            AnalyticError, ConfigError, DataError: queries that do not fit the map or the ranking, a query without
-                anything to search, or a k below 1.
+            AnalyticError, ConfigError, DataError: queries that do not match the map or the ranking, a query with
+                nothing to search, or a k below 1.
         """
         described = queries if isinstance(queries, Description) else Description(np.asarray(queries))
         n, k = len(described), min(check_neighbours(k), len(self))
@@ -308,14 +270,14 @@ class HierarchicalSearch:
         return HierarchicalRetrieval(best, node, nodes, searched, ranking.compared)
 
     def _fill(self, best: Retrieval, queries: Description, nodes: NDArray[np.int64]) -> None:
-        """Write what each query finds in its nodes, and among the frames in no node, in place."""
+        """Write the nearest frames of each query in its nodes, and among the frames in no node, in place."""
         k, hits = best.indices.shape[1], []
         for node in np.union1d(nodes, UNASSIGNED).tolist():
             rows = self._order[self._bounds[node + 1] : self._bounds[node + 2]]
             if not len(rows):
                 continue
             everyone = np.arange(len(nodes)) if node == UNASSIGNED else np.flatnonzero((nodes == node).any(axis=1))
-            if self.known.aligned and node not in self._aligned_parts:  # kept with its spectrum, for the next queries
+            if self.known.aligned and node not in self._aligned_parts:  # kept, with its spectrum, for later queries
                 self._aligned_parts[node] = self.known.description.take(rows)
             found = self._inside(rows, self._aligned_parts.get(node), queries.take(everyone), k)
             hits.append((np.repeat(everyone, found.indices.shape[1]), found.indices.ravel(), found.distances.ravel()))
@@ -329,7 +291,7 @@ class HierarchicalSearch:
         best.distances[query[near], rank[near]] = apart[order][near]
 
     def _fill_along(self, best: Retrieval, queries: Description, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Search beside the nearest frame of each query, in place, and return how many frames were compared (n,)."""
+        """Search along the drive of each query's nearest frame, in place; return the number of frames compared (n,)."""
         nearest = best.indices[:, :1]
         beside = nearest + self._steps
         inside = (beside >= 0) & (beside < len(self))
@@ -349,7 +311,7 @@ class HierarchicalSearch:
         return further.sum(axis=1)
 
     def _inside(self, rows: NDArray[np.int64], part: Description | None, queries: Description, k: int) -> Retrieval:
-        """Return the nearest of some rows of the map, described by `part` where descriptors are aligned."""
+        """Return the nearest of some rows of the map, described by `part` if descriptors are aligned."""
         if part is None:
             return self.known.index.search(queries.position, k, within=rows)
         step = max(1, _ALIGNED_PAIRS // len(rows))
@@ -362,49 +324,8 @@ class HierarchicalSearch:
         return Retrieval(rows[found.indices], found.distances)
 
 
-def rank_by_representatives(
-    queries: ArrayLike,
-    representatives: ArrayLike,
-    candidates: int = 1,
-    distance: str = "euclidean",
-    ratio: float | None = None,
-) -> NodeRanking:
-    """Rank nodes by the distance of a query to what stands for each ([C] 4).
-
-    Args:
-        queries: (n, D), described as the representatives were.
-        representatives: (k, D), those of a `CoarseLayer`.
-        candidates: how many nodes to keep; all of them if there are fewer.
-        distance: that of the map that the coarse layer was made of.
-        ratio: nodes farther than so many times the nearest one are no candidates; see `HierarchicalSearch`.
-
-    Raises:
-        ConfigError: a number of candidates or a ratio below 1, or an unknown distance.
-        DataError: vectors that do not fit each other.
-    """
-    index = VectorIndex(representatives, distance)
-    return _nearest_nodes(index, queries, _check_candidates(candidates), _check_ratio(ratio))
-
-
-def rank_by_classifier(queries: ArrayLike, classifier: RoomClassifier, candidates: int = 1) -> NodeRanking:
-    """Rank nodes by the probability that a classifier gives each, the most probable first ([T] 5.4.3, "CNN simple").
-
-    Args:
-        queries: (n, D), described by the network that the classifier was trained with.
-        classifier: with a class for each node, that of a `CoarseLayer`.
-        candidates: how many nodes to keep; all of them if there are fewer.
-
-    Raises:
-        ConfigError: a number of candidates below 1.
-        DataError: vectors of another length.
-    """
-    scores, keep = classifier.scores(queries), _check_candidates(candidates)
-    nodes = np.argsort(-scores, axis=1, kind="stable")[:, :keep].astype(np.int64)
-    return NodeRanking(nodes, np.full(len(scores), len(classifier)))
-
-
 def _not_naming(known: VisualMap, layer: CoarseLayer) -> str:
-    """Say why no classifier names the nodes of a layer."""
+    """Return the reason why no classifier names the nodes of a layer."""
     rooms = getattr(known.describes, "rooms", None)
     if rooms is None:
         return (
@@ -423,92 +344,3 @@ def _not_naming(known: VisualMap, layer: CoarseLayer) -> str:
         if unknown
         else "the nodes were built without the classifier: build them again over the map with its network"
     )
-
-
-def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compared: int | None = None) -> NodeRanking:
-    """Rank nodes by how many of the nearest map frames lie in them; of equal numbers, that of the nearest one first.
-
-    Nodes without a vote are no candidates, so that a query may have fewer than asked for. Frames in no node have none.
-
-    Args:
-        found: the nearest frames of the coarse map for each query (n, k): k votes.
-        labels: (m,) the node of each frame of the coarse map.
-        candidates: how many nodes to keep.
-        compared: descriptors compared for one query; all m if None.
-
-    Raises:
-        ConfigError: a number of candidates below 1.
-        DataError: retrieved frames that have no label.
-    """
-    keep, node = _check_candidates(candidates), _labels(labels)
-    if found.indices.size and (found.indices.min() < 0 or found.indices.max() >= len(node)):
-        raise DataError(f"the votes must come from the {len(node)} frames that have labels, rows 0 to {len(node) - 1}")
-    n, k = found.indices.shape
-    total = max(int(node.max()) + 1, 1)
-    kept = np.full((n, min(keep, total)), UNASSIGNED, dtype=np.int64)
-    step = max(1, _COUNTS // total)
-    for start in range(0, n, step):
-        part = slice(start, start + step)
-        kept[part] = _elected(node[found.indices[part]], total, k)[:, : kept.shape[1]]
-    return NodeRanking(kept, np.full(n, len(node) if compared is None else compared))
-
-
-def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) -> NodeRanking:
-    """Return the node of the geometrically nearest map frame: the perfect coarse layer, which no query has for itself.
-
-    A query whose nearest frame is in no node has none.
-
-    Args:
-        query_xy: (n, 2) true positions.
-        map_xy: (m, 2).
-        labels: (m,) the node of each map frame.
-
-    Raises:
-        DataError: arrays that do not fit each other, or a position that is not finite.
-    """
-    node, index = _labels(labels), VectorIndex(map_xy)
-    if len(node) != len(index):
-        raise DataError(f"{len(index)} map frames need as many labels, got {len(node)}")
-    closest = index.search(query_xy)
-    return NodeRanking(node[closest.indices], np.zeros(len(closest), dtype=np.int64))
-
-
-def _elected(votes: NDArray[np.int64], total: int, k: int) -> NDArray[np.int64]:
-    """Return all nodes (b, total) of some ballots (b, k), UNASSIGNED in place of those without a vote."""
-    row, place = np.nonzero(votes != UNASSIGNED)
-    node = votes[row, place]
-    count = np.zeros((len(votes), total), dtype=np.int64)
-    first = np.full((len(votes), total), k, dtype=np.int64)
-    np.add.at(count, (row, node), 1)
-    np.minimum.at(first, (row, node), place)
-    order = np.argsort(first - count * (k + 1), axis=1, kind="stable")
-    return np.where(np.take_along_axis(count, order, axis=1) > 0, order, UNASSIGNED)
-
-
-def _labels(labels: ArrayLike) -> NDArray[np.int64]:
-    node = np.asarray(labels)
-    if node.ndim != 1 or not len(node) or node.dtype.kind not in "iu" or (node < UNASSIGNED).any():
-        raise DataError(f"labels must be whole numbers of shape (m,), -1 or more, got {node.dtype} {node.shape}")
-    return node.astype(np.int64, copy=False)
-
-
-def _nearest_nodes(
-    representatives: VectorIndex, queries: ArrayLike, candidates: int, ratio: float | None
-) -> NodeRanking:
-    found = representatives.search(queries, candidates)
-    nodes = found.indices
-    if ratio is not None:
-        nodes = np.where(found.distances <= ratio * found.distances[:, :1], nodes, UNASSIGNED)
-    return NodeRanking(nodes, np.full(len(found), len(representatives)))
-
-
-def _check_ratio(ratio: float | None) -> float | None:
-    if ratio is not None and not ratio >= 1:
-        raise ConfigError(f"a ratio of distances to the nearest node is 1 or more, got {ratio}")
-    return ratio
-
-
-def _check_candidates(candidates: Any) -> int:
-    if int(candidates) != candidates or candidates < 1:
-        raise ConfigError(f"hierarchical localization needs a whole number of candidate nodes >= 1, got {candidates}")
-    return int(candidates)

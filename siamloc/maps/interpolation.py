@@ -1,4 +1,4 @@
-"""A pose between map frames: the nearest ones by descriptor, weighted by the inverse of their distances."""
+"""Poses between map frames: the mean of the nearest ones by descriptor, weighted by inverse distance."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Poses:
 
     Attributes:
         xy: (n, 2) positions.
-        theta: (n,) headings, rad in (-pi, pi]; None where no headings were given, NaN where those used are unknown.
-        used: (n,) how many map frames each rests on.
+        theta: (n,) headings in rad, in (-pi, pi]; None if no headings were given, NaN where those used are unknown.
+        used: (n,) number of map frames behind each pose.
     """
 
     xy: NDArray[np.float64]
@@ -32,7 +32,7 @@ class Poses:
 
 
 def path_positions(frames: FrameTable) -> NDArray[np.float64]:
-    """Return how far along the path of its sequence each frame lies (m,), 0 for the first of each.
+    """Return how far along the path of its sequence each frame lies (m,), 0 for the first of each sequence.
 
     Raises:
         DataError: a frame without a position.
@@ -59,16 +59,16 @@ def interpolate_poses(
 ) -> Poses:
     """Return poses between the k nearest map frames of each query.
 
-    A frame at descriptor distance d weighs 1 / (d + epsilon). Only frames count that lie within a radius of the nearest
-    one along the map's own path: a frame that is near across a wall, or one elsewhere that looks alike, would draw
-    the mean to where the robot cannot be. Headings are averaged as directions.
+    A frame at descriptor distance d has the weight 1 / (d + epsilon). Only frames within a radius of the nearest one,
+    measured along the map's own path, count: a frame behind a wall, or one elsewhere that looks alike, would pull the
+    mean to a place where the robot cannot be. Headings are averaged as directions.
 
     Args:
-        found: by the search, at least min(k, m) neighbours of n queries.
-        frames: those of the map (m), in capture order inside each sequence, all with positions.
-        k: how many neighbours count at most; 1 gives the nearest frame's position exactly.
-        radius: along the path, in units of x and y, not negative; 0 leaves the frames at the nearest one's place.
-        headings: (n, k or more) heading of the query by each neighbour, rad; NaN where it gives none.
+        found: result of the search, at least min(k, m) neighbours of n queries.
+        frames: the map's frames (m), in capture order within each sequence, all with positions.
+        k: largest number of neighbours used; 1 gives the nearest frame's position exactly.
+        radius: along the path, in units of x and y, not negative; 0 leaves only frames at the nearest one's position.
+        headings: (n, k or more) heading of the query according to each neighbour, rad; NaN where there is none.
         epsilon: keeps the weight of an identical descriptor finite, positive.
 
     Raises:
@@ -91,7 +91,7 @@ def interpolate_poses(
     inside = (np.abs(along[near] - along[best]) <= radius) & (frames.sequence[near] == frames.sequence[best])
     weight = np.where(inside, 1 / (apart + epsilon), 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
-    # Offsets from the nearest frame: a single one has none, so that its position comes out to the last bit.
+    # Offsets from the nearest frame: for a single frame they are zero, so its position is reproduced to the last bit.
     xy = frames.xy[best[:, 0]] + np.einsum("nk,nkc->nc", weight, frames.xy[near] - frames.xy[best])
     theta = None if headings is None else _mean_heading(weight, headings, k)
     return Poses(xy, theta, (weight > 0).sum(axis=1))
@@ -104,7 +104,7 @@ def _mean_heading(weight: NDArray[np.float64], headings: ArrayLike, k: int) -> N
     angle = angle[:, :k]
     known = np.isfinite(angle) & (weight > 0)
     weight, angle = np.where(known, weight, 0.0), np.where(known, angle, 0.0)
-    # Turned back by the first known heading, so that one alone comes out to the last bit.
+    # Relative to the first known heading, so that a single one is reproduced to the last bit.
     first = np.take_along_axis(angle, known.argmax(axis=1)[:, None], axis=1)
     turned = angle - first
     mean = np.arctan2((weight * np.sin(turned)).sum(axis=1), (weight * np.cos(turned)).sum(axis=1))
@@ -112,6 +112,6 @@ def _mean_heading(weight: NDArray[np.float64], headings: ArrayLike, k: int) -> N
 
 
 def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return angles in (-pi, pi]; those that are there already are left as they are."""
+    """Return angles in (-pi, pi]; those already in this range are unchanged."""
     inside = (angle > -np.pi) & (angle <= np.pi)
     return np.where(inside, angle, np.pi - np.remainder(np.pi - angle, 2 * np.pi))

@@ -1,4 +1,4 @@
-"""`Learned`: plain values that were learned on a map, in a JSON file beside it."""
+"""`Learned`: plain values that were learned on a map, stored in a JSON file next to it."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ if TYPE_CHECKING:
 
 
 class Learned:
-    """Base of data classes of plain values with a field `map_digest`."""
+    """Base of dataclasses of plain values with a field `map_digest`."""
 
     FORMAT: ClassVar[str]
     VERSION: ClassVar[int]
     NOUN: ClassVar[str]
-    """What a file of it is called in messages, such as "error model"."""
+    """Name of the class in messages, such as "error model"."""
     map_digest: str
 
     def learned_on(self, known: VisualMap) -> bool:
-        """Find out whether this was learned on the frames of a map that have a position."""
+        """Whether this was learned on the frames of a map that have a position."""
         return bool(known.frames.has_position.any()) and self.map_digest == known.placed().digest
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
+        """Return the fields as plain values, with format and version."""
         return {"format": self.FORMAT, "version": self.VERSION, **asdict(self)}  # type: ignore[call-overload]
 
     @classmethod
     def from_dict(cls, values: Any, source: str | None = None) -> Self:
-        """Return what `as_dict` gave.
+        """Create an instance from what `as_dict` returned.
 
         Args:
-            values: plain values, as JSON gives them back.
+            values: plain values, as read from JSON.
             source: what to call them in an error message.
 
         Raises:
-            FormatError: something else, or of a newer version.
+            FormatError: values of another kind, or of a newer version.
         """
         source = f"the {cls.NOUN}" if source is None else source
         if not isinstance(values, Mapping) or values.get("format") != cls.FORMAT:
@@ -64,15 +64,15 @@ class Learned:
 
     @classmethod
     def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
-        """Return the values of an older version as those of this one."""
+        """Convert the values of an older version to those of the current one."""
         return held
 
     @typed
     def save(self, path: str | Path) -> None:
-        """Write it as JSON, atomically.
+        """Write the values as JSON, atomically.
 
         Raises:
-            StorageError: the disk refuses.
+            StorageError: the disk is full or cannot be written to.
         """
         write_json(path, self.as_dict())
 
@@ -82,16 +82,16 @@ class Learned:
         """Read what `save` wrote.
 
         Raises:
-            FormatError: the file is missing, cut short, something else, or of a newer version.
+            FormatError: the file is missing, truncated, of another kind, or of a newer version.
         """
         return cls.from_dict(read_json(path), str(path))
 
     @classmethod
     def saved(cls, path: str | Path, known: VisualMap | None = None) -> Self | None:
-        """Read what `save` wrote if it is there and, where a map is given, was learned on it; None if not.
+        """Read what `save` wrote; None if the file is missing or, if a map is given, was not learned on it.
 
         Raises:
-            FormatError: the file is cut short, something else, or of a newer version.
+            FormatError: the file is truncated, of another kind, or of a newer version.
         """
         if not Path(path).is_file():
             return None

@@ -1,4 +1,4 @@
-"""The file of a map: an npz archive of descriptors, frames, what gives headings, and a header in JSON."""
+"""The file format of maps: an npz archive of descriptors, frames, heading parts and a JSON header."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def write_map(
     heading: HeadingPart | None,
     precision: Precision,
 ) -> None:
-    """Write what a map holds, atomically; equal contents give equal files.
+    """Write a map, atomically; equal contents give equal files.
 
     Args:
-        path: of the file.
+        path: the file to write.
         descriptors: (n, D).
-        frames: n of them.
+        frames: the n frames.
         about: `identity`, `distance`, `unit` and `made`, as plain values.
-        orientation: (n, K, F); not written twice where it is the descriptors in another shape and memory.
-        heading: by what headings are found besides.
-        precision: of descriptors; orientation parts are kept no shorter than float16.
+        orientation: (n, K, F); not written again if it shares its memory with the descriptors.
+        heading: the separate heading part, if any.
+        precision: of descriptors; orientation parts have at least float16.
 
     Raises:
-        StorageError: the disk refuses.
+        StorageError: the disk is full or cannot be written to.
     """
     header = {
         "format": _FORMAT,
@@ -69,7 +69,7 @@ def write_map(
             arrays.update(packed("orientation", arrays["orientation"], "float16"))
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, array in arrays.items():
-            # A fixed date keeps the file a function of its contents; text shrinks to little, descriptors do not.
+            # With a fixed date, the file depends only on its contents. Text compresses well, descriptors do not.
             entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind == "U" else zipfile.ZIP_STORED
             with archive.open(entry, "w", force_zip64=True) as member:
@@ -77,15 +77,15 @@ def write_map(
 
 
 def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> dict[str, Any]:
-    """Read what `write_map` wrote, as what a `VisualMap` is made of, by name.
+    """Read a file that `write_map` wrote and return the fields of a `VisualMap` by name.
 
     Args:
-        content: the file, or one opened for reading, with a beginning and an end.
+        content: the path, or a seekable file open for reading.
         path: what to call it in error messages.
-        short: whether descriptors of fewer digits stay as they are (`Packed`) where they can be compared so.
+        short: whether descriptors of lower precision stay as they are (`Packed`) if they can be compared that way.
 
     Raises:
-        FormatError: a file that is cut short, altered, not a map, or of a newer version.
+        FormatError: a file that is truncated, altered, not a map, or of a newer version.
     """
     damaged = f"{path} is not a siamloc map, or not a whole one: build it again"
     try:
@@ -125,20 +125,20 @@ def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> dict[st
 
 
 def not_whole(path: str | Path, error: Exception) -> FormatError:
-    """Return the error for a file whose parts do not make a map."""
+    """Return the error for a file whose parts do not form a map."""
     return FormatError(f"{path} is not a whole siamloc map ({error}): build it again")
 
 
 def _unpack(header: dict[str, Any], arrays: dict[str, Any], short: bool) -> None:
-    """Make float32 of what was written in fewer digits, but for what may stay short; nothing may be written into."""
+    """Convert arrays of lower precision to float32 unless they may stay packed; make all of them read-only."""
     if short and "orientation_scale" in arrays and _turned_alone(header):
-        # A heading is the turn of the largest correlation, which no scale changes.
+        # A heading is the turn with the largest correlation, and no scale changes that.
         header["heading"] = without_images(header["identity"])
         arrays["heading"] = arrays.pop("orientation")
         del header["orientation"], arrays["orientation_scale"]
     if "orientation_scale" in arrays:
         arrays["orientation"] = unpacked(arrays["orientation"], arrays.pop("orientation_scale"))
-    # Descriptors that are compared at every turn are all needed as float32.
+    # Descriptors that are compared at every turn are needed as float32.
     stays = short and header.get("orientation") is None and "orientation" not in arrays
     if "descriptors_scale" in arrays:
         held = Packed(arrays["descriptors"], arrays.pop("descriptors_scale"))
@@ -146,18 +146,18 @@ def _unpack(header: dict[str, Any], arrays: dict[str, Any], short: bool) -> None
     for name in {"descriptors", "orientation", "heading"} & set(arrays):
         found = arrays[name]
         for array in (found.values, found.scale) if isinstance(found, Packed) else (found,):
-            array.flags.writeable = False  # nobody else has them
+            array.flags.writeable = False  # nothing else refers to them
 
 
 def _turned_alone(header: Mapping[str, Any]) -> bool:
-    """Find out whether orientation parts give headings and nothing else: then no descriptor is turned to compare it."""
+    """Whether orientation parts are used only for headings, so that descriptors are compared without turning them."""
     identity = header.get("identity")
     if "heading" in header or not isinstance(identity, dict) or not is_analytic(identity):
         return False
     try:
         made = descriptor_of(identity)
     except (AnalyticError, TypeError):
-        return False  # and who describes images says so
+        return False  # describing images reports the error
     return made.tells_heading and not made.aligned
 
 

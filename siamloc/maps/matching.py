@@ -1,4 +1,4 @@
-"""Finding described frames in a map: the nearest map frames, the heading by them, and the distances to all."""
+"""Find described frames in a map: the nearest map frames, headings from them, and the distances to all frames."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from siamloc.maps.search import Retrieval, check_excluded, check_neighbours
 from siamloc.maps.visual_map import VisualMap
 
 _PAIRS = 1 << 17  # aligned distances held at once
-_ROWS = 512  # of a map kept short that become float32 at once
+_ROWS = 512  # of a packed map, converted to float32 at once
 
 
 @typed
 def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
-    """Find the k nearest map frames of each query, exactly; min(k, m) of them.
+    """Find the min(k, m) nearest map frames of each query, exactly.
 
-    Descriptors that are compared after turning them alike ([T] 3.3.4-3.3.6) are asked for every distance, the others
-    are searched as vectors.
+    Descriptors that are turned into alignment before they are compared ([T] 3.3.4-3.3.6) compute every distance; all
+    others are searched as vectors.
 
     Args:
-        known: m frames.
+        known: a map of m frames.
         queries: n descriptions by the map's descriptor.
-        k: how many to return, at least 1.
+        k: number of map frames to return, at least 1.
         excluded: (n, m) bool, True where a query must not find a map frame; see `Protocol.excluded`.
 
     Raises:
@@ -57,16 +57,16 @@ def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: Array
 
 @typed
 def headings(known: VisualMap, queries: Description, found: Retrieval, count: int = 1) -> NDArray[np.float64]:
-    """Estimate the heading of each query by each of the first map frames found for it.
+    """Estimate the heading of each query from each of the first map frames found for it.
 
     Args:
-        known: m frames, whose headings and orientation parts are used; see `siamloc.maps.build(heading=...)`.
+        known: a map of m frames, whose headings and orientation parts are used; see `siamloc.maps.build(heading=...)`.
         queries: n descriptions by `known.describer`.
         found: their nearest map frames, at least one.
-        count: how many of them to ask.
+        count: number of these map frames to use.
 
     Returns:
-        (n, count) rad in (-pi, pi]; NaN where the map frame has no heading, or where there is no orientation part to
+        (n, count) in rad, in (-pi, pi]; NaN if the map frame has no heading, or if there is no orientation part to
         compare.
     """
     turned = np.full((len(queries), count), np.nan)
@@ -83,7 +83,7 @@ def headings(known: VisualMap, queries: Description, found: Retrieval, count: in
 
 @typed
 def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
-    """Return the distances (n, m) of queries to all map frames, by the map's distance.
+    """Return the distances (n, m) of queries to all map frames, with the map's distance.
 
     Raises:
         AnalyticError: descriptions that cannot be compared.
@@ -101,7 +101,7 @@ def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float6
 
 
 def nearest_in_rows(apart: NDArray[np.float64], k: int) -> Retrieval:
-    """Return the k smallest distances of each row (n, m); of equal ones the first."""
+    """Return the k smallest distances of each row (n, m); of equal ones the first comes first."""
     order = np.argsort(apart, axis=1, kind="stable")[:, :k]
     return Retrieval(order, np.take_along_axis(apart, order, axis=1))
 

@@ -1,4 +1,4 @@
-"""Arrays kept in fewer bytes: each row with a scale that brings its largest value to the largest number there is."""
+"""Arrays at lower precision: each row has a scale that maps its largest value to the top of the number range."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Precision = Literal["float32", "float16", "int8"]
-"""How numbers are kept."""
+"""How numbers are stored."""
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
 _LEVELS = 127
@@ -21,10 +21,10 @@ _AT_ONCE = 1 << 20  # numbers
 def packed(name: str, values: NDArray, precision: Precision) -> dict[str, NDArray]:
     """Return an array (n, ...) in another precision, with the scale of each row (n,) under `<name>_scale`.
 
-    The scale of float16 is a power of two, so that only the digits are cut.
+    The scale of float16 is a power of two, so that only the significand is rounded.
 
     Args:
-        name: what the array is called.
+        name: name of the array.
         values: finite numbers; complex ones become pairs along a last axis.
         precision: "float16" or "int8".
 
@@ -48,17 +48,17 @@ def packed(name: str, values: NDArray, precision: Precision) -> dict[str, NDArra
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """What `packed` kept of an array (n, ...), which gives rows as float32 when they are asked for.
+    """An array (n, ...) as `packed` stores it, which gives rows as float32 on access.
 
-    A robot's map keeps its descriptors in this way beside what it searches: only the rows nearest to a query are asked
-    for.
+    A robot's map keeps its descriptors in this form alongside its search index; only the rows nearest to a query are
+    accessed.
 
     Attributes:
         values: (n, ...) int8 or float16.
         scale: (n,) float32.
 
     Raises:
-        ValueError: arrays that do not fit each other.
+        ValueError: arrays that do not match each other.
 
     Example:
         >>> held = packed("a", np.array([[0.5, -1.0], [0.0, 0.0]]), "int8")
@@ -88,45 +88,45 @@ class Packed:
         return self[:].astype(dtype or self.dtype, copy=False)
 
     def rows(self, rows: NDArray[Any]) -> Packed:
-        """Return some rows, by their numbers or a mask, kept as short."""
+        """Return some rows, given by index or by a mask, still packed."""
         return Packed(self.values[rows], self.scale[rows])
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """That of the array."""
+        """Shape of the array."""
         return self.values.shape
 
     @property
     def ndim(self) -> int:
-        """How many dimensions the array has."""
+        """Number of dimensions."""
         return self.values.ndim
 
     @property
     def size(self) -> int:
-        """How many numbers the array has."""
+        """Number of elements."""
         return self.values.size
 
     @property
     def nbytes(self) -> int:
-        """How many bytes are kept."""
+        """Size in memory, in bytes."""
         return self.values.nbytes + self.scale.nbytes
 
 
 def all_finite(values: NDArray[Any] | Packed) -> bool:
-    """Find out whether an array (n, ...) holds finite numbers alone, in blocks of rows: maps are large."""
+    """Whether all values of an array (n, ...) are finite, checked in blocks of rows since maps are large."""
     rows = max(1, _AT_ONCE // max(1, math.prod(values.shape[1:])))
     return all(bool(np.isfinite(values[at : at + rows]).all()) for at in range(0, len(values), rows))
 
 
 def unpacked(values: NDArray, scale: NDArray) -> NDArray:
-    """Return what `packed` was given, as float32 or complex64, as far as its digits were kept.
+    """Return the array that `packed` was given, at its stored precision, as float32 or complex64.
 
     Raises:
-        ValueError: arrays that do not fit each other.
+        ValueError: arrays that do not match each other.
     """
     _check(values, scale)
     full = values.astype(np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):  # who reads a file looks for what is not finite
+    with np.errstate(over="ignore", invalid="ignore"):  # readers of a file check for values that are not finite
         full *= scale.reshape(-1, *[1] * (values.ndim - 1))  # in place: maps are large
     return full.view(np.complex64)[..., 0] if full.ndim == 4 and full.shape[3] == 2 else full
 

@@ -1,9 +1,10 @@
-"""A filter over refined poses: a moving robot goes on as it went, and an answer far from there has to be repeated.
+"""A filter over refined poses: a robot is expected to keep moving as before, and an outlier must repeat to count.
 
-Where `SequenceFilter` follows the frames of a map, this one follows positions between them: the robot keeps its
-velocity up to a random acceleration (a Kalman filter in x and y), and each pose by `siamloc.maps.refine` counts by its
-information, and by how likely it is no stray one. Several stories are kept at once [Reid 1979]: a pose that fits none
-of them begins another, which takes over when it explains the following poses better.
+`SequenceFilter` tracks the frames of a map; this filter tracks positions between them. The robot keeps its velocity up
+to a random acceleration (a Kalman filter in x and y), and each pose from `siamloc.maps.refine` is weighted by its
+information and by the probability that it is not a stray one. Several hypotheses, called stories, are kept at once
+[Reid 1979]: every pose starts a new one, which is dropped if it stays near a better one, and takes over if it explains
+the following poses better.
 """
 
 from __future__ import annotations
@@ -20,29 +21,29 @@ from siamloc.maps.refinement import FREEDOM, RefinedPoses
 
 _STORIES = 5
 _STRAY = 0.15  # density of poses that are wrong, per square unit of the positions
-_TRUSTED = 0.05  # probability below which a pose is taken for a stray one
-_NEAR = 0.05  # share of a step: stories that have come this near to each other are one
-_ACCELERATION = 0.5  # deviation of how much the step between two queries changes, as a share of the usual step
+_TRUSTED = 0.05  # probability below which a pose is considered stray
+_NEAR = 0.05  # share of a step: stories this close to each other are merged
+_ACCELERATION = 0.5  # standard deviation of the change of the step between two queries, as a share of the usual step
 _MOVES = np.block([[np.eye(2), np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
 _NOISE = np.kron(np.array([[0.25, 0.5], [0.5, 1.0]]), np.eye(2))
 
 
 @dataclass(frozen=True)
 class _Story:
-    """Where the robot is and how far it goes in a step: mean (4,), covariance (4, 4), and how well that explains it."""
+    """Position and step of the robot, mean (4,) and covariance (4, 4), and how well they explain the poses."""
 
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
     evidence: float
-    share: float  # probability that the last pose is no stray one
-    trusted: RefinedPoses  # the last one that may be none: it gives the heading and the map frame
+    share: float  # probability that the last pose is not a stray one
+    trusted: RefinedPoses  # the last pose not considered stray: it gives the heading and the map frame
 
 
 class PoseFilter:
-    """Where a robot is, given the refined pose of each of its queries.
+    """Track a robot from the refined poses of its queries.
 
     Args:
-        step: how far the robot goes between two queries, in units of x and y, such as that of a `MotionModel`.
+        step: distance the robot moves between two queries, in units of x and y, such as that of a `MotionModel`.
         kidnapping: probability that the robot is carried somewhere else between two queries.
 
     Raises:
@@ -76,13 +77,13 @@ class PoseFilter:
         self._stories: list[_Story] = []
 
     def step(self, pose: RefinedPoses) -> RefinedPoses:
-        """Take in the pose of one query and return the filtered one.
+        """Update the filter with the pose of one query and return the filtered pose.
 
-        A pose without information, see `RefinedPoses`, or that is no number moves the robot on as it went. Heading and
-        map frame are those of the last pose that may be no stray one.
+        After a pose that is NaN or has no information (see `RefinedPoses`), the robot is assumed to keep moving as
+        before. Heading and map frame are those of the last pose that is not considered stray.
 
         Raises:
-            DataError: not one pose.
+            DataError: not exactly one pose.
         """
         if len(pose) != 1:
             raise DataError(f"a step takes the pose of one query, got {len(pose)}")
@@ -109,11 +110,11 @@ class PoseFilter:
         )
 
     def run(self, poses: RefinedPoses, sequence: ArrayLike) -> RefinedPoses:
-        """Follow robots through whole sequences, starting again at each one.
+        """Track robots through whole sequences, with a reset before each.
 
         Args:
-            poses: of n queries, in capture order inside each sequence.
-            sequence: (n,) names.
+            poses: poses of n queries, in capture order within each sequence.
+            sequence: (n,) name of each query's sequence.
 
         Raises:
             DataError: not one name for each pose.
@@ -136,7 +137,7 @@ class PoseFilter:
         )
 
     def _told(self, story: _Story, pose: RefinedPoses, spread: NDArray[np.float64]) -> _Story:
-        """Return a story after a pose, which counts as far as it is likely to be no stray one."""
+        """Return a story updated with a pose, which is weighted by the probability that it is not a stray one."""
         agreement = float(pose.agreement[0])
         apart, total = pose.xy[0] - story.mean[:2], story.covariance[:2, :2] + spread
         squared = float(apart @ np.linalg.solve(total, apart))
@@ -150,7 +151,7 @@ class PoseFilter:
         return _Story(story.mean + gain @ apart, (covariance + covariance.T) / 2, evidence, share, trusted)
 
     def _kept(self, stories: list[_Story]) -> list[_Story]:
-        """Return the stories that explain the poses best, the best first, each place once; their evidence from 0."""
+        """Return the stories that explain the poses best, best first, each place once, the best with evidence 0."""
         kept: list[_Story] = []
         for story in sorted(stories, key=lambda one: -one.evidence):
             near = _NEAR * self.length

@@ -1,4 +1,4 @@
-"""`write_projector`: a map as files for TensorBoard's projector, which shows descriptors as points."""
+"""`write_projector`: write a map for TensorBoard's projector, which shows descriptors as points."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _CONFIG = """embeddings {
 
 @typed
 def write_projector(known: VisualMap, folder: str | Path) -> list[Path]:
-    """Write the descriptors of a map with the room, lighting, sequence and position of each frame.
+    """Write the descriptors of a map with the room, lighting, sequence, position and path of each frame.
 
-    `tensorboard --logdir FOLDER` shows them under Projector, where "Color by" takes the room; where the folder holds
-    the curves of a training, too, both are shown. Nothing else is needed to write or to read the files.
+    `tensorboard --logdir FOLDER` shows them under Projector, where "Color by" offers the room. If the folder also holds
+    the curves of a training, both are shown. No other package is needed to write or read the files.
 
     Args:
         known: the map (n, D).
-        folder: where to; made where it is missing.
+        folder: folder to write to; created if missing.
 
     Returns:
-        The files: descriptors, frames, and `projector_config.pbtxt`, by which TensorBoard finds the others.
+        The files: descriptors, frames, and `projector_config.pbtxt`, which leads TensorBoard to the others.
 
     Raises:
-        StorageError: the disk refuses.
+        StorageError: the disk is full or cannot be written to.
 
     Example:
         >>> import siamloc, tempfile
@@ -48,7 +48,7 @@ def write_projector(known: VisualMap, folder: str | Path) -> list[Path]:
     texts = {
         "map.tsv": "\n".join(vectors) + "\n",
         "map_frames.tsv": "\n".join(["\t".join(_COLUMNS), *rows]) + "\n",
-        "projector_config.pbtxt": _CONFIG,  # last: it names the others
+        "projector_config.pbtxt": _CONFIG,  # written last, since it names the others
     }
     for name, text in texts.items():
         write_text(folder / name, text)
@@ -56,6 +56,6 @@ def write_projector(known: VisualMap, folder: str | Path) -> list[Path]:
 
 
 def _cell(value: object) -> str:
-    """Return a value as a cell, in which tabs and line ends would begin another one."""
+    """Return a value as text without tabs and line ends, which would start another cell."""
     text = f"{value:g}" if isinstance(value, float) else " ".join(str(value).split())
     return text or "(unknown)"

@@ -1,4 +1,4 @@
-"""Poses finer than the map: where a query was taken relative to the map frames that it resembles."""
+"""Poses finer than the map's spacing: where a query was taken relative to the map frames that it resembles."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ METHODS = ("interpolate", "relative")
 OUTPUTS = ("pose", "information", "match")
 """What `Compares` returns, in order."""
 
-FREEDOM = 4.0  # of the t-distribution that the information is of
+FREEDOM = 4.0  # degrees of freedom of the t-distribution described by the information
 STRAY = 1.0  # density of answers that are wrong, per square unit of the positions
 _ROUNDS = 6
-_STILL = 1e-4  # units: a search that moves by less has arrived
-_NOTHING = 1e-12  # determinants of information: smaller ones say nothing
+_STILL = 1e-4  # units: a search that moves by less has converged
+_NOTHING = 1e-12  # determinants of information below this count as zero
 _AT_ONCE = 256  # queries
 _NAMES = ("xy", "theta", "information", "agreement", "frame", "match")
 
@@ -35,10 +35,10 @@ _NAMES = ("xy", "theta", "information", "agreement", "frame", "match")
 Compares = Callable[
     [NDArray[np.float32], NDArray[np.float32]], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 ]
-"""What compares orientation parts of queries (n, K, F) with those of as many map frames (n, K, F): returns pose (n, 3),
-displacement ahead and to the left of the map frame's robot and how far the query's robot has turned left, in rad;
-information (n, 3, 3), the inverse of the scale matrix of a t-distribution with 4 degrees of freedom; and match (n,),
-the logarithm of the odds that both were taken near each other."""
+"""Compares orientation parts of queries (n, K, F) with those of as many map frames (n, K, F). Returns pose (n, 3):
+the displacement ahead and to the left as seen from the map frame's robot, and how far the query's robot is turned left,
+in rad; information (n, 3, 3): the inverse of the scale matrix of a t-distribution with 4 degrees of freedom; and match
+(n,): the logarithm of the odds that both were taken near each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,17 +46,17 @@ class RefinedPoses:
     """Poses of n queries.
 
     Attributes:
-        xy: (n, 2), in the unit of the positions; the map frame's own where nothing could be compared.
-        theta: (n,) rad in (-pi, pi]; NaN where nothing could be compared.
+        xy: (n, 2), in the unit of the positions; the map frame's own position if nothing could be compared.
+        theta: (n,) in rad, in (-pi, pi]; NaN if nothing could be compared.
         information: (n, 2, 2) of x and y, inverse of the scale matrix of a t-distribution with 4 degrees of freedom;
-            zeros where nothing could be compared. Answers about one query err alike: see `widening`.
+            zeros if nothing could be compared. Errors of the answers for a query are correlated: see `widening`.
         agreement: (n,) share of the answers that agree on the pose, from 0 to 1.
-        frame: (n,) the map frame whose answer counts most.
-        match: (n,) the largest of the odds, as logarithms, that a map frame which was compared was taken near the
-            query; minus infinity where nothing could be compared.
+        frame: (n,) the map frame whose answer has the largest weight.
+        match: (n,) logarithm of the odds that a map frame was taken near the query, the largest of all compared frames;
+            minus infinity if nothing could be compared.
 
-    Poses by `interpolate_poses` have no information, their agreement is the share of the map frames they rest on, and
-    their match is NaN.
+    Poses from `interpolate_poses` have no information, their agreement is the share of map frames used, and their match
+    is NaN.
     """
 
     xy: NDArray[np.float64]
@@ -70,21 +70,21 @@ class RefinedPoses:
         return len(self.xy)
 
     def squared(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the squared distances (n,) of true positions (n, 2) by the information; NaN where there is none."""
+        """Return squared distances (n,) of true positions (n, 2), weighted by the information; NaN without any."""
         apart = np.asarray(xy, dtype=np.float64) - self.xy
         told = self.information.any(axis=(1, 2))
         return np.where(told, np.einsum("ni,nij,nj->n", apart, self.information, apart), np.nan)
 
     def inside(self, xy: ArrayLike, share: float = 0.9) -> NDArray[np.float64]:
-        """Return which true positions (n, 2) lie inside the ellipse that should hold a share of them: 1, 0 or NaN."""
+        """Return which true positions (n, 2) are in the ellipse that should contain a share of them: 1, 0 or NaN."""
         squared = self.squared(xy)
         return np.where(np.isnan(squared), np.nan, squared <= _limit(share))
 
     def widening(self, xy: ArrayLike, share: float = 0.9) -> float:
-        """Learn from true positions (n, 2), of a drive used for nothing else, how much wider the ellipses have to be.
+        """Learn how much wider the ellipses must be, from true positions (n, 2) of a drive used for nothing else.
 
         Returns:
-            The factor of squared distances for `widened`, with which that share of the positions lies inside.
+            The factor on squared distances for `widened` with which that share of the positions lies inside.
 
         Raises:
             DataError: fewer than 10 positions.
@@ -96,35 +96,35 @@ class RefinedPoses:
         return float(np.quantile(squared, share) / _limit(share))
 
     def widened(self, factor: float) -> RefinedPoses:
-        """Return the poses with ellipses that are larger by a factor of squared distances."""
+        """Return the poses with ellipses enlarged by a factor on squared distances."""
         return replace(self, information=self.information / factor)
 
     def covariance(self) -> NDArray[np.float64]:
-        """Return the covariances of x and y (n, 2, 2), in squared units of the positions; NaN where nothing is told."""
+        """Return the covariances of x and y (n, 2, 2), in squared units of the positions; NaN without information."""
         told = np.asarray(self.information.any(axis=(1, 2)))[:, None, None]
         held = np.where(told, self.information, np.eye(2))
         return np.where(told, np.linalg.inv(held) * FREEDOM / (FREEDOM - 2), np.nan)
 
     def take(self, rows: NDArray[Any]) -> RefinedPoses:
-        """Return the poses given by positions or by a mask."""
+        """Return some of the poses, given by index or by a mask."""
         return RefinedPoses(*(getattr(self, name)[rows] for name in _NAMES))
 
     @staticmethod
     def concatenate(parts: list[RefinedPoses]) -> RefinedPoses:
-        """Return the poses of parts, one after the other."""
+        """Join the poses of several parts."""
         return RefinedPoses(*(np.concatenate([getattr(one, name) for one in parts]) for name in _NAMES))
 
 
 @dataclass(frozen=True)
 class Refinement(Learned):
-    """How poses are made finer than the map, as plain values: what an evaluation leaves for the robot.
+    """How poses are made finer than the map, as plain values that an evaluation passes on to the robot.
 
     Attributes:
         method: "interpolate", see `siamloc.maps.interpolate_poses`, or "relative", see `refine`.
-        neighbours: how many of the nearest map frames are looked at, at least 1.
+        neighbours: number of nearest map frames used, at least 1.
         radius: map frames farther apart are different places, for "interpolate"; in units of x and y.
-        widening: how much wider the ellipses of "relative" have to be, see `RefinedPoses.widening`.
-        map_digest: of the map that this was learned on; "" if unknown.
+        widening: how much wider the ellipses of "relative" must be, see `RefinedPoses.widening`.
+        map_digest: digest of the map this was learned on; "" if unknown.
 
     Raises:
         ConfigError: an unknown method, or a value out of range.
@@ -150,7 +150,7 @@ class Refinement(Learned):
 
     @classmethod
     def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
-        """Adjust the widening of version 1, which counted an answer's information (f + 2) / f times, f the freedom."""
+        """Adjust the widening of version 1, which counted an answer's information (f + 2) / f times (f: freedom)."""
         if version == 1 and "widening" in held:
             held = {**held, "widening": held["widening"] * FREEDOM / (FREEDOM + 2)}
         return held
@@ -158,7 +158,7 @@ class Refinement(Learned):
     def poses(
         self, known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None
     ) -> RefinedPoses:
-        """Return the refined poses of queries; arguments and errors as `refine` and `interpolate_poses`.
+        """Return the refined poses of queries; arguments and errors as for `refine` and `interpolate_poses`.
 
         For "interpolate", all map frames need positions.
         """
@@ -178,19 +178,19 @@ class Refinement(Learned):
 def refine(
     known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None, k: int = 3
 ) -> RefinedPoses:
-    """Estimate poses by comparing each query with the k map frames that it resembles most.
+    """Estimate poses by comparing each query with its k most similar map frames.
 
-    Each of them says where the query was taken, how sure that is, and whether it was taken nearby at all. An answer is
-    right with the probability of a match, and then follows its t-distribution, or it is a stray one, which may lie
-    anywhere. The pose is the most likely one: answers that agree make it finer, and one that does not is left out. So
-    are map frames of another building than the nearest one's.
+    Each map frame answers where the query was taken, with what certainty, and whether it was taken nearby at all. With
+    the probability of the match, an answer is correct and follows its t-distribution; otherwise it is a stray one,
+    which may lie anywhere. The result is the most likely pose: answers that agree refine it, and those that do not are
+    left out. Map frames in another building than the nearest one are left out, too.
 
     Args:
-        known: m frames with positions, headings and orientation parts.
+        known: a map of m frames with positions, headings and orientation parts.
         queries: n descriptions with orientation parts, by `known.describer`.
         found: their nearest map frames.
-        compares: the `compare` of the map's descriptor if None.
-        k: how many map frames are compared, at least 1.
+        compares: a comparison function; the `compare` method of the map's descriptor if None.
+        k: number of map frames to compare, at least 1.
 
     Raises:
         ConfigError: k below 1, or a map whose descriptor does not compare.
@@ -203,7 +203,7 @@ def refine(
         compares = known.descriptor.compare  # type: ignore[attr-defined]
     parts = queries.orientation
     if parts is None or (known.heading is None and known.orientation is None):
-        raise DataError("the map or the queries have no orientation parts to compare: map by a network that makes them")
+        raise DataError("the map or the queries have no orientation parts to compare: use a network that computes them")
     if not (np.isfinite(known.frames.theta) & known.frames.has_position).any():
         raise DataError("no map frame has a heading: refining needs the column theta, in rad")
     rows = found.indices[:, : min(k, found.indices.shape[1])]
@@ -214,7 +214,7 @@ def refine(
 
 
 def _refined(known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int64], compares: Compares) -> RefinedPoses:
-    """Return the poses of queries with these parts (n, K, F) by map frames (n, k)."""
+    """Return the poses of queries with these parts (n, K, F), from map frames (n, k)."""
     n, count = rows.shape
     held = known.turning(rows.ravel()).orientation
     assert held is not None
@@ -246,7 +246,7 @@ def _refined(known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int6
 
 
 class _Answers(NamedTuple):
-    """What k map frames say of n queries, (n, k) each: where, entries of the information, height of the density."""
+    """Answers of k map frames for n queries, (n, k) each: position, entries of information, height of density."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
@@ -259,13 +259,14 @@ class _Answers(NamedTuple):
 def _most_likely(
     at: NDArray[np.float64], about: NDArray[np.float64], probability: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the points (n, 2) that are most likely by k answers (n, k, 2), the weights and shares (n, k) of those.
+    """Return the most likely points (n, 2) given k answers (n, k, 2), and the answers' weights and shares (n, k).
 
-    From each answer on, by reweighting: each round is the mean of the answers, weighted by their information and by how
-    likely each is, at the point of the round before, to be no stray one. The best of the points found is taken.
+    The search starts from each answer and reweights iteratively: each round takes the mean of the answers, weighted by
+    their information and by how likely each is, at the point of the round before, not to be a stray one. The best of
+    the points found is returned.
 
-    A robot asks for one query at a time, and then numpy's calls cost more than what they compute: so matrices of 2 x 2
-    are spelled out by their entries.
+    A robot processes one query at a time, where numpy's call overhead exceeds the computation, so 2 x 2 matrices are
+    written out by their entries.
     """
     n, k = probability.shape
     middle = at[:, :1]
@@ -273,7 +274,7 @@ def _most_likely(
     xx, xy, yy = about[..., 0, 0], about[..., 0, 1], about[..., 1, 1]
     answers = _Answers(x, y, xx, xy, yy, probability * np.sqrt(xx * yy - xy * xy) / (2 * np.pi))
     summed = np.stack([xx, xy, yy, xx * x + xy * y, xy * x + yy * y], axis=2)
-    points = at - middle  # (n, k, 2): where the search from each answer has come to
+    points = at - middle  # (n, k, 2): current point of the search from each answer
     arrived = np.zeros((n, k, 1), dtype=bool)
     for _ in range(_ROUNDS):
         weight, _, _ = _weighed(points, answers)
@@ -283,7 +284,7 @@ def _most_likely(
         moved = np.stack([c * right - b * up, a * up - b * right], axis=2) / np.maximum(size, _NOTHING)[..., None]
         moved = np.where((size > _NOTHING)[..., None], moved, points)
         moving = np.abs(moved - points).max(axis=2, keepdims=True) >= _STILL
-        points = np.where(arrived, points, moved)  # so that a query alone has the answer that it has among others
+        points = np.where(arrived, points, moved)  # so that a query alone has the same result as in a batch
         arrived |= ~moving
         if arrived.all():
             break
@@ -296,7 +297,8 @@ def _most_likely(
 def _weighed(points: NDArray[np.float64], answers: _Answers) -> tuple[NDArray[np.float64], ...]:
     """Return the weights, the shares and the densities (n, s, k) of the answers at points (n, s, 2).
 
-    A share is the probability that an answer is no stray one; the weight is 1 where the answer lies at the point, too.
+    A share is the probability that an answer is not a stray one. The weight is the share, reduced with the
+    answer's distance from the point.
     """
     dx, dy = points[..., :1] - answers.x[:, None], points[..., 1:] - answers.y[:, None]
     squared = (answers.xx[:, None] * dx + 2 * answers.xy[:, None] * dy) * dx + answers.yy[:, None] * dy * dy
@@ -307,15 +309,15 @@ def _weighed(points: NDArray[np.float64], answers: _Answers) -> tuple[NDArray[np
 
 
 def _limit(share: float) -> float:
-    """Return the squared distance within which that share of a t-distribution in the plane lies."""
+    """Return the squared distance that contains this share of a t-distribution in the plane."""
     return FREEDOM * float((1 - share) ** (-2 / FREEDOM) - 1)
 
 
 def check_compares(known: VisualMap) -> None:
-    """Make sure that a map and its network tell where queries were taken relative to its frames.
+    """Check that a map and its network can estimate where queries were taken relative to its frames.
 
     Raises:
-        ConfigError: the network does not compare, or the map does not hold what it compares by.
+        ConfigError: the network does not compare, or the map lacks the parts that it compares.
     """
     if not getattr(known.descriptor, "compares", False):
         raise ConfigError(
@@ -336,6 +338,6 @@ def _turns(theta: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return orientation parts with a mean square of 1 each: maps keep them up to a scale."""
+    """Return orientation parts scaled to a mean square of 1 each, as maps keep them only up to a scale."""
     size = np.sqrt(np.mean(np.square(parts, dtype=np.float64), axis=(1, 2), keepdims=True))
     return (parts / np.maximum(size, 1e-12)).astype(np.float32)

@@ -1,12 +1,12 @@
 """Exact nearest neighbours: a float32 matrix product finds the candidates, float64 decides among them.
 
 The rounding error of the product is bounded (Higham, *Accuracy and Stability of Numerical Algorithms*, section 3.1:
-a sum of D products is off by at most about D u |q| |r|, in whatever order it is added up). Every reference whose
-score lies within that bound of the k-th best is compared again in float64, so the answer is the one that a loop
-over all pairs in float64 gives, however many queries are asked at once.
+a sum of D products is off by at most about D u |q| |r|, in any order of summation). Every reference whose score lies
+within that bound of the k-th best is compared again in float64, so the result is that of a loop over all pairs in
+float64, however many queries are searched at once.
 
 The flat index of faiss answers a single query in an eighth to three quarters of the time (benchmarks/search.py), but
-in float32: it promises neither the order of float64 nor the smaller row of equally near ones.
+in float32: it guarantees neither the order of float64 nor the smaller row of equally near ones.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.packing import Packed
 from siamloc.settings import Count, checked
 
-MEMORY = 256 << 20  # bytes that a search uses on top of its input and its answer
-_BYTES_PER_PAIR = 80  # of rows in which everything ties: score, mask, two indices, distance, and sorting them
+MEMORY = 256 << 20  # bytes that a search uses on top of its input and output
+_BYTES_PER_PAIR = 80  # if everything ties: score, mask, two indices, distance, and sorting them
 _REFERENCES_PER_BLOCK = 4096  # compared at once
 _VALUES_PER_BLOCK = 2**18  # 2 MiB of float64, prepared at once
-_VALUES_PER_SLICE = 2**15  # 256 KiB of float64, which the second level of a cache holds
+_VALUES_PER_SLICE = 2**15  # 256 KiB of float64, which fits into a second-level cache
 _SAMPLE = 4096  # references whose mean is the centre
 _ROUNDOFF = float(np.finfo(np.float32).eps)
 _SMALLEST = float(np.finfo(np.float32).tiny)
@@ -37,11 +37,11 @@ _LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
 
 @dataclass(frozen=True)
 class Retrieval:
-    """What a search found, the nearest reference first.
+    """Result of a search, the nearest reference first.
 
     Attributes:
         indices: rows of the references (n, k).
-        distances: distances to them (n, k), not decreasing along a row.
+        distances: distances to them (n, k), non-decreasing along a row.
     """
 
     indices: NDArray[np.int64]
@@ -51,26 +51,26 @@ class Retrieval:
         return len(self.indices)
 
     def take(self, rows: NDArray) -> Retrieval:
-        """Return what was found for some of the queries: their numbers, or a mask."""
+        """Return the result for some of the queries, given by index or by a mask."""
         return Retrieval(self.indices[rows], self.distances[rows])
 
     @staticmethod
     def concatenate(parts: Sequence[Retrieval]) -> Retrieval:
-        """Return what was found for one batch of queries after the other."""
+        """Join the results of consecutive batches of queries."""
         return Retrieval(
             np.concatenate([part.indices for part in parts]), np.concatenate([part.distances for part in parts])
         )
 
 
 class VectorIndex:
-    """Vectors made ready for exact search; that takes their memory as float32, once more.
+    """Vectors prepared for exact search, which takes the memory of a float32 copy.
 
     Euclidean distances are ordered by the score q.r - |r|^2 / 2 of centred vectors; centring and scaling keep the
-    rounding small where all vectors lie close together. Cosine and correlation are Euclidean distances between unit
+    rounding error small if all vectors lie close together. Cosine and correlation are Euclidean distances between unit
     vectors: 1 - cos = |u - v|^2 / 2. Manhattan distances have no such product and are computed for every pair.
 
     Args:
-        references: (m, D), m and D at least 1; kept, not copied, and as short as they are.
+        references: (m, D), m and D at least 1; kept in their precision, not copied.
         distance: a name in `analytic.DISTANCES`; "minkowski" is that of order 2.
 
     Raises:
@@ -107,21 +107,21 @@ class VectorIndex:
         within: NDArray[np.int64] | None = None,
         memory: int = MEMORY,
     ) -> Retrieval:
-        """Return the k nearest references of each query, exactly; of equally near ones the smaller row comes first.
+        """Return the exact k nearest references of each query; of equally near ones the smaller row comes first.
 
-        Fewer than k references are all returned: the answer has min(k, m) columns. It depends neither on the other
-        queries nor on `memory`.
+        If there are fewer than k references, all are returned: the result has min(k, m) columns. It depends neither on
+        the other queries nor on `memory`.
 
         Args:
             queries: (n, D); n may be 0.
-            k: how many to return, at least 1.
+            k: number of references to return, at least 1.
             excluded: (n, m) bool, True where a query must not find a reference.
-            within: rows to search alone, increasing, not together with `excluded`; all if None.
-            memory: bytes that the search may use on top of its input and its answer; some MiB are the least.
+            within: the only rows to search, increasing, not together with `excluded`; all if None.
+            memory: bytes that the search may use on top of its input and output; at least a few MiB.
 
         Raises:
             ConfigError: a number of neighbours or bytes that is not positive.
-            DataError: queries of another shape, or values that are not finite or far beyond the references'; or a
+            DataError: queries of another shape, values that are not finite or far larger than the references', or a
                 query with fewer than k references that are not excluded.
         """
         k, q = check_neighbours(k), self._checked_queries(queries)
@@ -165,7 +165,7 @@ class VectorIndex:
     def _distances(
         self, queries: NDArray[np.float64], row: NDArray[np.int64], column: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Return the distances of pairs (p,) from the differences of the vectors in float64."""
+        """Return the distances of pairs (p,), from float64 differences of the vectors."""
         squared = np.empty(len(row))
         for part in _slices(len(row), _VALUES_PER_SLICE // queries.shape[1]):
             difference = self._embed(self._references[column[part]], is_query=False)
@@ -177,12 +177,12 @@ class VectorIndex:
         return np.sqrt(squared)
 
     def _prepare(self) -> None:
-        """Centre and scale the references, and add the column of the constant term of the score."""
+        """Centre and scale the references, and add a column with the constant term of the score."""
         m, angular = len(self), self.distance in ("cosine", "correlation")
         largest = 1.0 if angular else _largest(self._references)
-        # A power of two, so that scaling rounds nothing.
+        # A power of two, so that scaling is exact.
         self._scale = float(np.exp2(-np.ceil(np.log2(largest)))) if largest > 1e-290 else 1.0
-        # Any centre gives the right answer, so a sample of a large map will do.
+        # Any centre gives the right result, so a sample of a large map is enough.
         step, rows = -(-m // _SAMPLE), max(1, _VALUES_PER_BLOCK // self._references.shape[1])
         sample = (self._references[part.start : part.stop : step] for part in _slices(m, step * rows))
         sums = [self._embed(vectors, is_query=False).sum(axis=0) for vectors in sample]
@@ -197,10 +197,10 @@ class VectorIndex:
         self._longest = float(np.sqrt(squares.max()))
 
     def _embed(self, vectors: NDArray, *, is_query: bool) -> NDArray[np.float64]:
-        """Return float64 vectors whose Euclidean distance is the wanted one, or gives it: (n, D) or (n, D + 2).
+        """Return float64 vectors whose Euclidean distance is, or yields, the requested one: (n, D) or (n, D + 2).
 
-        A zero vector is at cosine distance 1 from everything: two more coordinates, one for zero queries and one for
-        zero references, make that so.
+        A zero vector is at cosine distance 1 from everything. Two more coordinates, one for zero queries and one for
+        zero references, ensure that.
         """
         values = vectors.astype(np.float64)
         if self.distance not in ("cosine", "correlation"):
@@ -233,12 +233,12 @@ class VectorIndex:
 
 @dataclass(frozen=True)
 class _Sight:
-    """What a block of queries sees of the references: the higher a score, the nearer.
+    """Scores of the references for a block of queries: the higher, the nearer.
 
     Attributes:
-        queries: as distances are measured from them (n, D').
+        queries: in the form from which distances are computed (n, D').
         scores: (n, m).
-        slack: by how much a row's scores may be wrong (n,).
+        slack: largest possible error of a row's scores (n,).
     """
 
     queries: NDArray
@@ -250,13 +250,13 @@ def check_neighbours(k: int) -> int:
     """Return a number of neighbours as a plain integer.
 
     Raises:
-        ConfigError: it is not a whole number from 1.
+        ConfigError: it is not a whole number of at least 1.
     """
     return int(checked(k, Count, "k, the number of neighbours,"))
 
 
 def _candidates(scores: NDArray, slack: NDArray, k: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return row and column, in order, of all scores (n, m) that may be among the k highest of their rows."""
+    """Return, in order, row and column of all scores (n, m) that may be among the k highest of their rows."""
     m = scores.shape[1]
     best = scores.max(axis=1) if k == 1 else np.partition(scores, m - k, axis=1)[:, m - k]
     needed = (best.astype(np.float64) - 2 * slack).astype(scores.dtype)
@@ -267,7 +267,7 @@ def _candidates(scores: NDArray, slack: NDArray, k: int) -> tuple[NDArray[np.int
 def _nearest(
     row: NDArray[np.int64], column: NDArray[np.int64], apart: NDArray[np.float64], k: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return columns and distances (n, k) of the nearest of each row's candidates, of which it has k at least."""
+    """Return columns and distances (n, k) of the nearest candidates of each row, which has at least k."""
     # Columns increase within a row, so that a stable sort settles ties.
     order = np.lexsort((apart, row))
     first = np.flatnonzero(np.diff(row, prepend=-1))
@@ -281,14 +281,14 @@ def _slices(count: int, step: int) -> Iterator[slice]:
 
 
 def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArray[np.bool_]:
-    """Return a mask (n, m) of what queries must not find.
+    """Return the mask (n, m) of references that queries must not find, after checking it.
 
     Raises:
         DataError: another shape or type, or a query with fewer than k references left.
     """
     mask = np.asarray(excluded)
     if mask.dtype != np.bool_ or mask.shape != shape:
-        raise DataError(f"what is excluded must be true or false of shape {shape}, got {mask.dtype} {mask.shape}")
+        raise DataError(f"excluded must be true or false of shape {shape}, got {mask.dtype} {mask.shape}")
     left = (~mask).sum(axis=1)
     if (left < k).any():
         raise DataError(
@@ -299,12 +299,12 @@ def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArr
 
 
 def _largest(values: NDArray) -> float:
-    """Return the largest absolute value of an array (n, D), in blocks of rows; NaN where there is one."""
+    """Return the largest absolute value of an array (n, D), in blocks of rows; NaN if it contains a NaN."""
     largest = 0.0
     for part in _slices(len(values), _VALUES_PER_BLOCK // max(1, values.shape[1])):
         block = values[part]
         if block.size:
-            largest = float(np.maximum(np.maximum(largest, block.max()), -block.min()))  # these carry a NaN on
+            largest = float(np.maximum(np.maximum(largest, block.max()), -block.min()))  # these propagate NaN
     return largest
 
 

@@ -1,9 +1,9 @@
-"""A discrete Bayes filter over the frames of a map, so that a moving robot's estimate uses its last frames.
+"""A discrete Bayes filter over the frames of a map, so that a moving robot's estimate uses its recent frames.
 
-Only the forward pass: an estimate rests on the queries up to its own. What a query says of a map frame is the softmax
-of its descriptor distances, exp(-d / temperature) ([T] 5.3.5 takes the smallest distance alone). How the robot moves
-is learned from the map's own spacing (`MotionModel`), and the temperature from the map itself (`temperature_of_map`)
-or, with the probability of kidnapping, on a validation sequence (`tune_filter`).
+There is only a forward pass: an estimate depends on the queries up to its own. The likelihood of a map frame given a
+query is the softmax of the descriptor distances, exp(-d / temperature) ([T] 5.3.5 uses only the smallest distance). The
+robot's motion is learned from the map's own spacing (`MotionModel`), the temperature from the map itself
+(`temperature_of_map`) or, together with the probability of kidnapping, on a validation sequence (`tune_filter`).
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from siamloc.maps.coarse import UNASSIGNED
 from siamloc.maps.matching import frame_distances
 from siamloc.maps.visual_map import VisualMap
 
-_REACH = 4.0  # standard deviations; the weight beyond is below 4e-4 and left to kidnapping
-_FAST = 95  # percentile of the map's speeds that a robot keeps below
-_SAMPLE = 500  # map frames by which a temperature is learned
+_REACH = 4.0  # standard deviations; the weight beyond is below 4e-4 and covered by kidnapping
+_FAST = 95  # percentile of the map's speeds, taken as the robot's largest speed
+_SAMPLE = 500  # map frames from which a temperature is learned
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What the filter said after each query.
+    """Output of the filter after each query.
 
     Attributes:
         frame: (n,) the most probable map frame, the smallest row of equally probable ones.
         probability: (n,) of that frame.
-        spread: (n,) root mean square distance of where the robot may be from that frame, in units of x and y.
-        node: (n,) the most probable node, -1 for being in none; None without nodes.
-        node_probability: (n,) of that node; None without nodes.
-        xy: (n, 2) between map frames: the mean of where the robot may be near the most probable one; None where no
-            radius says what is near.
+        spread: (n,) root mean square distance of the belief from that frame, in units of x and y.
+        node: (n,) the most probable node, -1 for no node; None if the filter has no nodes.
+        node_probability: (n,) of that node; None if the filter has no nodes.
+        xy: (n, 2) position between map frames: the mean of the belief within a radius of the most probable frame; None
+            if no radius was given.
     """
 
     frame: NDArray[np.int64]
@@ -53,18 +53,18 @@ class Track:
 
 
 class SequenceFilter:
-    """Where in a map a robot is, given its queries one by one.
+    """Track where a robot is in a map, query by query.
 
     A share of the belief, `kidnapping`, is spread over the whole map at each step. A robot that was carried away is
-    found again within 1 + log(m / kidnapping) / log(r w) queries, where each makes its new place r times as likely as
-    any other, and the motion model gives its steps the probability w: a tenth of it, say, and r = 100 take 7 queries
-    in a map of 1000 frames at the default kidnapping.
+    found again within 1 + log(m / kidnapping) / log(r w) queries if each of them makes its new place r times as likely
+    as any other and the motion model gives its steps the probability w: with w = 0.1 and r = 100, that is 7 queries in
+    a map of 1000 frames with the default kidnapping.
 
     Args:
-        motion: of a robot in this map (m frames).
+        motion: motion model of a robot in this map (m frames).
         temperature: of the softmax, in units of the descriptor distance; see `temperature_of_map`.
-        kidnapping: probability that the robot is anywhere, in (0, 1).
-        labels: (m,) the node of each frame, -1 for none, to report nodes as well.
+        kidnapping: probability that the robot could be anywhere, in (0, 1).
+        labels: (m,) the node of each frame, -1 for none; given to report nodes as well.
 
     Attributes:
         belief: (m,) probability of each map frame after the last query; uniform at first.
@@ -93,10 +93,10 @@ class SequenceFilter:
         self.belief = np.full(len(self.motion), 1 / len(self.motion))
 
     def step(self, distances: ArrayLike) -> NDArray[np.float64]:
-        """Take in one query and return the belief (m,).
+        """Update the belief with one query and return it (m,).
 
         Args:
-            distances: (m,) of its descriptor to those of the map; infinite where it must not be compared.
+            distances: (m,) from its descriptor to those of the map; infinite where it must not be compared.
 
         Raises:
             DataError: not one distance for each map frame, or none that is finite.
@@ -109,21 +109,21 @@ class SequenceFilter:
                 f"not compared, got shape {apart.shape}"
             )
         expected = (1 - self.kidnapping) * self.motion.predict(self.belief) + self.kidnapping / len(apart)
-        # The likeliest frame has likelihood 1, so that the sum cannot vanish.
+        # The most likely frame has likelihood 1, so the sum cannot vanish.
         belief = expected * np.exp((apart.min() - apart) / self.temperature)
         self.belief = belief / belief.sum()
         return self.belief
 
     def run(self, distances: ArrayLike, sequence: ArrayLike, radius: float | None = None) -> Track:
-        """Follow robots through whole sequences, starting again at each one.
+        """Track robots through whole sequences, with a reset before each.
 
         Args:
-            distances: (n, m) of each query to the map, in capture order inside each sequence.
-            sequence: (n,) names.
-            radius: in units of x and y, within which the mean between map frames is taken; not taken if None.
+            distances: (n, m) from each query to the map, in capture order within each sequence.
+            sequence: (n,) name of each query's sequence.
+            radius: radius of the mean between map frames, in units of x and y; no mean is computed if None.
 
         Raises:
-            DataError: arrays that do not fit each other or the map.
+            DataError: arrays that do not match each other or the map.
         """
         apart, names = np.asarray(distances), np.asarray(sequence)
         if apart.shape != (len(names), len(self.motion)):
@@ -161,18 +161,18 @@ class SequenceFilter:
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
-    """Probabilities of going from one map frame to another between two queries, as a list of pairs.
+    """Probabilities of moving from one map frame to another between two queries, as a list of pairs.
 
-    The probability falls with the distance d between two frames as exp(-d^2 / (2 sigma^2)), in whatever direction, with
+    The probability falls with the distance d between two frames as exp(-d^2 / (2 sigma^2)), in any direction, with
     sigma^2 = step^2 + spacing^2 / 6. The second term is there because a frame stands for all places up to half a
     spacing from it: the difference of two such places has that variance.
 
     Attributes:
         xy: (m, 2) positions of the map's frames.
-        source: (e,) frame from which, every frame to itself among them.
-        target: (e,) frame to which.
-        weight: (e,) probability; those of one source add up to 1.
-        step: how far the robot goes between two queries.
+        source: (e,) start frame; the pairs include every frame with itself.
+        target: (e,) end frame.
+        weight: (e,) probability; those of a source add up to 1.
+        step: distance the robot moves between two queries.
         spacing: median distance between consecutive frames of the map.
     """
 
@@ -192,10 +192,10 @@ class MotionModel:
         """Learn the motion from the frames of a map.
 
         Args:
-            frames: m frames in capture order inside each sequence, all with positions.
-            step: how far a robot goes between two queries, in units of x and y. If None, it goes as far in `interval`
-                as the map's robot at the speed that 95 % of its steps kept below; and as far as the map's spacing
-                where there is no interval or the map has no times.
+            frames: m frames in capture order within each sequence, all with positions.
+            step: distance a robot moves between two queries, in units of x and y. If None, `interval` times
+                the speed that 95 % of the steps of the map's robot stay below, or the map's spacing if there is no
+                interval or the map has no times.
             interval: seconds between two queries.
 
         Raises:
@@ -220,7 +220,7 @@ class MotionModel:
         return cls(frames.xy, *_transitions(frames, np.sqrt(step**2 + spacing**2 / 6)), float(step), spacing)
 
     def predict(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the belief (m,) after one more step of the robot."""
+        """Return the belief (m,) after another step of the robot."""
         moved = np.bincount(self.target, self.weight * belief[self.source], minlength=len(self))
         return np.asarray(moved, dtype=np.float64)
 
@@ -246,7 +246,7 @@ def _transitions(frames: FrameTable, sigma: float) -> tuple[NDArray[np.int64], N
 
 
 def _near(xy: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
-    """Return the pairs of positions (p, 2) that lie within a reach, each once, the smaller row first."""
+    """Return the pairs of positions (p, 2) within reach of each other, each pair once, the smaller row first."""
     try:
         from scipy.spatial import cKDTree
     except ImportError:  # as on a robot
@@ -259,11 +259,11 @@ def _near(xy: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class TunedFilter:
-    """What a sequence filter runs with.
+    """Settings of a sequence filter, with their validation error.
 
     Attributes:
         temperature: of the softmax, in units of the descriptor distance.
-        kidnapping: probability that the robot is anywhere.
+        kidnapping: probability that the robot could be anywhere.
         error: mean error on the validation sequence.
     """
 
@@ -273,16 +273,16 @@ class TunedFilter:
 
 
 def learn_temperature(distances: ArrayLike, true: ArrayLike) -> float:
-    """Return the temperature that makes the true frames likeliest under softmax(-d / temperature).
+    """Return the temperature that makes the true frames most likely under softmax(-d / temperature).
 
-    There, the distance expected under the softmax is on average that of the true frame.
+    At this temperature, the expected distance under the softmax equals, on average, that of the true frame.
 
     Args:
-        distances: (n, m) of queries to the map; infinite where a frame is left out.
+        distances: (n, m) from queries to the map; infinite where a frame is left out.
         true: (n,) the geometrically nearest map frame of each.
 
     Raises:
-        DataError: no queries, or arrays that do not fit each other.
+        DataError: no queries, or arrays that do not match each other.
     """
     apart, rows = np.asarray(distances, dtype=np.float64), np.asarray(true)
     if apart.ndim != 2 or not apart.size or rows.shape != apart.shape[:1] or rows.dtype.kind not in "iu":
@@ -294,7 +294,7 @@ def learn_temperature(distances: ArrayLike, true: ArrayLike) -> float:
         raise DataError("a true frame is at no finite distance from its query: leave that query out")
     scale = float(np.median(finite[finite > 0])) if (finite > 0).any() else 1.0
     values = np.where(np.isfinite(apart), apart, 0.0)
-    low, high = -12.0, 5.0  # logarithms of the temperature over the scale
+    low, high = -12.0, 5.0  # logarithm of temperature / scale
     for _ in range(50):
         middle = (low + high) / 2
         weight = np.exp(-apart / (scale * np.exp(middle)))
@@ -309,10 +309,10 @@ def learn_temperature(distances: ArrayLike, true: ArrayLike) -> float:
 
 @typed
 def temperature_of_map(known: VisualMap) -> float:
-    """Return the temperature learned from the map itself: each frame is looked for among the others.
+    """Return the temperature learned from the map itself, by searching for each frame among the others.
 
-    A large map is sampled. A map of one frame, or of frames that all look alike, gives a temperature all the same: any
-    will do there.
+    A large map is sampled. A map of one frame, or of frames that all look alike, gives a temperature as well; there,
+    any value works.
 
     Raises:
         DataError: a map frame without a position.
@@ -339,24 +339,24 @@ def tune_filter(
     softer: Sequence[float] = (1, 2, 3, 4),
     kidnapping: Sequence[float] = (1e-3, 1e-5, 1e-7),
 ) -> list[TunedFilter]:
-    """Return settings tried on a validation sequence, the one of the smallest mean error first.
+    """Try settings on a validation sequence; return them with the smallest mean error first.
 
-    The temperature that suits single queries takes each for news. Consecutive queries see nearly the same, their
-    mistakes last, and a softer one keeps a filter from trusting such a mistake the more the longer it lasts. How much
-    softer depends on how densely the map is sampled, hence on trial.
+    The temperature that suits single queries treats each of them as independent. But consecutive queries see nearly the
+    same, so mistakes persist, and a higher (softer) temperature keeps the filter from trusting a mistake more the
+    longer it lasts. How much softer depends on how densely the map is sampled, and is therefore found by trial.
 
     Args:
-        motion: of a robot in the map (m frames).
-        distances: (n, m) of the validation queries to the map.
+        motion: motion model of a robot in the map (m frames).
+        distances: (n, m) from the validation queries to the map.
         true_xy: (n, 2) their true positions.
         sequence: (n,) their sequences.
-        temperature: the one that suits single queries.
-        softer: factors of it to try, positive.
+        temperature: the temperature that suits single queries.
+        softer: factors of the temperature to try, positive.
         kidnapping: probabilities to try, in (0, 1).
 
     Raises:
         ConfigError: nothing to try, or values out of range.
-        DataError: arrays that do not fit each other.
+        DataError: arrays that do not match each other.
     """
     if not len(softer) or not len(kidnapping):
         raise ConfigError("tuning a sequence filter needs at least one factor and one probability to try")

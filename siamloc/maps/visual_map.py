@@ -1,4 +1,4 @@
-"""`VisualMap`: the frames a robot knows, with their descriptors, in memory and in one file."""
+"""`VisualMap`: the frames a robot knows and their descriptors, in memory and in a file."""
 
 from __future__ import annotations
 
@@ -27,25 +27,27 @@ from siamloc.maps.search import Retrieval, VectorIndex
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VisualMap:
-    """Descriptors (n, D) with the frames they describe; immutable. `siamloc.maps.build` makes one.
+    """Descriptors (n, D) and the frames they describe; immutable. Built by `siamloc.maps.build`.
 
     Attributes:
-        descriptors: (n, D) float32, read-only; of a robot's map in fewer digits, a `Packed` array that gives its rows.
-        frames: n frames; poses and rooms may be missing, and then the tasks that need them say so.
-        identity: what made the descriptors (name, parameters, hash of the weights) and under "images" how images
+        descriptors: (n, D) float32, read-only; a `Packed` array, which unpacks rows on access, if a robot's map was
+            saved at lower precision.
+        frames: n frames; poses and rooms may be missing, and the tasks that need them raise an error.
+        identity: what computed the descriptors (name, parameters, hash of the weights) and, under "images", how images
             became panoramas, as plain values.
         distance: how descriptors are compared: a name in `analytic.DISTANCES`.
-        unit: what x and y count; that of the frames if None is given.
-        made: what its frames were read from, as plain values; for the record only.
-        orientation: (n, K, F) by which headings are found, read-only; None for a descriptor that has no such part.
-        heading: by what headings are found where the descriptors do not hold it: what a network gives besides, or
-            another descriptor; None if there is nothing.
-        describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which makes an analytic one
-            from the identity, and `with_descriptor`.
+        unit: unit of x and y; the frames' unit if None.
+        made: what the frames were read from, as plain values; for reference only.
+        orientation: (n, K, F) orientation parts that give the headings, read-only; None for a descriptor without them.
+        heading: what gives the headings if the descriptors do not: the network's own heading part or that of another
+            descriptor; None if there is neither.
+        describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which creates an analytic one
+            from the identity, or `with_descriptor`.
 
     Raises:
-        DataError: no frames, not as many descriptors or heading parts as frames, or values that are not finite.
-        ConfigError: an unknown distance, or one that says nothing of so few numbers.
+        DataError: no frames, a different number of descriptors or heading parts than frames, or values that are not
+            finite.
+        ConfigError: an unknown distance, or one that is meaningless for so few values.
 
     Example:
         >>> known = VisualMap([[0.0, 1.0], [1.0, 0.0]], FrameTable(path=["a.png", "b.png"], x=[0, 5], y=[0, 0]))
@@ -107,16 +109,15 @@ class VisualMap:
 
     @property
     def width(self) -> int:
-        """Values in a descriptor, D."""
+        """Number of values in a descriptor, D."""
         return self.descriptors.shape[1]
 
     @cached_property
     def descriptor(self) -> Descriptor:
-        """What describes queries as the map's frames were described.
+        """The descriptor that describes queries as the map's frames were described.
 
         Raises:
-            ConfigError: the map does not hold it: a network comes from its run, a descriptor of one's own from its
-                maker.
+            ConfigError: the map does not hold it: load a network from its run, and create a custom descriptor yourself.
         """
         if self.describes is not None:
             return self.describes
@@ -129,36 +130,36 @@ class VisualMap:
 
     @cached_property
     def describer(self) -> Descriptor:
-        """What describes queries together with what their headings are found by."""
+        """The descriptor that describes queries, including the part that gives their headings."""
         if self.heading is None or self.turned_by_its_own:
             return self.descriptor
         return WithHeading(self.descriptor, self.heading.descriptor)
 
     @property
     def turned_by_its_own(self) -> bool:
-        """Whether headings are found by a heading part that its own descriptor gives."""
+        """Whether headings come from a heading part computed by the map's own descriptor."""
         if self.heading is None or self.heading.own:
             return self.heading is not None
         return self.heading.identity == without_images(self.identity)
 
     @property
     def aligned(self) -> bool:
-        """Whether its descriptors are compared only after turning them alike."""
+        """Whether descriptors are turned into alignment before they are compared."""
         return (self.describes is not None or is_analytic(self.identity)) and self.descriptor.aligned
 
     @cached_property
     def description(self) -> Description:
-        """The map as what its descriptor compares; its spectrum is computed once for all queries."""
+        """The map as a description that its descriptor can compare; its spectrum is computed once for all queries."""
         return Description(self.descriptors, self.orientation)
 
     @cached_property
     def index(self) -> VectorIndex:
-        """The descriptors made ready for exact search, once for all queries."""
+        """The descriptors, prepared once for exact search with any number of queries."""
         return VectorIndex(self.descriptors, self.distance)
 
     @cached_property
     def digest(self) -> str:
-        """What changes with the map's descriptors, how they are compared, frames or descriptor; not with headings."""
+        """A hash of the descriptors, the way they are compared, the frames and the identity, not of the headings."""
         digest = hashlib.sha256(json.dumps([self.identity, self.distance], sort_keys=True).encode())
         digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
         for array in (np.asarray(self.descriptors), self.frames.xy):
@@ -166,7 +167,7 @@ class VisualMap:
         return digest.hexdigest()
 
     def take(self, rows: ArrayLike) -> VisualMap:
-        """Return the map of the rows given by positions or by a mask."""
+        """Return the map of some rows, given by index or by a mask."""
         key: Any = np.atleast_1d(rows)
         held = self.descriptors
         return replace(
@@ -181,7 +182,7 @@ class VisualMap:
         """Return the map of the frames that have a position: the map itself if all have one.
 
         Raises:
-            DataError: none has one.
+            DataError: no frame has a position.
         """
         placed = self.frames.has_position
         if not placed.any():
@@ -189,29 +190,29 @@ class VisualMap:
         return self if placed.all() else self.take(placed)
 
     def turning(self, rows: NDArray[np.int64]) -> Description:
-        """Return some rows (p,) as what headings are found by."""
+        """Return some rows (p,) as the description that headings are estimated from."""
         if self.heading is None:
             return self.description.take(rows)
         return Description(self.descriptors[rows], self.heading.take(rows).orientation)
 
     @typed
     def search(self, descriptors: ArrayLike, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
-        """Find the k nearest map frames of each descriptor (n, D), exactly; min(k, len(map)) of them.
+        """Find the min(k, len(map)) nearest map frames of each descriptor (n, D), exactly.
 
-        The first search prepares the map for all that follow, which takes the memory of its descriptors as float32.
+        The first search prepares the map for all others, which takes the memory of its descriptors as float32.
 
         Args:
             descriptors: (n, D).
-            k: how many to return, at least 1.
+            k: number of map frames to return, at least 1.
             excluded: (n, len(map)) bool, True where a query must not find a map frame.
 
         Raises:
-            ConfigError, DataError: as `siamloc.maps.VectorIndex.search`.
+            ConfigError, DataError: as for `siamloc.maps.VectorIndex.search`.
         """
         return self.index.search(descriptors, k, excluded=excluded)
 
     def with_descriptor(self, descriptor: Descriptor) -> VisualMap:
-        """Return the map with what describes its queries.
+        """Return the map with the descriptor for its queries.
 
         Raises:
             ConfigError: the map was described by another descriptor.
@@ -221,10 +222,10 @@ class VisualMap:
         return replace(self, describes=descriptor)
 
     def with_distance(self, distance: str | None) -> VisualMap:
-        """Return the map whose descriptors are compared by another distance; the map itself if None.
+        """Return the map with another distance between descriptors; the map itself if None.
 
         Raises:
-            ConfigError: an unknown distance, or one that says nothing of the map's descriptors.
+            ConfigError: an unknown distance, or one that is meaningless for the map's descriptors.
 
         Example:
             >>> known = VisualMap([[0.0, 1.0], [1.0, 0.0]], FrameTable(path=["a.png", "b.png"]))
@@ -234,10 +235,10 @@ class VisualMap:
         return self if distance in (None, self.distance) else replace(self, distance=distance)
 
     def with_heading(self, heading: Descriptor | None) -> VisualMap:
-        """Return the map that gives headings by this descriptor; if None, by its own alone, where it has any.
+        """Return the map with headings from this descriptor; if None, only those from the map's own descriptor, if any.
 
         Raises:
-            ConfigError: the map holds nothing of this descriptor.
+            ConfigError: the map holds no heading part of this descriptor.
         """
         if heading is None:
             return self if self.heading is None or self.heading.own else replace(self, heading=None)
@@ -258,10 +259,10 @@ class VisualMap:
         )
 
     def check_frames(self, frames: FrameTable) -> None:
-        """Make sure that a data set still holds the map's frames where the map knows them.
+        """Check that a data set still holds the map's frames at the positions and in the rooms stored in the map.
 
         Raises:
-            ConfigError: a frame is not there any more, or has another position or room than in the map.
+            ConfigError: a frame is missing, or has another position or room than in the map.
         """
         rows = {key: row for row, key in enumerate(frames.identities())}
         missing = [key for key in self.frames.identities() if key not in rows]
@@ -280,43 +281,43 @@ class VisualMap:
             )
 
     def check_images(self, preprocessing: Mapping[str, Any]) -> None:
-        """Make sure that the panoramas of queries are made as those of the map were.
+        """Check that the panoramas of queries are made in the same way as those of the map.
 
         Args:
             preprocessing: `images.preprocessing.parameters()` of a library.
 
         Raises:
-            ConfigError: they are not; the keys that differ are named with both values.
+            ConfigError: they are not; the message lists the keys that differ, with both values.
         """
         if "images" in self.identity:
             self.check_describer({**self.identity, "images": preprocessing})
 
     def check_describer(self, identity: Mapping[str, Any]) -> None:
-        """Make sure that queries were described by what described the map.
+        """Check that queries were described by the descriptor that described the map.
 
         Raises:
-            ConfigError: they were not; the keys that differ are named with both values.
+            ConfigError: they were not; the message lists the keys that differ, with both values.
         """
         ours, theirs = _flat(self.identity), _flat(plain(dict(identity)))
         keys = [key for key in {**ours, **theirs} if ours.get(key, _ABSENT) != theirs.get(key, _ABSENT)]
         if ours and keys:
             listed = "; ".join(f"{key} is {_shown(ours, key)} in the map, {_shown(theirs, key)} here" for key in keys)
             raise ConfigError(
-                f"the map was described by something else than the queries: {listed}. "
+                f"the map was described differently from the queries: {listed}. "
                 "Describe the queries with the map's model, or build the map again"
             )
 
     @typed
     def save(self, path: str | Path, precision: Precision = "float32") -> None:
-        """Write the map into one npz file, atomically; equal maps give equal files.
+        """Write the map to an npz file, atomically; equal maps give equal files.
 
         Args:
-            path: of the file.
-            precision: how descriptors are kept. "float16" and "int8" keep a scale for each row beside them, and are
-                read back as float32 of about 3 and 2 digits; orientation parts are kept no shorter than float16.
+            path: the file to write.
+            precision: how descriptors are stored. "float16" and "int8" also store a scale for each row, and are read
+                back as float32 with about 3 and 2 significant digits; orientation parts have at least float16.
 
         Raises:
-            StorageError: the disk refuses.
+            StorageError: the disk is full or cannot be written to.
         """
         about = {"identity": self.identity, "distance": self.distance, "unit": self.unit, "made": plain(self.made)}
         descriptors = np.asarray(self.descriptors)
@@ -329,11 +330,11 @@ class VisualMap:
 
         Args:
             path: the file.
-            descriptor: what describes queries; an analytic one is made from the file where it is needed.
+            descriptor: the descriptor for queries; an analytic one is created from the file when it is needed.
 
         Raises:
             ConfigError: the map was described by another descriptor.
-            FormatError: the file is missing, cut short, altered, not a map, or of a newer version.
+            FormatError: the file is missing, truncated, altered, not a map, or of a newer version.
         """
         path = Path(path)
         if not path.is_file():
@@ -343,17 +344,17 @@ class VisualMap:
 
     @classmethod
     def read(cls, file: BinaryIO, source: str) -> VisualMap:
-        """Read what `save` wrote for a robot, from an open file.
+        """Read a map for a robot from an open file that `save` wrote.
 
-        Descriptors of fewer digits stay as short as they are, as `siamloc.maps.packing.Packed`, and so do orientation
-        parts by which headings alone are found, as `heading`.
+        Descriptors of lower precision stay packed, as `siamloc.maps.packing.Packed`. So do orientation parts that are
+        used only for headings, as `heading`.
 
         Args:
-            file: opened for reading, with a beginning and an end.
+            file: open for reading, seekable.
             source: what to call it in error messages.
 
         Raises:
-            FormatError: as `load`.
+            FormatError: as for `load`.
         """
         return cls._read(file, source, short=True)
 
@@ -370,13 +371,13 @@ _ABSENT = object()
 
 
 def _own(array: NDArray, given: Any) -> NDArray:
-    """Return an array that nobody else writes into: itself if it is read-only or new, else a copy."""
+    """Return an array that nothing else can write to: the array itself if read-only or freshly made, else a copy."""
     shared = isinstance(given, np.ndarray) and np.may_share_memory(array, given)
     return array.copy() if shared and array.flags.writeable else array
 
 
 def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:
-    """Find out whether the orientation parts are the descriptors in another shape, so that one copy will do."""
+    """Whether the orientation parts are the descriptors in another shape, so that one copy is enough."""
     same = orientation.dtype == descriptors.dtype and orientation.size == descriptors.size
     return same and np.array_equal(orientation.reshape(descriptors.shape), descriptors)
 
@@ -394,7 +395,7 @@ def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested dictionaries as one with dotted keys."""
+    """Flatten nested dictionaries into one with dotted keys."""
     flat: dict[str, Any] = {}
     for key, item in value.items():
         if isinstance(item, Mapping):
@@ -409,7 +410,7 @@ def _shown(identity: Mapping[str, Any], key: str) -> str:
 
 
 def _check_distance(name: str, width: int) -> None:
-    """Refuse a distance that is none, or by which all descriptors are alike."""
+    """Refuse an unknown distance, or one that makes all descriptors of this width alike."""
     if not isinstance(name, str) or name not in DISTANCES:
         raise ConfigError(f"unknown distance {name!r}: {hint(str(name), DISTANCES)}")
     least = {"cosine": 2, "correlation": 3}.get(name, 1)

@@ -227,7 +227,7 @@ def test_settings_or_table_that_are_none(images, tmp_path):
     with pytest.raises(augment.AugmentError, match=r"is not a table of augment.expand: its columns must be image, "):
         expand(images, targets, out, resume=True)
     (out / "augmentation.json").write_text('{"seed": ')
-    with pytest.raises(augment.AugmentError, match="is not whole JSON"):
+    with pytest.raises(augment.AugmentError, match="is incomplete or invalid JSON"):
         expand(images, targets, out, resume=True)
     (out / "augmentation.json").write_text("[]")
     with pytest.raises(augment.AugmentError, match="contains no settings"):

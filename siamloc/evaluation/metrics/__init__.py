@@ -1,6 +1,6 @@
 """Measures of place recognition and localization: pure functions on arrays.
 
-Positions are in whatever unit the data set counts in (metres unless it says otherwise), angles in radians.
+Positions are in the unit of the data set (metres by default), angles in radians.
 """
 
 from siamloc.evaluation.metrics.errors import error_floor, heading_error, localization_error, summarize

@@ -1,4 +1,4 @@
-"""Arrays as the measures need them: of the right shape, and finite."""
+"""Checked arrays for the measures: of the right shape, and finite."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def map_positions(xy: ArrayLike) -> NDArray[np.float64]:
     """Return the positions of a map's frames as float64 (m, 2), m at least 1.
 
     Raises:
-        DataError: another shape, a position that is not finite, or none at all.
+        DataError: another shape, a position that is not finite, or no positions.
     """
     positions = positions_of(xy, "map")
     if not len(positions):

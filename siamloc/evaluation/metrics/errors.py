@@ -1,4 +1,4 @@
-"""Errors of estimated poses, what they cannot fall below, and their summary."""
+"""Errors of estimated poses, their lower bound, and their summary."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def error_floor(
 
 
 def heading_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:
-    """Return the angle between estimated and true headings in rad (n,), in [0, pi], whatever turns are in them.
+    """Return the angle between estimated and true headings in rad (n,), in [0, pi], regardless of full turns.
 
     Raises:
-        DataError: shapes that differ, or a heading that is not finite.
+        DataError: different shapes, or a heading that is not finite.
     """
     a, b = column_of(estimated, "estimated headings"), column_of(true, "true headings")
     if a.shape != b.shape:

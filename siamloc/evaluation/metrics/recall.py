@@ -1,4 +1,4 @@
-"""Recall@K: is one of the first K retrieved frames near enough."""
+"""Recall@K: whether one of the first K retrieved frames is near enough."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from siamloc.evaluation.metrics.errors import error_floor
 
 @dataclass(frozen=True)
 class Recall:
-    """Recall@K within a radius, with all that it is a share of.
+    """Recall@K within a radius, with its denominators.
 
     Attributes:
         recall: hits / queries; NaN without queries.
         hits: queries with at least one of the K retrieved frames within the radius.
         queries: all queries.
         answerable: queries that have any map frame within the radius.
-        recall_answerable: hits / answerable; NaN where no query is answerable.
-        k: how many retrieved frames count.
+        recall_answerable: hits / answerable; NaN if no query is answerable.
+        k: number of retrieved frames that count.
         radius: the largest distance that counts as the same place, inclusive.
     """
 
@@ -44,10 +44,10 @@ def recall_at_k(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, ra
         map_xy: (m, 2).
         query_xy: (n, 2).
         radius: not negative; a frame exactly at the radius counts.
-        k: at least 1; a k beyond the size of the map means the whole map.
+        k: at least 1; a k larger than the map means the whole map.
 
     Raises:
-        ConfigError: a negative radius, or a k that is not positive or larger than what was retrieved.
+        ConfigError: a negative radius, or a k that is not positive or exceeds the number of retrieved frames.
         DataError: other shapes, rows outside the map, or a position that is not finite.
     """
     if int(k) != k or k < 1:
@@ -61,7 +61,7 @@ def recall_at_k(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, ra
 
 
 def recall_at_one_percent(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: float) -> Recall:
-    """Return recall@K with K = one percent of the map, rounded up, at least 1. Arguments as `recall_at_k`."""
+    """Return recall@K with K = one percent of the map, rounded up, at least 1. Arguments as for `recall_at_k`."""
     return recall_at_k(retrieved, map_xy, query_xy, radius, one_percent(len(map_positions(map_xy))))
 
 
@@ -71,7 +71,7 @@ def one_percent(map_size: int) -> int:
 
 
 def first_rank_within(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: float) -> NDArray[np.int64]:
-    """Return the rank (from 1) of the first retrieved frame within `radius` of its query; 0 where there is none (n,).
+    """Return the rank (from 1) of the first retrieved frame within `radius` of its query; 0 if there is none (n,).
 
     Args:
         retrieved: rows of the map, nearest descriptor first (n, K).
@@ -88,10 +88,10 @@ def first_rank_within(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLi
 
 
 def recall_from_ranks(rank: ArrayLike, floor: ArrayLike, radius: float, k: int) -> Recall:
-    """Return recall@k from what `first_rank_within` (for this radius) and `error_floor` gave (n,) and (n,)."""
+    """Return recall@k from the results of `first_rank_within` (for this radius) and `error_floor`, both (n,)."""
     ranks, floors = np.asarray(rank), np.asarray(floor)
     hit = (ranks > 0) & (ranks <= k)
-    # A hit is answerable by definition, whatever the last bit of its floor says.
+    # A hit is answerable by definition, even if rounding lifts its floor above the radius.
     answerable = (floors <= radius) | (ranks > 0)
     hits, n, possible = int(hit.sum()), len(ranks), int(answerable.sum())
     return Recall(

@@ -1,4 +1,4 @@
-"""Rooms told apart: pairs of images judged by their distance ([T] 5.3.3), and which room was taken for which."""
+"""Distinguish rooms: pairs of images judged by their distance ([T] 5.3.3), and the confusion of rooms."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from siamloc.evaluation.metrics.arrays import column_of
 
 @dataclass(frozen=True)
 class PairAccuracy:
-    """Shares of pairs judged rightly; NaN for a part that has no pairs.
+    """Shares of pairs judged correctly; NaN for a part without pairs.
 
     Attributes:
         same: of the pairs from one room.
         different: of the pairs from two rooms.
         overall: of all pairs.
-        n_same: pairs from one room.
-        n_different: pairs from two rooms.
+        n_same: number of pairs from one room.
+        n_different: number of pairs from two rooms.
     """
 
     same: float
@@ -34,15 +34,16 @@ class PairAccuracy:
 
 @dataclass(frozen=True, eq=False)
 class PairCurve:
-    """Shares of pairs judged rightly at several thresholds; NaN for a part that has no pairs.
+    """Shares of pairs judged correctly at several thresholds; NaN for a part without pairs.
 
     Attributes:
         thresholds: of the dissimilarity (t,).
         same: of the pairs from one room (t,).
         different: of the pairs from two rooms (t,).
         overall: of all pairs (t,).
-        auc: area under the curve of the pairs from one room found against those from two rooms mistaken for one: the
-            share of such couples of pairs in which the one-room pair is less dissimilar, ties counting half.
+        auc: area under the curve of one-room pairs found against two-room pairs mistaken for one room. This is the
+            share of couples of a one-room and a two-room pair in which the one-room pair is less dissimilar; ties count
+            half.
     """
 
     thresholds: NDArray[np.float64]
@@ -65,7 +66,7 @@ def pair_dissimilarity(distances: ArrayLike, margin: float = 2.0) -> NDArray[np.
 
 
 def pair_accuracy(distances: ArrayLike, same: ArrayLike, margin: float = 2.0, threshold: float = 0.5) -> PairAccuracy:
-    """Return the shares of pairs judged rightly, "same" meaning a dissimilarity below the threshold ([T] 5.3.3).
+    """Return the shares of pairs judged correctly; "same" is a dissimilarity below the threshold ([T] 5.3.3).
 
     Args:
         distances: between the two descriptors of each pair (n,).
@@ -94,7 +95,7 @@ def pair_accuracy(distances: ArrayLike, same: ArrayLike, margin: float = 2.0, th
 def pair_threshold_curve(
     distances: ArrayLike, same: ArrayLike, margin: float = 2.0, thresholds: ArrayLike | None = None
 ) -> PairCurve:
-    """Return what `pair_accuracy` gives at every threshold, and the area under the curve that needs none.
+    """Return the shares of `pair_accuracy` at every threshold, and the area under the curve, which needs no threshold.
 
     Args:
         distances: between the two descriptors of each pair (n,).
@@ -125,18 +126,18 @@ def pair_threshold_curve(
 
 
 def fitted_margin(distances: ArrayLike, same: ArrayLike) -> float:
-    """Return the margin whose half tells pairs from one room and from two apart best, for descriptors that have none.
+    """Return the margin whose half best separates pairs from one room and from two, for descriptors without a margin.
 
-    Of all distances that could be the limit, it is one with which the fewest pairs are misjudged; where several gaps
-    between distances are equally good, the middle of the widest.
+    Half the margin is a limit with which the fewest pairs are misjudged; if several gaps between distances are equally
+    good, it is the middle of the widest one.
 
     Args:
         distances: between the two descriptors of each pair (n,).
         same: True for pairs from one room (n,).
 
     Raises:
-        DataError: other shapes, distances that are negative or not finite, pairs of one kind only, or no two distances
-            that differ.
+        DataError: other shapes, distances that are negative or not finite, pairs of one kind only, or all distances
+            equal.
 
     Example:
         >>> fitted_margin([0.1, 0.2, 0.8, 1.0], np.array([True, True, False, False]))
@@ -150,7 +151,7 @@ def fitted_margin(distances: ArrayLike, same: ArrayLike) -> float:
             f"a margin is learned from pairs of both kinds at different distances, got {int(truth.sum())} from one "
             f"room, {int((~truth).sum())} from two, {len(levels)} different distances"
         )
-    gained = np.bincount(level, np.where(truth, 1.0, -1.0)).cumsum()[:-1]  # by a limit above each level but the last
+    gained = np.bincount(level, np.where(truth, 1.0, -1.0)).cumsum()[:-1]  # with a limit above each level but the last
     gaps = np.where(gained == gained.max(), np.diff(levels), -1)
     at = int(gaps.argmax())
     return float(levels[at] + levels[at + 1])

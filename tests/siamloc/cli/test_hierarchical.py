@@ -1,4 +1,4 @@
-"""Hierarchical localization, and the estimates beside the single-frame one, through the command line."""
+"""Hierarchical localization, and the estimates other than the single-frame one, through the command line."""
 
 import json
 
@@ -159,7 +159,7 @@ def test_a_saved_map_is_used_and_one_of_another_descriptor_refused(manifest, tmp
     evaluate(manifest, tmp_path, "thumbnail", *given, "task.coarse.descriptor=hog")
     assert "describing the map, hog" not in capsys.readouterr().err
     error = refused(capsys, *words(manifest, tmp_path, "hog", *given, "descriptor.bins=16"))
-    assert "described by something else" in error
+    assert "described differently from" in error
     assert "bins" in error
 
 

@@ -16,7 +16,7 @@ from siamloc.evaluation.comparison import highest_is_best
 
 @pytest.fixture(scope="module")
 def measured():
-    """Evaluate a descriptor once, and write it down by another name as often as wanted."""
+    """Evaluate a descriptor once, and save it under other names as often as needed."""
     images = siamloc.data.example()
     monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
     known = siamloc.maps.build("hog", images, monday, progress=False)

@@ -16,13 +16,8 @@ from siamloc.evaluation.result import Result
 from siamloc.files import plain
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
-from siamloc.maps.hierarchy import (
-    HierarchicalRetrieval,
-    HierarchicalSearch,
-    NodeRanking,
-    rank_by_position,
-    rank_by_representatives,
-)
+from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
+from siamloc.maps.ranking import NodeRanking, rank_by_position, rank_by_representatives
 from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes
 

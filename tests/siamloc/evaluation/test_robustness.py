@@ -110,7 +110,7 @@ def test_unchanged_images_are_located_once(images: np.ndarray) -> None:
     assert list(found) == [("noise", 0), ("noise", 0.01), ("turn", 0), ("turn", 90), ("turn", 360)]
     assert found["turn", 0].nearest is found["noise", 0].nearest is found["turn", 360].nearest
     assert found["turn", 90].nearest[0] != found["noise", 0.01].nearest[0]
-    # What a robot that turned left by 90 degrees sees is told of as its heading before it turned.
+    # What a robot that turned left by 90 degrees sees is reported with its heading before it turned.
     np.testing.assert_allclose(found["turn", 90].heading, -np.pi / 2)
     np.testing.assert_allclose(found["turn", 0].heading, 0)
 

@@ -1,4 +1,4 @@
-"""The call of each task: what it measures, what it refuses, and what it leaves."""
+"""The call of each task: what it measures, what it refuses, and what it writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures whose grey levels say where they were taken, and a descriptor of one's own that reads them."""
+"""Images whose grey levels show where they were taken, and a custom descriptor that reads them."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ THETAS = (0.0, 1.0, -2.0, 3.0, 0.5, -0.5)
 
 
 class Small(nn.Module):
-    """A network of one's own."""
+    """A custom network."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -69,7 +69,7 @@ def test_a_network_of_ones_own_makes_a_map_with_headings(images, tmp_path):
     found = match(loaded, seen)
     assert found.indices[:, 0].tolist() == list(range(6))
     np.testing.assert_allclose(headings(loaded, seen, found)[:, 0], THETAS, atol=1e-6)
-    with pytest.raises(ConfigError, match="described by something else"):
+    with pytest.raises(ConfigError, match="described differently from"):
         VisualMap.load(tmp_path / "map.npz", analytic.descriptor("hog"))
 
 
@@ -115,7 +115,7 @@ def test_ranking_settings_that_make_no_sense(images):
     frames, library = images
     known = build(analytic.descriptor("briefgist", rows=8), library, frames, progress=False)
     layer = CoarseLayer.of_labels(known, [0, 0, 0, 1, 1, 1])
-    with pytest.raises(ConfigError, match="compared after turning, and their means stand for nothing"):
+    with pytest.raises(ConfigError, match="compared after turning, so their means are meaningless"):
         HierarchicalSearch(known, layer)
     with pytest.raises(ConfigError, match="by must be representatives or vote or classifier, got 'votes'"):
         HierarchicalSearch(known, layer, by="votes")

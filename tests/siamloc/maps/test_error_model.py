@@ -122,7 +122,7 @@ def test_lost_is_an_expected_error_above_the_threshold() -> None:
 
 
 def looked_for(rng, distance: float, n: int = 200, m: int = 30, k: int = 10) -> Retrieval:
-    """Return matches whose best one is about so far away, and the others at about 1."""
+    """Return matches whose best one is at about the given distance, and the others at about 1."""
     distances = np.sort(np.concatenate([rng.normal(distance, 0.05, (n, 1)), rng.normal(1, 0.02, (n, k - 1))], axis=1))
     return Retrieval(np.argsort(rng.random((n, m)), axis=1)[:, :k], np.abs(distances))
 

@@ -11,7 +11,8 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import VisualMap, match
 from siamloc.maps.coarse import CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalSearch, NodeRanking, rank_by_representatives
+from siamloc.maps.hierarchy import HierarchicalSearch
+from siamloc.maps.ranking import NodeRanking, rank_by_representatives
 from tests.oracles import hierarchy as oracle
 
 DISTANCES = ("euclidean", "correlation", "cosine", "manhattan", "minkowski")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Retrieval, VectorIndex
-from siamloc.maps.hierarchy import NodeRanking, rank_by_position, rank_by_representatives, rank_by_vote
+from siamloc.maps.ranking import NodeRanking, rank_by_position, rank_by_representatives, rank_by_vote
 from tests.oracles import hierarchy as oracle
 
 ONE = VectorIndex([[0.0]]).search([[0.0]])

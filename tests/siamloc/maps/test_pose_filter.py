@@ -19,7 +19,7 @@ def drive(count: int = 60) -> np.ndarray:
 
 
 def told(xy: np.ndarray, seed: int = 0, agreement: float = 0.95) -> RefinedPoses:
-    """Poses as the refinement gives them for true positions (n, 2), with errors as they claim."""
+    """Poses as the refinement gives them for true positions (n, 2), with the errors they claim."""
     rng = np.random.default_rng(seed)
     n = len(xy)
     about = np.tile(np.eye(2) / SD**2, (n, 1, 1))

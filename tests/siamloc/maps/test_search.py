@@ -129,7 +129,7 @@ def test_near_zero_distances_far_from_the_origin_are_right() -> None:
 @pytest.mark.parametrize("smooth", [False, True])
 def test_many_groups_of_references(distance: str, k: int, smooth: bool) -> None:
     queries, references = gaussian(9, 1100, 6, seed=9)
-    if smooth:  # neighbours look alike, and all that is near stands together
+    if smooth:  # neighbours look alike, and all near frames are together
         references = np.cumsum(references, axis=0, dtype=np.float32)
         queries += references[::123]
     references[700:720] = references[100]

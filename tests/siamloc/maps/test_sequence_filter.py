@@ -155,7 +155,7 @@ def test_the_temperature_is_the_likeliest_one() -> None:
 
     assert log_likelihood(learned) >= max(log_likelihood(learned * factor) for factor in (0.97, 1.03))
     assert 0.2 < learned < 0.45
-    # Distances that tell all make it cold, such that tell nothing hot; neither makes it infinite.
+    # Fully informative distances make it cold, uninformative ones hot; neither makes it infinite.
     certain = learn_temperature([[0.0, 1.0]] * 3, np.zeros(3, dtype=int))
     useless = learn_temperature([[0.0, 1.0]] * 3, np.ones(3, dtype=int))
     assert 0 < certain < 0.1 < 10 < useless < math.inf

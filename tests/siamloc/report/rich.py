@@ -18,7 +18,8 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalSearch, rank_by_position, rank_by_representatives
+from siamloc.maps.hierarchy import HierarchicalSearch
+from siamloc.maps.ranking import rank_by_position, rank_by_representatives
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
 

@@ -178,11 +178,11 @@ def test_a_bundle_without_a_map_describes_alone(world, tmp_path):
 
 def test_what_does_not_belong_together_is_not_exported(world, tmp_path):
     network, known, _ = world
-    with pytest.raises(ConfigError, match="described by something else than the queries: name is"):
+    with pytest.raises(ConfigError, match="described differently from the queries: name is"):
         export(analytic.descriptor("hog"), known, tmp_path / "bundle")
     with pytest.raises(ConfigError, match="a bundle by hog needs a map: run `siamloc map descriptor=hog` first"):
         export(analytic.descriptor("hog"), None, tmp_path / "bundle", preprocessing=Preprocessing.of(IMAGES))
-    with pytest.raises(ConfigError, match="described by something else than the queries: weights is"):
+    with pytest.raises(ConfigError, match="described differently from the queries: weights is"):
         export(build("simple1", "fc500_500_5", SIZE, seed=1), known, tmp_path / "bundle")
     with pytest.raises(ConfigError, match=r"images\.width is 128 in the map, 64 here"):
         export(network, known, tmp_path / "bundle", preprocessing=Preprocessing.of({**IMAGES, "width": 64}))

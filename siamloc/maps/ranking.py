@@ -1,0 +1,194 @@
+"""Which nodes of a coarse layer a query is searched in: four ways to rank them ([C] 4, [T] 5.4.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps.coarse import UNASSIGNED
+from siamloc.maps.search import Retrieval, VectorIndex
+from siamloc.models.room_classifier import RoomClassifier
+
+_COUNTS = 1 << 22  # votes counted at once
+
+
+@dataclass(frozen=True, eq=False)
+class NodeRanking:
+    """The candidate nodes of each query.
+
+    Attributes:
+        nodes: (n, c) best first, no node twice in a row of the array; UNASSIGNED where a query has fewer candidates.
+        compared: (n,) number of descriptors that were compared to rank them.
+
+    Raises:
+        DataError: arrays of inconsistent shapes, or a node that appears twice in a row of the array.
+    """
+
+    nodes: NDArray[np.int64]
+    compared: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        nodes, compared = np.asarray(self.nodes), np.asarray(self.compared)
+        whole = nodes.dtype.kind in "iu" and compared.dtype.kind in "iu"
+        if not whole or nodes.ndim != 2 or not nodes.shape[1] or compared.shape != nodes.shape[:1]:
+            raise DataError(
+                f"a ranking needs whole numbers of nodes (n, c) and of comparisons (n,), got {nodes.dtype} "
+                f"{nodes.shape} and {compared.dtype} {compared.shape}"
+            )
+        ordered = np.sort(nodes, axis=1)
+        if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != UNASSIGNED)).any():
+            raise DataError("a ranking names a node twice for one query: rank each node once")
+        object.__setattr__(self, "nodes", nodes.astype(np.int64, copy=False))
+        object.__setattr__(self, "compared", compared.astype(np.int64, copy=False))
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def take(self, rows: NDArray) -> NodeRanking:
+        """Return the ranking for some of the queries, given by index or by a mask."""
+        return NodeRanking(self.nodes[rows], self.compared[rows])
+
+    @staticmethod
+    def concatenate(parts: Sequence[NodeRanking]) -> NodeRanking:
+        """Join the rankings of consecutive batches of queries."""
+        return NodeRanking(
+            np.concatenate([part.nodes for part in parts]), np.concatenate([part.compared for part in parts])
+        )
+
+
+def rank_by_representatives(
+    queries: ArrayLike,
+    representatives: ArrayLike,
+    candidates: int = 1,
+    distance: str = "euclidean",
+    ratio: float | None = None,
+) -> NodeRanking:
+    """Rank nodes by the distance of a query to their representatives ([C] 4).
+
+    Args:
+        queries: (n, D), described as the representatives were.
+        representatives: (k, D), those of a `CoarseLayer`.
+        candidates: number of nodes to keep; all of them if there are fewer.
+        distance: the distance of the map that the coarse layer was built from.
+        ratio: nodes more than `ratio` times as far as the nearest one are not candidates; see `HierarchicalSearch`.
+
+    Raises:
+        ConfigError: a number of candidates or a ratio below 1, or an unknown distance.
+        DataError: vectors of different lengths.
+    """
+    index = VectorIndex(representatives, distance)
+    return nearest_nodes(index, queries, check_candidates(candidates), check_ratio(ratio))
+
+
+def rank_by_classifier(queries: ArrayLike, classifier: RoomClassifier, candidates: int = 1) -> NodeRanking:
+    """Rank nodes by the probability that a classifier gives each, the most probable first ([T] 5.4.3, "CNN simple").
+
+    Args:
+        queries: (n, D), described with the network that the classifier was trained with.
+        classifier: with a class for each node, from a `CoarseLayer`.
+        candidates: number of nodes to keep; all of them if there are fewer.
+
+    Raises:
+        ConfigError: a number of candidates below 1.
+        DataError: vectors of another length.
+    """
+    scores, keep = classifier.scores(queries), check_candidates(candidates)
+    nodes = np.argsort(-scores, axis=1, kind="stable")[:, :keep].astype(np.int64)
+    return NodeRanking(nodes, np.full(len(scores), len(classifier)))
+
+
+def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compared: int | None = None) -> NodeRanking:
+    """Rank nodes by how many of the nearest map frames lie in them; in a tie, the node of the nearer frame comes first.
+
+    Nodes without a vote are not candidates, so a query may have fewer than requested. Frames in no node do not vote.
+
+    Args:
+        found: the nearest frames of the coarse map for each query (n, k), which give k votes.
+        labels: (m,) the node of each frame of the coarse map.
+        candidates: number of nodes to keep.
+        compared: number of descriptors compared for one query; m if None.
+
+    Raises:
+        ConfigError: a number of candidates below 1.
+        DataError: retrieved frames that have no label.
+    """
+    keep, node = check_candidates(candidates), _labels(labels)
+    if found.indices.size and (found.indices.min() < 0 or found.indices.max() >= len(node)):
+        raise DataError(f"the votes must come from the {len(node)} frames that have labels, rows 0 to {len(node) - 1}")
+    n, k = found.indices.shape
+    total = max(int(node.max()) + 1, 1)
+    kept = np.full((n, min(keep, total)), UNASSIGNED, dtype=np.int64)
+    step = max(1, _COUNTS // total)
+    for start in range(0, n, step):
+        part = slice(start, start + step)
+        kept[part] = _elected(node[found.indices[part]], total, k)[:, : kept.shape[1]]
+    return NodeRanking(kept, np.full(n, len(node) if compared is None else compared))
+
+
+def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) -> NodeRanking:
+    """Return the node of the geometrically nearest map frame: a perfect coarse layer, which no robot has.
+
+    A query whose nearest frame is in no node has no candidate.
+
+    Args:
+        query_xy: (n, 2) true positions.
+        map_xy: (m, 2).
+        labels: (m,) the node of each map frame.
+
+    Raises:
+        DataError: arrays of different lengths, or a position that is not finite.
+    """
+    node, index = _labels(labels), VectorIndex(map_xy)
+    if len(node) != len(index):
+        raise DataError(f"{len(index)} map frames need as many labels, got {len(node)}")
+    closest = index.search(query_xy)
+    return NodeRanking(node[closest.indices], np.zeros(len(closest), dtype=np.int64))
+
+
+def nearest_nodes(
+    representatives: VectorIndex, queries: ArrayLike, candidates: int, ratio: float | None
+) -> NodeRanking:
+    """Rank nodes by representatives that are ready for search; see `rank_by_representatives`."""
+    found = representatives.search(queries, candidates)
+    nodes = found.indices
+    if ratio is not None:
+        nodes = np.where(found.distances <= ratio * found.distances[:, :1], nodes, UNASSIGNED)
+    return NodeRanking(nodes, np.full(len(found), len(representatives)))
+
+
+def _elected(votes: NDArray[np.int64], total: int, k: int) -> NDArray[np.int64]:
+    """Return the nodes (b, total) ranked by some ballots (b, k), UNASSIGNED in place of those without a vote."""
+    row, place = np.nonzero(votes != UNASSIGNED)
+    node = votes[row, place]
+    count = np.zeros((len(votes), total), dtype=np.int64)
+    first = np.full((len(votes), total), k, dtype=np.int64)
+    np.add.at(count, (row, node), 1)
+    np.minimum.at(first, (row, node), place)
+    order = np.argsort(first - count * (k + 1), axis=1, kind="stable")
+    return np.where(np.take_along_axis(count, order, axis=1) > 0, order, UNASSIGNED)
+
+
+def _labels(labels: ArrayLike) -> NDArray[np.int64]:
+    node = np.asarray(labels)
+    if node.ndim != 1 or not len(node) or node.dtype.kind not in "iu" or (node < UNASSIGNED).any():
+        raise DataError(f"labels must be whole numbers of shape (m,), -1 or more, got {node.dtype} {node.shape}")
+    return node.astype(np.int64, copy=False)
+
+
+def check_ratio(ratio: float | None) -> float | None:
+    """Return a ratio of distances, refusing one below 1."""
+    if ratio is not None and not ratio >= 1:
+        raise ConfigError(f"a ratio of distances to the nearest node is 1 or more, got {ratio}")
+    return ratio
+
+
+def check_candidates(candidates: Any) -> int:
+    """Return a number of candidate nodes, refusing one below 1 or one that is not whole."""
+    if int(candidates) != candidates or candidates < 1:
+        raise ConfigError(f"hierarchical localization needs a whole number of candidate nodes >= 1, got {candidates}")
+    return int(candidates)
