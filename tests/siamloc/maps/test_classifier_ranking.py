@@ -11,7 +11,7 @@ from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, group
-from siamloc.maps.hierarchy import rank_by_classifier
+from siamloc.maps.ranking import rank_by_classifier
 from siamloc.models import RoomClassifier
 
 RNG = np.random.default_rng(5)
