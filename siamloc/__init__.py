@@ -10,7 +10,7 @@
     print(result.measures["error"], result.table())
     siamloc.runtime.export(network, known, "runs/robot/bundle")
 
-Importing the package loads neither torch nor lightning; each subpackage loads what it needs when it is used.
+Importing the package loads neither torch nor lightning; each subpackage loads what it needs on first use.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from siamloc.interrupts import hear_again, stop_once
 
 
 def entry() -> NoReturn:
-    """Run the command of this process's arguments, and leave."""
+    """Run the command given by this process's arguments, and exit."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, stop_once)
         hear_again()
@@ -16,9 +16,9 @@ def entry() -> NoReturn:
         from siamloc.cli import main
 
         status = main()
-    except KeyboardInterrupt:  # while it was loaded
+    except KeyboardInterrupt:  # while loading it
         status = 130
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # leaving is quick, and has nothing to say when it is interrupted
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # exiting is quick, and needs no message when interrupted
     sys.exit(status)
 
 

@@ -1,4 +1,4 @@
-"""`typed`: the arguments of a public call are checked against its annotations, as settings are.
+"""`typed`: check the arguments of a public call against its annotations, as settings are checked.
 
     >>> from siamloc.settings import Count
     >>> @typed
@@ -7,8 +7,8 @@
     Traceback (most recent call last):
     siamloc.errors.ConfigError: frames must be a FrameTable, got 'abc'
 
-What an annotation names is looked up when the call is made. A class that is only imported for type checking is known by
-its name. Arguments with annotations that cannot be told from a value (arrays, callables, type variables) pass.
+The names in an annotation are looked up when the call is made. A class that is only imported for type checking is
+recognized by its name. Arguments whose annotations cannot be checked by value (arrays, callables, type variables) pass.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ Arguments = ParamSpec("Arguments")
 def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Let a function be called with the fields of a settings class as keywords.
 
-    The function itself has one keyword, `settings`; a caller gives either that, made or as plain values, or the fields.
-    What it is called with is shown by `help` and by a notebook's completion, field by field; in the docstring the
-    fields take the place of the line about `settings`.
+    The function itself has one keyword, `settings`. A caller gives either that, as an object or as plain values, or the
+    fields. `help` and notebook completion show the fields one by one; in the docstring they replace the line about
+    `settings`.
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -79,12 +79,12 @@ def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..
 
 
 def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Let a function or a method refuse arguments that its annotations do not allow, before it does anything.
+    """Make a function or method refuse arguments that its annotations do not allow, before it does anything.
 
-    Arguments pass as they were given; nothing is converted.
+    Arguments are passed on as given; nothing is converted.
 
     Raises:
-        ConfigError: by the call, naming the argument, what it should be, and what it is.
+        ConfigError: from the call, naming the argument, what it should be, and what it is.
     """
     signature = inspect.signature(function)
     kinds: list[dict[str, Any]] = []
@@ -102,7 +102,7 @@ def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
 def check_arguments(
     signature: inspect.Signature, kinds: Mapping[str, Any], arguments: Sequence[Any], keywords: Mapping[str, Any]
 ) -> None:
-    """Check the arguments of a call; one that is missing or unknown is Python's to refuse.
+    """Check the arguments of a call; missing or unknown ones are left to Python.
 
     Raises:
         ConfigError: an argument of another type or out of range.
@@ -126,7 +126,7 @@ def kinds_of(function: Callable[..., Any]) -> dict[str, Any]:
         annotation = parameter.annotation
         try:
             kind = eval(annotation, {}, space) if isinstance(annotation, str) else annotation
-        except TypeError:  # brackets behind something that is only there for type checking
+        except TypeError:  # brackets after a name that only exists for type checking
             continue
         if kind is not inspect.Parameter.empty and _can_be_told(kind):
             found[name] = kind
@@ -134,7 +134,7 @@ def kinds_of(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _described(kind: type[Settings]) -> str:
-    """Return what the docstring of a settings class, and of those it builds on, says of the fields."""
+    """Return the field descriptions from the docstrings of a settings class and its bases."""
     texts = [
         inspect.cleandoc(one.__doc__) for one in reversed(kind.__mro__) if issubclass(one, Settings) and one.__doc__
     ]
@@ -148,14 +148,14 @@ def _shown(field: dataclasses.Field[Any]) -> Any:
 
 
 class _Space(dict[str, Any]):
-    """The names of a module, and a stand-in for each that it only has for type checking."""
+    """The names of a module, with a stand-in for each that is only imported for type checking."""
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name) if hasattr(builtins, name) else type(name, (Absent,), {})
 
 
 def _can_be_told(kind: Any) -> bool:
-    """Say whether it can be told from a value, whether it is of a kind."""
+    """Whether a value can be checked against this annotation."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return _can_be_told(parts[0])
@@ -165,5 +165,5 @@ def _can_be_told(kind: Any) -> bool:
         return True
     if not isinstance(origin or kind, type):
         return False
-    # Of numpy's own kinds only its arrays: what is like an array, or like a number, can be anything.
+    # Of numpy's types only arrays: array-likes and number-likes can be anything.
     return kind is not Any and (origin is np.ndarray or not (origin or kind).__module__.startswith("numpy"))

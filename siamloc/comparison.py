@@ -1,4 +1,4 @@
-"""`Comparison`: trainings or evaluations as rows of a table, the best first, with a picture and a verdict."""
+"""`Comparison`: trainings or evaluations as rows of a table, best first, with a plot and a verdict."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Comparison:
-    """A row for each training or evaluation, the best first.
+    """Trainings or evaluations as the rows of a table, best first.
 
     Attributes:
-        by: the figure that the rows are ordered by, such as "val/error" or "error".
-        differing: the settings in which they differ, such as "model.branch" and "seed".
-        measured: the further columns, `by` among them; the last one is the folder.
-        rows: for each the settings that differ and what was measured. One without the figure has NaN, and comes last.
-        highest: whether the highest value is the best.
+        by: the figure by which the rows are ordered, such as "val/error" or "error".
+        differing: the settings in which the rows differ, such as "model.branch" and "seed".
+        measured: the other columns, including `by`; the last one is the folder.
+        rows: for each, the differing settings and the measurements. Rows without the figure have NaN and come last.
+        highest: whether a higher value is better.
     """
 
     by: str
@@ -37,7 +37,7 @@ class Comparison:
     highest: bool = False
 
     def in_order(self) -> Comparison:
-        """Return the comparison with the best row first; rows that are equally good stay as they come."""
+        """Return the comparison with the best row first; ties keep their order."""
         sign = -1 if self.highest else 1
         known = [row for row in self.rows if not math.isnan(row[self.by])]
         unknown = [row for row in self.rows if math.isnan(row[self.by])]
@@ -54,7 +54,7 @@ class Comparison:
         return self.rows[0]
 
     def verdict(self) -> str:
-        """Return which is the best, in words."""
+        """Return a sentence that names the best row."""
         folder = self.best[self.measured[-1]]
         if math.isnan(self.best[self.by]):
             return f"best: none, {self.by} is not known of any"
@@ -70,7 +70,7 @@ class Comparison:
 
     @typed
     def save(self, path: str | Path) -> Path:
-        """Write the rows as CSV, numbers with every digit, unknown ones empty; return the path.
+        """Write the rows as CSV and return the path; numbers keep full precision, unknown ones are empty.
 
         Raises:
             StorageError: the disk refuses.
@@ -85,13 +85,13 @@ class Comparison:
 
     @typed
     def plot(self, against: str | None = None) -> Figure:
-        """Draw the figure against a setting, with a line for each combination of the others.
+        """Plot the figure against a setting, with a line for each combination of the others.
 
         Args:
-            against: one of `differing`; the first with numbers other than a seed if None, else the first.
+            against: one of `differing`. If None, the first numeric one other than the seed, or else the first.
 
         Raises:
-            ConfigError: another setting.
+            ConfigError: a setting that is not in `differing`.
             DataError: nothing differs, or nothing was measured.
         """
         from siamloc.report.draw.swept import swept_curves
@@ -100,7 +100,7 @@ class Comparison:
 
     @typed
     def save_picture(self, path: str | Path, against: str | None = None) -> Path:
-        """Write the picture as PNG, and return its path.
+        """Write the plot as PNG and return its path.
 
         Raises:
             ConfigError, DataError: as `plot`.
@@ -115,11 +115,11 @@ class Comparison:
 
 
 def flat(settings: Mapping[str, Any], without: Sequence[str] = (), prefix: str = "") -> dict[str, Any]:
-    """Return settings by dotted keys, as the command line calls them.
+    """Return settings by dotted keys, as on the command line.
 
     Args:
         settings: plain values, nested.
-        without: keys that are left out.
+        without: keys to leave out.
         prefix: of all keys.
 
     Example:
@@ -136,7 +136,7 @@ def flat(settings: Mapping[str, Any], without: Sequence[str] = (), prefix: str =
 
 
 def differing(settings: Sequence[Mapping[str, Any]], keys: Iterable[str] | None = None) -> list[str]:
-    """Return those of the keys, all if None, whose values are not the same everywhere.
+    """Return those of the keys (all if None) whose values differ.
 
     Example:
         >>> differing([{"seed": 0, "epochs": 5}, {"seed": 1, "epochs": 5}])
@@ -147,7 +147,7 @@ def differing(settings: Sequence[Mapping[str, Any]], keys: Iterable[str] | None 
 
 
 def files_named(folders: str | Path | Iterable[str | Path], name: str) -> list[Path]:
-    """Return the files of a name in folders and everything below them, each once.
+    """Return the files with a given name in and below folders, each once.
 
     Raises:
         ConfigError: no folders, or one that is missing.

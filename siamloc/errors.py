@@ -1,4 +1,4 @@
-"""What siamloc says when something is wrong: its exceptions, and its warning about what it leaves out."""
+"""Exceptions of siamloc, and its warning about what it leaves out."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ ON_ERROR = ("skip", "raise")
 class SiamlocError(Exception):
     """Base of every error that siamloc raises on purpose.
 
-    The message says what was expected, what came, which file or key it concerns, and what to do. The command
-    line prints it in one line and exits with status 2.
+    The message says what was expected, what was found, which file or key it concerns, and what to do. The command
+    line prints it on one line and exits with status 2.
     """
 
 
@@ -40,7 +40,7 @@ _EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live"}
 
 
 def lacking(error: ModuleNotFoundError) -> str | None:
-    """Return which extra brings a package that is not installed; None for a module of ours, which no extra brings."""
+    """Return a sentence naming the extra that installs a missing package; None for our own modules."""
     package = (error.name or "").partition(".")[0]
     if package in _OURS:
         return None
@@ -48,7 +48,7 @@ def lacking(error: ModuleNotFoundError) -> str | None:
 
 
 def hint(name: str, valid: Iterable[str]) -> str:
-    """Return a hint that names the valid spellings, the nearest one first: for the end of an error message."""
+    """Return a hint with the valid spellings, the nearest one first, for the end of an error message."""
     options = [str(option) for option in valid]
     close = get_close_matches(str(name), options, n=1, cutoff=0.5)
     listed = ", ".join(options) if options else "none"
@@ -62,12 +62,12 @@ def check_policy(on_error: str) -> None:
 
 
 def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> None:
-    """Report the things that had to be left out: one warning line, or an error for the strict.
+    """Report what had to be left out: one warning line, or an error if `on_error` is "raise".
 
     Args:
         problems: one text for each thing left out.
         total: how many things there were.
-        what: the things and their fault in words, such as "images listed in FILE do not exist".
+        what: the things and what is wrong with them in words, such as "images listed in FILE do not exist".
         on_error: "skip" or "raise".
 
     Raises:

@@ -33,8 +33,8 @@ _FOLDER = os.O_RDONLY
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder that becomes `path` when the block ends without an error.
 
-    The parent folders are made. After an error nothing is left behind and an older file stays as it was. What is left
-    after a kill is taken over when the file is written again.
+    Parent folders are created. After an error nothing is left behind and an older file stays as it was. Leftovers of a
+    killed process are reused when the file is written again.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -64,8 +64,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 def atomic_folder(path: str | Path) -> Iterator[Path]:
     """Yield an empty temporary folder next to `path` that becomes `path` when the block ends without an error.
 
-    What was there before is replaced as a whole. After an error nothing is left behind and the older folder stays as
-    it was.
+    An older folder is replaced as a whole. After an error nothing is left behind and the older folder stays as it was.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -92,8 +91,8 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
 def atomic_files(folder: str | Path) -> Iterator[Path]:
     """Yield an empty temporary folder whose files move into `folder` together when the block ends without an error.
 
-    They take the place of older ones of their names; all other files of the folder stay. After an error the folder is
-    as it was.
+    They replace older files of the same names; all other files in the folder stay. After an error the folder is as it
+    was.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -107,7 +106,7 @@ def atomic_files(folder: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(path: str | Path) -> Iterator[Path]:
-    """Yield an empty temporary folder next to `path`, whose parent folders are made; it is removed in the end.
+    """Yield an empty temporary folder next to `path` and remove it afterwards; parent folders are created.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -138,10 +137,10 @@ def _exchange(path: Path, temporary: Path) -> None:
 
 
 def _taken(path: Path, *, folder: bool = False) -> tuple[Path, int]:
-    """Make an empty temporary file or folder for `path`, or take over what a killed process left; hold it, too.
+    """Make an empty temporary file or folder for `path`, or take over one left by a killed process, and hold it.
 
-    The names have the numbers 0, 1, ...: the first is taken that no living process holds. So what a killed process
-    left is gone as soon as the same is written again, and two processes that write the same do not meet.
+    The names are numbered 0, 1, ...: the first one that no living process holds is used. So the leftovers of a killed
+    process are gone as soon as the same file is written again, and two processes writing the same file do not collide.
     """
     for number in count():
         temporary = path.with_name(f".{path.name}.{number}.tmp{path.suffix}")
@@ -154,7 +153,7 @@ def _taken(path: Path, *, folder: bool = False) -> tuple[Path, int]:
             fresh = False
             try:
                 handle = os.open(temporary, _FOLDER if folder else _FILE)
-            except OSError:  # gone meanwhile, or somebody else's
+            except OSError:  # gone by now, or somebody else's
                 continue
         got = lock(handle)
         if got is False or not is_at(handle, temporary) or (got is None and not fresh):
@@ -169,7 +168,7 @@ def _taken(path: Path, *, folder: bool = False) -> tuple[Path, int]:
 
 
 def temporary_of(path: str | Path) -> str:
-    """Return the name of what a temporary file or folder of this module was to become, "" for any other one.
+    """Return the final name of a temporary file or folder of this module, "" for any other path.
 
     >>> temporary_of("data/.camera.json.0.tmp.json"), temporary_of("data/camera.json")
     ('camera.json', '')
@@ -179,7 +178,7 @@ def temporary_of(path: str | Path) -> str:
 
 
 def clear_temporaries(paths: Iterable[str | Path]) -> None:
-    """Remove what killed processes had half written of these files; all other files stay.
+    """Remove the half-written temporaries that killed processes left of these files; all other files stay.
 
     Raises:
         StorageError: removing is not permitted.
@@ -210,10 +209,10 @@ def _remove(path: Path) -> None:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Keep other processes that ask for this out of a folder; it is made, and goes if an error leaves it empty.
+    """Keep other callers of this function out of a folder, which is created, and removed if an error leaves it empty.
 
     Raises:
-        ConfigError: another process works there.
+        ConfigError: another process is using the folder.
         StorageError: the disk refuses.
     """
     with storage_errors(folder):
@@ -224,7 +223,7 @@ def alone(folder: Path) -> Iterator[None]:
         try:
             yield
         except BaseException:
-            with suppress(OSError):  # it holds something
+            with suppress(OSError):  # it is not empty
                 folder.rmdir()
             raise
 
@@ -237,7 +236,7 @@ def storage_errors(path: str | Path) -> Iterator[None]:
     except StorageError:
         raise
     except OSError as error:
-        if error.errno is None:  # such as that of a time limit
+        if error.errno is None:  # such as a time limit
             raise
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = f"no space left on the disk while writing {path}: free some space or write elsewhere"
@@ -255,7 +254,7 @@ def storage_errors(path: str | Path) -> Iterator[None]:
 
 
 def write_json(path: str | Path, value: Any) -> None:
-    """Write a value as indented JSON, atomically; numpy scalars and arrays become plain, NaN becomes null."""
+    """Write a value as indented JSON, atomically; numpy values become plain ones, NaN becomes null."""
     text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 
@@ -267,15 +266,15 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def is_picture(path: str | Path) -> bool:
-    """Say whether a file's name has the ending of a picture."""
+    """Whether a file name has the ending of an image."""
     return Path(path).suffix.lower() in PICTURES
 
 
 def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture (rows, columns, 3), uint8, RGB, atomically, in the format that the name's ending says.
+    """Write an image (rows, columns, 3), uint8, RGB, atomically, in the format given by the file name's ending.
 
     Raises:
-        ConfigError: another ending than those of JPEG, PNG or WebP.
+        ConfigError: an ending other than those of JPEG, PNG or WebP.
         StorageError: the disk is full or refuses.
     """
     import cv2
@@ -290,16 +289,16 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
 
 
 def read_text(path: str | Path, most: int = 64_000_000) -> str:
-    """Read a text file that somebody else may have made: a regular one, of so many bytes at most.
+    """Read a text file that somebody else may have made: a regular file of at most `most` bytes.
 
     Raises:
         OSError: it is missing, or cannot be read.
-        ValueError: it is a device or a pipe, which might never end, too long, or no text.
+        ValueError: it is a device or a pipe, which might never end, or is too long or not text.
     """
     path = Path(path)
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):
-        raise ValueError("it is no regular file")
+        raise ValueError("it is not a regular file")
     if about.st_size > most:
         raise ValueError(f"it has {about.st_size:,} bytes, more than {most:,}")
     return path.read_text(encoding="utf-8")
@@ -313,7 +312,7 @@ def read_json(path: str | Path) -> Any:
     """
     path = Path(path)
     if not path.is_file() and path.exists():
-        raise FormatError(f"{path} is no regular file: give a JSON file")
+        raise FormatError(f"{path} is not a regular file: give a JSON file")
     try:
         return parsed_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
@@ -321,11 +320,11 @@ def read_json(path: str | Path) -> Any:
     except OSError as error:
         raise FormatError(f"{path} cannot be read ({error.strerror})") from error
     except ValueError as error:
-        raise FormatError(f"{path} is not whole JSON ({error}): write it again") from error
+        raise FormatError(f"{path} is incomplete or invalid JSON ({error}): write it again") from error
 
 
 def parsed_json(text: str) -> Any:
-    """Return the values of a JSON text that nobody vouches for.
+    """Parse JSON text from an untrusted source.
 
     Raises:
         ValueError: it is not JSON, or nested deeper than can be read.
@@ -337,7 +336,7 @@ def parsed_json(text: str) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Return a value made of dictionaries, lists, text, numbers, booleans and None only."""
+    """Convert a value to dictionaries, lists, text, numbers, booleans and None only."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
@@ -360,7 +359,7 @@ def content_key(value: Any, length: int = 16) -> str:
 
 
 def real_path(path: str | Path) -> Path:
-    """Return an absolute path with all links followed; links that lead in a circle stay as they are."""
+    """Return an absolute path with all links resolved; circular links stay as they are."""
     return Path(os.path.realpath(path))
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C in a process of its own: the first stops what goes on and cleans up, the second ends the process at once."""
+"""Ctrl-C handling: the first press stops the work and cleans up, the second ends the process at once."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from types import FrameType
 from typing import Any
 
 _SOON = 0.02
-"""Seconds until an interrupt that Python ignored is raised again, outside of what could not be interrupted."""
+"""Seconds until an interrupt that Python ignored is raised again, outside the code that could not be interrupted."""
 
 
 def stop_once(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; from then on the system ends the process, without a word.
+    """Raise KeyboardInterrupt; from then on another interrupt makes the system end the process, without a message.
 
-    What is then half written is removed by the next command that writes it.
+    Half-written files are then removed by the next command that writes them.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     raise KeyboardInterrupt
 
 
 def hear_again() -> None:
-    """Have an interrupt raised again that came where Python ignores it and goes on, as in a destructor."""
+    """Raise an interrupt again if it came where Python ignores it and continues, such as in a destructor."""
     usual = sys.unraisablehook
 
     def press() -> None:
@@ -45,7 +45,7 @@ def hear_again() -> None:
 
 
 def follows_from(error: BaseException | None) -> bool:
-    """Say whether an error is a KeyboardInterrupt, or what became of one on its way up."""
+    """Whether an error is a KeyboardInterrupt, or was raised while handling one."""
     seen = set[int]()
     while error is not None and id(error) not in seen:
         if isinstance(error, KeyboardInterrupt):

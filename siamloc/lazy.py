@@ -1,4 +1,4 @@
-"""Public names of a package that are loaded when they are first used, so that importing the package stays light."""
+"""Public names of a package that are loaded on first use, so that importing the package stays light."""
 
 from __future__ import annotations
 

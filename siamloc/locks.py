@@ -1,7 +1,7 @@
-"""Keeping other processes away from a file or a folder, for as long as this process lives.
+"""Keep other processes away from a file or a folder for as long as this process lives.
 
-The operating system's locks end with the process that holds them, however it ends, so that none has to be removed
-after a kill. Where a file system or an operating system has no such locks, everything counts as free.
+The operating system's locks end with the process that holds them, however it ends, so none has to be removed after a
+kill. If a file system or an operating system has no such locks, everything counts as free.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _handles: set[int] = set()
 
 @contextmanager
 def held(path: str | Path, *, wait: bool = False) -> Iterator[bool]:
-    """Hold a file or a folder that is there against others who ask for it in this way; yield whether it could be had.
+    """Lock an existing file or folder against other callers of this function; yield whether that succeeded.
 
     Args:
-        path: what to hold; it may be replaced or removed meanwhile.
-        wait: until it is free, instead of yielding False at once.
+        path: what to lock; it may be replaced or removed in the meantime.
+        wait: wait until it is free, instead of yielding False at once.
 
     Raises:
-        OSError: it is not there, or must not be opened.
+        OSError: it does not exist, or may not be opened.
     """
     while True:
         handle = os.open(path, os.O_RDONLY)
@@ -50,7 +50,7 @@ def held(path: str | Path, *, wait: bool = False) -> Iterator[bool]:
 
 
 def lock(handle: int, *, wait: bool = False) -> bool | None:
-    """Lock an open file or folder, and say whether it could be had; None where there are no locks."""
+    """Lock an open file or folder, and return whether that succeeded; None if the system has no locks."""
     if fcntl is None:
         return None
     try:
@@ -62,7 +62,7 @@ def lock(handle: int, *, wait: bool = False) -> bool | None:
 
 
 def is_at(handle: int, path: str | Path) -> bool:
-    """Say whether an open file or folder is the one that has this name now."""
+    """Whether an open file or folder is the one that currently has this name."""
     try:
         return os.path.samestat(os.fstat(handle), Path(path).lstat())
     except FileNotFoundError:
@@ -70,14 +70,14 @@ def is_at(handle: int, path: str | Path) -> bool:
 
 
 def release(handle: int) -> None:
-    """Close an open file or folder, which frees it."""
+    """Close an open file or folder, which unlocks it."""
     _handles.discard(handle)
     with suppress(OSError):
         os.close(handle)
 
 
 def _leave_to_parent() -> None:
-    """Close in a forked process what its parent holds: else it would hold on to it after the parent's death."""
+    """Close, in a forked process, what its parent holds: otherwise it would stay locked after the parent ends."""
     for handle in list(_handles):
         release(handle)
 

@@ -1,6 +1,6 @@
-"""What the C library does with memory that the process frees: keep it, or give it back to the system.
+"""Control what the C library does with freed memory: keep it, or give it back to the system.
 
-Where the C library is not glibc, nothing changes.
+If the C library is not glibc, nothing changes.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import Any
 # Names and numbers of malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_MMAP_MAX = -1, -3, -4
 _KEEP = {_M_MMAP_MAX: 0, _M_TRIM_THRESHOLD: 2**31 - 1}  # no block is mapped on its own, and the heap does not shrink
-_GIVE_BACK = {_M_MMAP_THRESHOLD: 2**17, _M_TRIM_THRESHOLD: 2**17}  # bytes, with which glibc begins
+_GIVE_BACK = {_M_MMAP_THRESHOLD: 2**17, _M_TRIM_THRESHOLD: 2**17}  # bytes; the initial values of glibc
 _USUAL = {_M_MMAP_MAX: 65_536, _M_MMAP_THRESHOLD: 2**25, _M_TRIM_THRESHOLD: 2**26}
-"""What glibc begins with; the two thresholds are those that it reaches by itself as large blocks come and go."""
+"""The defaults of glibc; the two thresholds are those that it reaches by itself as large blocks come and go."""
 
 
 @contextmanager
 def kept_memory() -> Iterator[None]:
-    """Keep freed memory in the process until the block ends: for the steps of a training.
+    """Keep freed memory in the process until the block ends, for the steps of a training.
 
     glibc gives each block above 32 MB back to the system as soon as it is freed. A network on a CPU asks for the same
     large blocks at every step, and the system clears them page by page each time, which can take as long as the
@@ -42,11 +42,11 @@ def kept_memory() -> Iterator[None]:
 
 @contextmanager
 def returned_memory() -> Iterator[None]:
-    """Give large blocks back to the system as soon as they are freed, until the block ends: for a robot's start.
+    """Give large blocks back to the system as soon as they are freed, until the block ends, for the start of a robot.
 
-    glibc keeps freed blocks as large as the largest one that was freed before, up to 32 MB, since such a size often
-    comes again. The weights of a network are read, put in another order and freed once, and never again: what is kept
-    of them is half of what a robot would hold. Afterwards images find their memory where the last one left it.
+    glibc keeps freed blocks up to the size of the largest one freed before, at most 32 MB, since such a size often
+    comes again. The weights of a network are read, reordered and freed once, and never again: keeping their memory
+    would be half of what a robot holds. Afterwards each image reuses the memory of the one before.
 
     Example:
         >>> with returned_memory():
@@ -75,7 +75,7 @@ def _adjusted(options: Mapping[int, int]) -> Iterator[None]:
 
 @cache
 def _glibc() -> Any:
-    """Return the C library, or None where it is not glibc."""
+    """Return the C library, or None if it is not glibc."""
     if not sys.platform.startswith("linux"):
         return None
     library = ctypes.CDLL(None)

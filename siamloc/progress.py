@@ -1,4 +1,4 @@
-"""Progress of long work: a bar where a person watches, plain lines where not."""
+"""Progress of long work: a bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def track(
     every_seconds: float = 10.0,
     size: Callable[[Item], int] | None = None,
 ) -> Iterator[Item]:
-    """Yield the items and show how far the work is, its rate and the time left, on standard error.
+    """Yield the items and show the progress, the rate and the time left on standard error.
 
     Args:
         items: what to work through.
         total: how many there are.
         what: the work in words, such as "decoding images".
-        every_seconds: distance of the plain lines when standard error is not a terminal.
-        size: how many of the total an item stands for, such as `len` for batches; 1 if None.
+        every_seconds: time between plain lines when standard error is not a terminal.
+        size: how many of the total an item counts for, such as `len` for batches; 1 if None.
     """
     if sys.stderr.isatty():
         yield from _bar(items, total, what, size or _one)

@@ -1,4 +1,4 @@
-"""Result files: `results.json` with the measures and all that they rest on, and tables with one row per query.
+"""Result files: `results.json` with the measures and everything they are based on, and tables with a row per query.
 
 A table is a dictionary of columns of equal length (`Columns`).
 """
@@ -31,7 +31,7 @@ FURTHER = {
     "refined": "refinement",
     "tracked": "filter between frames",
 }
-"""Estimates of a query's pose besides that of the nearest map frame, with what makes them."""
+"""Estimates of a query's pose other than that of the nearest map frame, and how each is made."""
 
 _OF_ESTIMATES = ("est_x", "est_y", "est_theta", "error", "heading_error", "match")
 _SCHEMA = "siamloc-results"
@@ -47,9 +47,9 @@ _PARSERS: dict[str, tuple[Any, Callable[[str], Any]]] = {
 
 
 def finest(columns: Columns) -> tuple[Columns, str | None]:
-    """Return a table of queries whose estimates and errors are the finest that it holds, and what those are called.
+    """Return a table of queries with its finest estimates and errors, and their name.
 
-    Those are poses by comparison or followed between map frames; the table itself and None where it has neither.
+    The finest are poses by comparison, or tracked between map frames. Without either, the table itself and None.
     """
     for name in ("tracked", "refined"):
         if f"{name}_error" in columns:
@@ -67,16 +67,16 @@ def write_results(
     """Write `results.json`, `queries.csv` and further tables; return the path of the first.
 
     Each file is written whole or not at all, `results.json` last: it names the tables that belong to it. Numbers keep
-    every digit.
+    full precision.
 
     Args:
-        folder: made where it is missing.
-        results: plain values with at least `config` (all of it), `measures` and `denominators`.
+        folder: created if it is missing.
+        results: plain values with at least `config` (complete), `measures` and `denominators`.
         rows: columns of equal length, written to `queries.csv`.
         tables: more columns by table name: "pairs" becomes `pairs.csv`, "map" `map.csv`.
 
     Raises:
-        ConfigError: a required key is missing, or a key or table has a name that is taken.
+        ConfigError: a required key is missing, or a key or table has a name that is already taken.
         DataError: columns of different lengths.
         StorageError: the disk refuses.
     """
@@ -112,7 +112,7 @@ def write_results(
     older = tables_of(folder)
     write_json(path, {**header, **results, "tables": described})
     for name in older - {table["file"] for table in described.values()}:
-        (folder / name).unlink(missing_ok=True)  # of the result that was replaced; nothing else is ever removed
+        (folder / name).unlink(missing_ok=True)  # of the replaced result; nothing else is ever removed
     return path
 
 
@@ -145,17 +145,17 @@ def read_results(folder: str | Path) -> dict[str, Any]:
 
 
 _GROUPS = {"measures": 1, "baselines": 2, "cost": 2, "tables": 2, "denominators": 1, "skipped": 1, "config": 1}
-"""Keys of `results.json` with how many levels of names they have at least."""
+"""Keys of `results.json`, and the minimum number of levels of names under each."""
 
 
 def _is_nested(value: Any, depth: int) -> bool:
-    """Say whether a value is a mapping, of mappings where `depth` is 2."""
+    """Whether a value is a mapping, or a mapping of mappings if `depth` is 2."""
     return isinstance(value, Mapping) and (depth < 2 or all(isinstance(one, Mapping) for one in value.values()))
 
 
 @typed
 def read_rows(folder: str | Path, table: str = "queries") -> Columns:
-    """Read one table of a result folder as columns, with the types and every digit that were written.
+    """Read one table of a result folder as columns, with the types and the full precision that were written.
 
     Raises:
         ConfigError: the results have no such table.
@@ -182,9 +182,9 @@ def read_rows(folder: str | Path, table: str = "queries") -> Columns:
 
 
 def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
-    """Return the row numbers of each label, labels in alphabetic order.
+    """Return the row numbers of each label, labels in alphabetical order.
 
-    Rows without a label come under "(unlabelled)"; where no row has one there are no groups at all.
+    Rows without a label are listed under "(unlabelled)"; if no row has a label, there are no groups.
 
     >>> rows_by_label(np.array(["night", "cloudy", "night"]))
     {'cloudy': array([1]), 'night': array([0, 2])}
@@ -196,7 +196,7 @@ def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that results depend on; that of torch only if it is loaded."""
+    """Return the software versions that results depend on; torch only if it is loaded."""
     found = {"python": platform.python_version(), "siamloc": __version__, "numpy": np.__version__}
     for package, distribution in (("opencv", "opencv-python-headless"), ("torch", "torch")):
         if package == "torch" and "torch" not in sys.modules:
@@ -209,7 +209,7 @@ def versions() -> dict[str, str]:
 
 
 def tables_of(folder: str | Path) -> set[str]:
-    """Return the files of the tables that a result names; nothing where there is none."""
+    """Return the files of the tables that a result names; none if there is no result."""
     try:
         tables = read_results(folder).get("tables", {})
     except FormatError:

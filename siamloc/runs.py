@@ -1,4 +1,4 @@
-"""`Run`: the folder of a training, with its settings, its checkpoints, its curves and what was made with it."""
+"""`Run`: the folder of a training, with its settings, checkpoints, curves and everything made from it."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _CHECKPOINTS = {"best": ("best", "last"), "last": ("last",)}
 
 @dataclass(frozen=True, repr=False)
 class Run:
-    """The folder of a run. What lies where is given by its properties; nothing is read or made until it is needed.
+    """The folder of a run. Its properties give the paths inside; nothing is read or created until it is needed.
 
     `run.json` holds the settings and the names of the files that siamloc wrote into the run. Only those are ever
-    removed: whatever else lies in the folder stays.
+    removed: everything else in the folder stays.
 
     Args:
-        folder: of the run, which need not exist yet.
+        folder: of the run; it need not exist yet.
 
     Raises:
         ConfigError: an empty name, which would be the current folder.
@@ -71,7 +71,7 @@ class Run:
 
     @property
     def record(self) -> Path:
-        """The settings of the run and the names of what was written into it."""
+        """File with the settings of the run and the names of the files written into it."""
         return self.folder / "run.json"
 
     @property
@@ -81,12 +81,12 @@ class Run:
 
     @property
     def map(self) -> Path:
-        """The visual map."""
+        """File of the visual map."""
         return self.folder / "map.npz"
 
     @property
     def weights(self) -> Path:
-        """File of the weights alone, which pretraining writes."""
+        """File with only the weights, which pretraining writes."""
         return self.folder / "weights.safetensors"
 
     @property
@@ -96,27 +96,27 @@ class Run:
 
     @property
     def metrics(self) -> Path:
-        """Training curves, a row per epoch."""
+        """File of the training curves, a row per epoch."""
         return self.folder / "metrics.csv"
 
     @property
     def tensorboard(self) -> Path:
-        """Folder of the curves and pictures for TensorBoard."""
+        """Folder of the curves and images for TensorBoard."""
         return self.folder / "tensorboard"
 
     @typed
     def evaluation(self, descriptor: str) -> Path:
-        """Folder of the results of a descriptor."""
+        """Return the folder of the results of a descriptor."""
         return self.folder / "evaluation" / descriptor
 
     @typed
     def layer(self, descriptor: str, build: str) -> Path:
-        """Folder of a coarse layer: `layer.npz`, and for an incremental map `mapper.npz` and what it did."""
+        """Return the folder of a coarse layer: `layer.npz`, and for an incremental map `mapper.npz` and its log."""
         return self.folder / "layers" / f"{descriptor}-{build}"
 
     @typed
     def checkpoint(self, which: str = "best") -> Path:
-        """Find the checkpoint called "best" or "last"; best falls back to last where nothing was validated.
+        """Find the checkpoint called "best" or "last"; best falls back to last if nothing was validated.
 
         Raises:
             ConfigError: another name, or no checkpoint yet.
@@ -128,12 +128,12 @@ class Run:
             if path.is_file():
                 return path
             if path.exists() or path.is_symlink():
-                raise FormatError(f"{path} is no regular file: train again, or put the checkpoint itself there")
+                raise FormatError(f"{path} is not a regular file: train again, or put the checkpoint itself there")
         raise ConfigError(f"{self.folder} holds no checkpoint: train it first with `siamloc train run={self.folder}`")
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the run was trained with: plain values under data, protocol, model, training, augment and more.
+        """The settings of the training: plain values under data, protocol, model, training, augment and more.
 
         Raises:
             ConfigError, FormatError: as `load_record`.
@@ -144,7 +144,7 @@ class Run:
         """Read the training curves: an array over the epochs for each name, such as "train/loss"; NaN for a gap.
 
         Raises:
-            ConfigError: no epoch has been finished.
+            ConfigError: no epoch has finished.
             FormatError: the file was altered.
         """
         if not self.metrics.is_file():
@@ -160,7 +160,7 @@ class Run:
             raise FormatError(f"{self.metrics} is not a table of training curves ({error}): train again") from error
 
     def plot(self) -> Figure:
-        """Draw the training curves, a panel for each figure.
+        """Plot the training curves, a panel for each figure.
 
         Raises:
             ConfigError, FormatError: as `curves`.
@@ -170,12 +170,12 @@ class Run:
         return training_curves(self.curves())
 
     def start(self, settings: Mapping[str, Any], names: Iterable[str]) -> None:
-        """Write the record of a training that begins.
+        """Write the record of a training that is about to begin.
 
         Args:
             settings: what the run is trained with, as plain values.
-            names: of the files that the training will write, relative to the folder; recorded before they are there,
-                so that nothing of a killed training is left behind.
+            names: of the files that the training will write, relative to the folder; recorded before they exist, so
+                that nothing of a killed training is left behind.
         """
         write_json(
             self.record,
@@ -214,7 +214,7 @@ class Run:
     def record_written(self, names: Iterable[str | Path]) -> None:
         """Note which files siamloc wrote into the run, so that `clear` may remove them.
 
-        Where the folder has no record, nothing is noted, and nothing is ever removed.
+        If the folder has no record, nothing is noted, and nothing is ever removed.
 
         Args:
             names: of files, relative to the folder or inside it.
@@ -231,7 +231,7 @@ class Run:
                 write_json(self.record, {**record, "written": sorted(written)})
 
     def clear(self) -> None:
-        """Remove what siamloc wrote into the run and noted; the record and all other files stay.
+        """Remove the files that siamloc noted as its own; the record and all other files stay.
 
         Raises:
             ConfigError, FormatError: as `load_record`.
@@ -239,26 +239,26 @@ class Run:
         """
         names = [name for name in self.load_record()["written"] if self._holds(name)]
         self._remove([self.folder / name for name in names])
-        # The folders from the inside out, and only what is empty by now.
+        # Folders from the inside out, and only if empty.
         folders = {parent for name in names for parent in Path(name).parents if parent != Path()}
         for folder in sorted((self.folder / folder for folder in folders), key=lambda path: -len(path.parts)):
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
     def discard(self) -> None:
-        """Remove the run: what siamloc wrote into it, its record, and the folder where nothing else lies in it."""
+        """Remove the run: the files that siamloc wrote, the record, and the folder if nothing else is in it."""
         self.clear()
         self._remove([self.record])
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 
     def clear_temporaries(self) -> None:
-        """Remove what a killed process had half written of the files that the record names."""
+        """Remove the half-written files that a killed process left of those in the record."""
         names = [self.record.name, *(name for name in self.load_record()["written"] if self._holds(name))]
         clear_temporaries(self.folder / name for name in names)
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """List which of these names are taken by files that siamloc did not write into this run."""
+        """List those of the names that belong to files that siamloc did not write into this run."""
         written = set(self.load_record()["written"]) if self.record.is_file() else set()
         return [name for name in names if (self.folder / name).exists() and name not in written]
 
@@ -276,7 +276,7 @@ class Run:
         return path.as_posix()
 
     def _holds(self, name: str) -> bool:
-        """Say whether a name stays inside the folder, links to folders followed."""
+        """Whether a name stays inside the folder, with links to folders resolved."""
         inside = real_path((self.folder / name).parent).is_relative_to(real_path(self.folder))
         return inside and Path(name) != Path() and not (self.folder / name).is_dir()
 
@@ -296,7 +296,7 @@ _SECTIONS = ("data", "model", "training", "loss", "augment", "protocol", "traine
 
 
 def _wrong(record: Mapping[str, Any]) -> str | None:
-    """Return the key of a record whose value is missing or of another type; None where all is as it was written."""
+    """Return the key of a record whose value is missing or of the wrong type; None if all is as written."""
     version, settings, written = (record.get(key) for key in ("version", "settings", "written"))
     if not isinstance(version, int) or isinstance(version, bool):
         return "version"
@@ -314,7 +314,7 @@ def _wrong(record: Mapping[str, Any]) -> str | None:
 
 
 def _check_curves(curves: Mapping[str, NDArray[np.float64]]) -> None:
-    """Refuse what no training writes: epochs that do not grow, and numbers that nothing could draw.
+    """Refuse what no training writes: epochs that do not grow, and numbers that cannot be plotted.
 
     Raises:
         ValueError: such values.
@@ -342,7 +342,7 @@ def newest_run(folder: Path = DEFAULT_FOLDER) -> Run:
 
 @typed
 def runs_in(folder: str | Path) -> list[Run]:
-    """Return the runs of a sweep: those right inside a folder that is no run itself; none if it is one.
+    """Return the runs of a sweep: those directly inside a folder; none if the folder is a run itself.
 
     Example:
         >>> runs_in("nowhere")
@@ -355,7 +355,7 @@ def runs_in(folder: str | Path) -> list[Run]:
 
 @typed
 def run_with(evaluation: str | Path) -> Run | None:
-    """Return the run that an evaluation lies in; None where its folder lies in none.
+    """Return the run that contains an evaluation; None if the folder is not inside a run.
 
     Example:
         >>> run_with("runs/robot/evaluation/hog/descriptor.bins-8")
@@ -367,7 +367,7 @@ def run_with(evaluation: str | Path) -> Run | None:
 
 
 def higher_is_better(figure: str) -> bool:
-    """Say whether the highest value of a figure of the curves is the best; of all others it is the lowest.
+    """Whether a higher value of a training figure is better; for all others, a lower value is.
 
     Example:
         >>> higher_is_better("val/room"), higher_is_better("val/error")

@@ -1,8 +1,8 @@
-"""Settings: the names, types and ranges of what a call takes, written down once.
+"""Settings: the names, types and ranges of the arguments of a call, defined once.
 
-A group of settings is a frozen dataclass. Its annotations say what each value may be; they are checked when the object
-is made, with one sentence for every mistake. The same class gives a function its keywords (`siamloc.calls.takes`) and
-the command line its defaults (`defaults_of`).
+A group of settings is a frozen dataclass. Its annotations say what each value may be. They are checked when the object
+is created, and a mistake gives a one-sentence error. The same class gives a function its keywords
+(`siamloc.calls.takes`) and the command line its defaults (`defaults_of`).
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
@@ -35,11 +35,11 @@ Kind = TypeVar("Kind", bound="Settings")
 
 @dataclass(frozen=True)
 class Rule:
-    """What a value must hold beyond its type.
+    """A condition on a value beyond its type.
 
     Attributes:
-        words: what is expected, in place of the type's own words.
-        holds: whether a value of the right type is one.
+        words: what is expected, replacing the description of the type.
+        holds: returns whether a value of the right type is valid.
     """
 
     words: str
@@ -47,9 +47,9 @@ class Rule:
 
 
 LARGEST = 10**10
-"""No number of a setting is larger than this, in either direction, whatever it is of; whole numbers have rules."""
+"""Largest absolute value of any number in a setting; whole numbers have rules of their own."""
 SMALLEST = 1e-12
-"""No `Positive` is smaller, since what is divided by it would be too large to calculate with."""
+"""Smallest value of a `Positive`: dividing by anything smaller would give numbers too large to calculate with."""
 
 Natural = Annotated[int, Rule("a whole number from 0 to 10 million", lambda value: 0 <= value <= 10_000_000)]
 Count = Annotated[int, Rule("a whole number from 1 to 10 million", lambda value: 1 <= value <= 10_000_000)]
@@ -77,14 +77,14 @@ class _Named(type):
 
 
 class Absent(metaclass=_Named):
-    """Stands in for a class that is not loaded: a value is of its kind if a class of that name is among its bases."""
+    """Stand-in for a class that is not loaded: a value is an instance if one of its bases has that name."""
 
 
 class Settings:
-    """Base of a group of settings: a frozen dataclass whose fields are checked when it is made.
+    """Base of a group of settings: a frozen dataclass whose fields are checked on creation.
 
     Attributes:
-        WHERE: what the command line calls the group, such as "pairs"; it begins the keys in error messages.
+        WHERE: name of the group on the command line, such as "pairs"; error messages put it before the key.
     """
 
     WHERE: ClassVar[str] = ""
@@ -95,11 +95,11 @@ class Settings:
 
     @classmethod
     def of(cls: type[Kind], values: Mapping[str, Any]) -> Kind:
-        """Make the settings from plain values, as a configuration file holds them; what is missing has its default.
+        """Make the settings from plain values, such as those of a configuration file; missing ones get their defaults.
 
         Raises:
-            ConfigError: an unknown key, with the nearest valid one; a key without a default that is missing; or a
-                value of another type or out of range.
+            ConfigError: an unknown key, with the nearest valid one; a missing key without a default; or a value of the
+                wrong type or out of range.
         """
         known = fields_of(cls)
         for key in values:
@@ -112,7 +112,7 @@ class Settings:
         return cls(**values)
 
     def plain(self) -> dict[str, Any]:
-        """Return the settings as plain values, which `of` reads back."""
+        """Return the settings as plain values, which `of` can read."""
         return {name: _plain(getattr(self, name)) for name in fields_of(type(self))}
 
     @classmethod
@@ -133,7 +133,7 @@ def defaults_of(kind: type[Settings]) -> dict[str, Any]:
 
 
 def checked(value: Any, kind: Any, key: str) -> Any:
-    """Return a value in the form that its annotation asks for: lists as tuples, numbers and arrays of numpy as plain.
+    """Return a value in the form of its annotation: lists become tuples, numpy numbers and arrays plain values.
 
     Raises:
         ConfigError: naming the key, what it should be, and what it is.
@@ -149,7 +149,7 @@ def checked(value: Any, kind: Any, key: str) -> Any:
 
 
 def shortened(text: str, most: int = 120) -> str:
-    """Return a text as an error message shows it: cut in the middle where it is long.
+    """Shorten a text for an error message: a long one is cut in the middle.
 
     >>> shortened("x" * 200, 20)
     'xxxxxxxx ... xxxxxxx'
@@ -161,7 +161,7 @@ def shortened(text: str, most: int = 120) -> str:
 
 
 def words_for(kind: Any) -> str:
-    """Return what a value of an annotation is, in words for an error message."""
+    """Describe the values that an annotation allows, for an error message."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return next((part.words for part in parts[1:] if isinstance(part, Rule)), words_for(parts[0]))
@@ -201,7 +201,7 @@ _LISTS = (tuple, list, Sequence)
 
 
 def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
-    """Say whether a value is of a kind, and return it in that kind's form."""
+    """Return whether a value fits an annotation, and the value in that form."""
     origin, parts = get_origin(kind), get_args(kind)
     if kind is Any:
         return True, value
@@ -215,7 +215,7 @@ def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
                 return True, found
         return False, value
     if isinstance(origin, type) and origin not in (Annotated, *_LISTS, dict, Mapping, types.UnionType):
-        return isinstance(value, origin), value  # an array, a function: what is in it cannot be told
+        return isinstance(value, origin), value  # an array, a function: its contents cannot be checked
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         value = value.tolist()
     if origin is Literal:
@@ -230,9 +230,9 @@ def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
 
 
 def _by_keys(parts: tuple[Any, ...], value: Any) -> list[Any]:
-    """Return the kinds that a value may have; of several groups of settings the one that knows most of its keys.
+    """Return the types that a value may have; of several groups of settings only the one that knows most of its keys.
 
-    Where they know equally many, it is the one whose keys look most like those that nobody knows.
+    In a tie, it is the group whose keys look most like the unknown ones.
     """
     groups = [part for part in parts if isinstance(part, type) and issubclass(part, Settings)]
     if len(groups) < 2 or not isinstance(value, Mapping):
@@ -261,7 +261,7 @@ def _fit_list(value: Any, origin: Any, parts: tuple[Any, ...], key: str) -> tupl
 def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
     if kind is None:
         return value is None, value
-    if getattr(kind, "_is_protocol", False):  # whatever object can do the same
+    if getattr(kind, "_is_protocol", False):  # any object that can do the same
         return value is not None and not isinstance(value, str | bytes | int | float | list | tuple | Mapping), value
     if isinstance(kind, type) and issubclass(kind, Absent):
         return any(one.__name__ == kind.__name__ for one in type(value).__mro__), value
@@ -277,14 +277,14 @@ def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
 
 
 def _beyond(value: Any) -> bool:
-    """Say whether a value, or an item of a list, is no number that can be calculated with: too large, or none."""
+    """Whether a value, or an item of a list, is a number that cannot be calculated with: too large, or NaN."""
     if isinstance(value, list | tuple):
         return any(map(_beyond, value))
     return isinstance(value, int | float) and not abs(value) <= LARGEST
 
 
 def _within(value: Any) -> Any:
-    """Return a value with each number cut to the largest size that one may have."""
+    """Return a value with each number clipped to the largest allowed size."""
     if isinstance(value, list | tuple):
         return [_within(item) for item in value]
     if not isinstance(value, int | float) or value != value:
@@ -293,7 +293,7 @@ def _within(value: Any) -> Any:
 
 
 def default_of(field: dataclasses.Field[Any]) -> Any:
-    """Return the default of a field; dataclasses.MISSING where it has none."""
+    """Return the default of a field; dataclasses.MISSING if it has none."""
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
     return field.default

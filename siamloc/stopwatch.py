@@ -1,4 +1,4 @@
-"""`Stopwatch`: what each step of some work takes for one image."""
+"""`Stopwatch`: the time per image that each step takes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from statistics import median
 
 @dataclass
 class Stopwatch:
-    """Seconds and images of each batch, by step.
+    """Measure the time that each step takes, in seconds and images per batch.
 
     Example:
         >>> clock = Stopwatch()
@@ -25,16 +25,16 @@ class Stopwatch:
 
     @contextmanager
     def of(self, step: str, images: int) -> Iterator[None]:
-        """Count the time of the block as that of so many images."""
+        """Count the time of the block for this step and number of images."""
         start = time.perf_counter()
         yield
         if images:
             self.batches.setdefault(step, []).append((time.perf_counter() - start, images))
 
     def ms(self, step: str) -> float | None:
-        """Return the milliseconds that a step took for one image; None where it was not taken.
+        """Return the milliseconds per image of a step; None if the step did not run.
 
-        It is the median over the batches; the first of several, in which everything is loaded, does not count.
+        This is the median over the batches; the first of several, in which everything is loaded, does not count.
         """
         batches = self.batches.get(step, [])
         return median(1000 * seconds / images for seconds, images in batches[1:] or batches) if batches else None

@@ -1,4 +1,4 @@
-"""What all tests share: Ctrl-C works, and a small data set of one's own for those that run what the pages say."""
+"""Shared by all tests: Ctrl-C works, and a small custom data set for tests that run the code of the pages."""
 
 import signal
 
@@ -11,7 +11,7 @@ FRAMES = 6
 
 @pytest.fixture(autouse=True)
 def _interruptible():
-    """Lightning ignores Ctrl-C once a training was interrupted, and processes that are begun then do so, too."""
+    """Lightning ignores Ctrl-C once a training was interrupted, and so do processes that are started then."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

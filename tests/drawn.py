@@ -79,6 +79,6 @@ def write_rows(path: Path, rows: list[dict[str, str]]) -> Path:
 
 
 def altered(manifest: Path, name: str, change: Callable[[dict[str, str]], dict[str, str]]) -> Path:
-    """Write a manifest beside another, every row changed by what a function of it returns, and return its path."""
+    """Write a manifest next to another, with every row changed by a function, and return its path."""
     with manifest.open(newline="") as file:
         return write_rows(manifest.parent / name, [{**row, **change(row)} for row in csv.DictReader(file)])

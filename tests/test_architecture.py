@@ -1,4 +1,4 @@
-"""Who may import whom, and what an import may cost."""
+"""Which modules may import which, and what an import may cost."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""The robot's installation: the wheel and what it asks for, without torch, Hydra and the rest of the laboratory."""
+"""The robot's installation: the wheel and its dependencies, without torch, Hydra and the rest of the laboratory."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
-    """Return a way to run Python with nothing but the wheel and what it brings along."""
+    """Return a way to run Python with nothing but the wheel and its dependencies."""
     folder = tmp_path_factory.mktemp("robot")
     subprocess.run([*PIP, "wheel", "--no-deps", "--wheel-dir", folder, ROOT], check=True)
     (wheel,) = folder.glob("siamloc-*.whl")

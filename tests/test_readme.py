@@ -1,4 +1,4 @@
-"""The Python of the README and of the how-to pages runs as it is written, on a small data set of one's own."""
+"""The Python of the README and of the how-to pages runs as it is written, on a small custom data set."""
 
 import re
 from pathlib import Path

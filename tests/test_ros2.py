@@ -1,4 +1,4 @@
-"""The messages of the ROS 2 example, without ROS: classes with the fields of its messages stand for them."""
+"""The messages of the ROS 2 example, without ROS: classes with the fields of its messages stand in for them."""
 
 import importlib.util
 import math

@@ -1,6 +1,6 @@
 """The command line: `siamloc <command> [Hydra overrides]`.
 
-This module loads nothing heavy: help and a mistyped command are answered at once.
+This module loads nothing heavy, so help and mistyped commands are answered at once.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from siamloc.interrupts import follows_from
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit status: 0, 2 for an error that the user can mend, 130 when interrupted."""
+    """Run a command and return the exit status: 0, 2 for an error that the user can fix, 130 when interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     words = [word for word in words if word != "--debug"]
     try:
         status = _dispatch(words)
-        sys.stdout.flush()  # a full disk shows here, and not when Python ends
+        sys.stdout.flush()  # a full disk shows up here, and not when Python exits
         return status
     except KeyboardInterrupt as error:
-        if not error.args:  # who stops with a word of how to go on has said it already
+        if not error.args:  # an interrupt with a message has already printed it
             print("siamloc: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
@@ -83,12 +83,12 @@ def _dispatch(words: list[str]) -> int:
 
 
 def _with_key(key: str, word: str) -> str:
-    """Return a word that stands alone as the value of a key."""
+    """Turn a bare word into the value of a key."""
     return "list=true" if word == "--list" else word if word.startswith("-") or "=" in word else f"{key}={word}"
 
 
 def _command(words: list[str]) -> tuple[str | None, list[str]]:
-    """Return the command, which may be two words, and what follows it; None if only help was asked for.
+    """Return the command (one or two words) and the words after it; None as the command if only help was requested.
 
     Raises:
         ConfigError: an unknown command.
@@ -109,13 +109,13 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
 
 
 def _print_nowhere() -> None:
-    """Let go of what could not be printed, so that Python does not try again when it ends."""
+    """Discard what could not be printed, so that Python does not try again on exit."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _sentence(error: Exception) -> str | None:
-    """Return the one line to print, or None for an error that is a bug of ours and needs its traceback."""
+    """Return the line to print, or None if the error is a bug in siamloc and needs its traceback."""
     if isinstance(error, SiamlocError):
         return str(error)
     if isinstance(error, ModuleNotFoundError):
@@ -125,7 +125,7 @@ def _sentence(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT) and error.strerror:
         return f"what is printed cannot be written: {error.strerror.lower()}"
     if isinstance(error, MemoryError):
-        return f"there is not enough memory for this ({error}): ask for less at once"
+        return f"there is not enough memory for this ({error}): request less at a time"
     for module, name in (("analytic.errors", "AnalyticError"), ("augment.errors", "AugmentError")):
         kind = getattr(sys.modules.get(module), name, None)
         if kind is not None and isinstance(error, kind):

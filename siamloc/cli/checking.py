@@ -1,7 +1,7 @@
-"""Every value of a configuration, checked before a command does anything: its type, its range, and that it is known.
+"""Check every value of a configuration before a command does anything: its name, type and range.
 
-The settings classes of the library say what their values may be (`siamloc.settings`). Here are those that only the
-command line has, and which class each part of a configuration belongs to.
+The settings classes of the library define their valid values (`siamloc.settings`). This module adds the settings that
+only the command line has, and assigns a class to each part of a configuration.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Devices = Annotated[tuple[Natural, ...], Rule("a list of one number or more", la
 
 @dataclass(frozen=True)
 class Loader(Settings):
-    """Who reads the images."""
+    """How images are loaded."""
 
     WHERE = "loader"
 
@@ -89,7 +89,7 @@ class Model(Settings):
 
 @dataclass(frozen=True)
 class TrainerKeys(Settings):
-    """What `conf/trainer` holds; other arguments of Lightning's Trainer are Lightning's to check."""
+    """The keys of `conf/trainer`; Lightning checks other arguments of its Trainer itself."""
 
     WHERE = "trainer"
 
@@ -209,13 +209,13 @@ def check(name: str, config: DictConfig) -> None:
     """Check every value of a configuration.
 
     Args:
-        name: of the configuration file that it began with.
-        config: whole, but for values that are missing because the command does not need them.
+        name: of the main configuration file.
+        config: complete, except for values that the command does not need.
 
     Raises:
-        ConfigError: an unknown key, or a value of another type or out of range.
-        AnalyticError: a parameter of a descriptor.
-        AugmentError: one of an augmentation.
+        ConfigError: an unknown key, or a value of the wrong type or out of range.
+        AnalyticError: an invalid parameter of a descriptor.
+        AugmentError: an invalid parameter of an augmentation.
     """
     values = OmegaConf.to_container(config, resolve=True)
     assert isinstance(values, dict)
@@ -238,7 +238,7 @@ def check(name: str, config: DictConfig) -> None:
 
 
 def training_of(config: DictConfig) -> Training:
-    """Return the settings of a training; those that the command line calls otherwise are checked by its names."""
+    """Return the settings of a training; errors use the key names of the command line."""
     held: Any = OmegaConf.to_container(config, resolve=True)
     values = {key: held[key] for key in (*OF_TRAINING, "pairs", "optimizer")}
     others = {"workers": "loader.workers", "augment_where": "augment.where"}
@@ -266,14 +266,14 @@ _MORE: dict[str, dict[str, Any]] = {
         "maps": tuple[str, ...] | str | None,
     },
 }
-"""What tasks hold besides the settings of their call."""
+"""Keys of the tasks in addition to the settings of their call."""
 
 
 def settings_of(task: Mapping[str, Any]) -> Settings | None:
-    """Return the settings of a task: what `conf/task` holds, as the call of `siamloc.evaluation` takes it.
+    """Return the settings of a task in `conf/task`, as the call of `siamloc.evaluation` takes them.
 
     Raises:
-        ConfigError: an unknown task or key, a value of another type or out of range, or tasks that are not measured
+        ConfigError: an unknown task or key, a value of the wrong type or out of range, or tasks that cannot be measured
             together.
     """
     from siamloc.evaluation.compact_maps import Compact
@@ -297,7 +297,7 @@ def settings_of(task: Mapping[str, Any]) -> Settings | None:
         "buildings": "maps",
     }
     if name in own and own[name] not in task:
-        raise ConfigError(f"{name} has settings of its own: choose it with task={name}")
+        raise ConfigError(f"{name} has its own settings: choose it with task={name}")
     kinds = {
         "hierarchical": Hierarchical,
         "mapping": MapMeasures,
@@ -325,7 +325,7 @@ def settings_of(task: Mapping[str, Any]) -> Settings | None:
 
 
 def _baselines(names: Any) -> None:
-    """Refuse a baseline that is no descriptor of `conf/descriptor`."""
+    """Refuse a baseline that is not a descriptor in `conf/descriptor`."""
     known = sorted(file.stem for file in (config_folder() / "descriptor").glob("*.yaml"))
     for name in names:
         if name not in known:
@@ -333,12 +333,12 @@ def _baselines(names: Any) -> None:
 
 
 def _is_group(name: str, group: str) -> bool:
-    """Say whether a key is a group of a configuration: `siamloc demo` has a key `data` of its own."""
+    """Whether a key is a group of a configuration: `siamloc demo` has its own key `data`."""
     return name != "demo" and group not in fields_of(_OWN[name])
 
 
 def _known(values: Mapping[str, Any], names: Iterable[str], where: str, others: Iterable[str] = ()) -> None:
-    """Refuse a key that is not among the names of a group; `others` are shown as well."""
+    """Refuse a key that is not among the names of a group; the error lists `others` as well."""
     names, before = set(names), f"{where}." if where else ""
     for key in values:
         if key not in names:
@@ -489,6 +489,6 @@ _GROUPS: dict[str, Callable[[DictConfig, Mapping[str, Any]], None]] = {
     "build": _build,
     "task": _task,
     "views": _views,
-    "pairs": lambda config, values: None,  # with the training
+    "pairs": lambda config, values: None,  # checked with the training
     "optimizer": lambda config, values: None,
 }

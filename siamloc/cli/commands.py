@@ -1,4 +1,4 @@
-"""The commands: each reads its configuration, makes a call of the library, and prints what came of it."""
+"""The commands: each reads its configuration, calls the library, and prints the result."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def pretrain(config: DictConfig) -> None:
 
 
 def map_frames(config: DictConfig) -> None:
-    """Describe the map frames of a run, and group them into nodes if that is asked for."""
+    """Describe the map frames of a run, and group them into nodes if requested."""
     from siamloc import maps
 
     run, label = run_of(config), label_of(config.descriptor)
@@ -148,7 +148,7 @@ def map_frames(config: DictConfig) -> None:
 
 
 def evaluate(config: DictConfig) -> None:
-    """Measure a task: one call of `siamloc.evaluation`, its files and its table."""
+    """Measure a task: call `siamloc.evaluation`, write the files and print the table."""
     from siamloc.cli.tasks import result_of
 
     run = run_of(config)
@@ -206,7 +206,7 @@ def export(config: DictConfig) -> None:
 
 
 def report(config: DictConfig) -> None:
-    """Write one page with everything about a run, or about several side by side."""
+    """Write one page with everything about a run, or several runs side by side."""
     from siamloc.report import write_report
     from siamloc.runs import newest_run
 
@@ -223,7 +223,7 @@ def report(config: DictConfig) -> None:
 
 
 def compare(config: DictConfig) -> None:
-    """Print a row for each training or evaluation of a sweep, the best first, and draw what counts."""
+    """Print a row for each training or evaluation of a sweep, best first, and plot the figure."""
     from siamloc import evaluation, training
     from siamloc.comparison import files_named
     from siamloc.runs import Run
@@ -234,7 +234,7 @@ def compare(config: DictConfig) -> None:
     print(found.table())
     print(found.verdict())
     if not measured and files_named(folders, "results.json"):
-        print(f"what was measured of these runs: siamloc compare runs={config.runs} by=error")
+        print(f"to compare the evaluations of these runs: siamloc compare runs={config.runs} by=error")
     name = "evaluations.csv" if measured else "trainings.csv"
     inside = Path(folders) / name if isinstance(folders, str) else None
     out = inside if config.out is None else Path(config.out)
@@ -252,7 +252,7 @@ def compare(config: DictConfig) -> None:
 
 
 def reproduce(config: DictConfig) -> None:
-    """Measure a published table or figure again, or all of them."""
+    """Reproduce a published table or figure, or all of them."""
     from siamloc.errors import DataError
     from siamloc.reproduce import listing, recipe, recipes, write_report
     from siamloc.reproduce import reproduce as measure_again
@@ -274,7 +274,7 @@ def reproduce(config: DictConfig) -> None:
     for one in recipes():
         try:
             results.append(measure_again(one, **options))
-        except DataError as error:  # the others can be measured all the same
+        except DataError as error:  # the others can still be measured
             missing[one.id] = str(error)
             continue
         print(f"{results[-1].summary()}: {results[-1].save(config.out)[0]}")
@@ -286,7 +286,7 @@ def reproduce(config: DictConfig) -> None:
 
 
 def expand(config: DictConfig) -> None:
-    """Write an augmented data set in the layout of the one it is made of."""
+    """Write an augmented data set in the layout of the original."""
     from siamloc import data
 
     settings = data_of(config)
@@ -329,7 +329,7 @@ def demo(config: DictConfig) -> None:
 
     run, data, begin = Run(config.run), Path(config.data), time.monotonic()
     if run.record.is_file() and not config.overwrite:
-        raise ConfigError(f"{run.folder} holds a run already: replace it by overwrite=true, or choose another run=")
+        raise ConfigError(f"{run.folder} holds a run already: replace it with overwrite=true, or choose another run=")
     overwrite = ["overwrite=true"] if config.overwrite else []
     mini = ["building=mini", f"seed={config.seed}", f"out={data}"]
     runs = "cloudy1,cloudy2,cloudy3,night1,night2,sunny1,sunny2"
@@ -343,13 +343,13 @@ def demo(config: DictConfig) -> None:
     photograph = image_files(next((data / "mini").glob("part_*/*night2/omni_cam")))[0]
     _step("localize", [*here, f"images=['{photograph}']"])
     _step("report", here)
-    print(f"\nThe run is {run.folder}, the building {data / 'mini'} with pictures in preview; curves for")
+    print(f"\nThe run is in {run.folder}, the building in {data / 'mini'} with images in preview; curves for")
     print(f"tensorboard --logdir {run.tensorboard}; {time.monotonic() - begin:.0f} s in all.")
-    print(f"To watch a drive by night: siamloc live run={run.folder} images=['{photograph.parent}']")
+    print(f"To watch a drive at night: siamloc live run={run.folder} images=['{photograph.parent}']")
 
 
 def _step(command: str, words: list[str]) -> None:
-    """Show a command as one would type it, and run it."""
+    """Show a command as a user would type it, and run it."""
     from siamloc.cli.help import COMMANDS
 
     print(f"\n$ siamloc {command} {' '.join(words)}", flush=True)

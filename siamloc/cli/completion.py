@@ -1,4 +1,4 @@
-"""Tab completion: `siamloc completion bash`, and the candidates that the shell asks for, which are Hydra's."""
+"""Tab completion: `siamloc completion bash`, and the candidates for the shell, which come from Hydra."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _INTERNAL = ("hydra", "settings", "parameters", "building", "simulate", "demo", 
 
 
 def completion(words: list[str]) -> str:
-    """Return the script of a shell, or for `query LINE` the candidates, one in each line.
+    """Return the script for a shell, or for `query LINE` the candidates, one per line.
 
     Raises:
         ConfigError: an unknown shell.
@@ -49,7 +49,7 @@ def completion(words: list[str]) -> str:
 
 
 def candidates(line: str) -> list[str]:
-    """Return what may stand in place of the last word of a command line, such as "siamloc train mod".
+    """Return the candidates for the last word of a command line, such as "siamloc train mod".
 
     >>> candidates("siamloc ev")
     ['evaluate ']
@@ -67,7 +67,7 @@ def candidates(line: str) -> list[str]:
 
 
 def _of_command(command: str, words: list[str]) -> list[str]:
-    """Return the candidates for the last of the words that follow a command, which are Hydra's for most commands."""
+    """Return the candidates for the last word after a command; for most commands they come from Hydra."""
     if COMMANDS[command].config is None:
         from siamloc.cli.robot import keys
 

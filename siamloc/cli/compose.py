@@ -1,4 +1,4 @@
-"""From the words on the command line to a configuration, by Hydra."""
+"""Compose a configuration from the words on the command line, with Hydra."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from siamloc.settings import shortened
 
 Main = Callable[[DictConfig], None]
 OF_SWEEPS = ("map", "evaluate")
-"""Commands that do their work for each run where the folder of a sweep is named."""
-# Hydra neither changes folder nor writes files or log lines of its own.
+"""Commands that do their work for each run if the folder of a sweep is given."""
+# Keep Hydra from changing the folder and from writing files or log lines.
 _HYDRA = (
     "hydra/job_logging=none",
     "hydra/hydra_logging=none",
@@ -49,16 +49,16 @@ def run(command: str, main: Main, words: list[str]) -> int:
     failed: list[Exception] = []
 
     def job(config: DictConfig) -> None:
-        sys.argv = arguments  # what the trainer starts further processes with
+        sys.argv = arguments  # used by the trainer to start further processes
         try:
             _for_each_run(command, config, lambda one: main(finished(command, one, given)))
         except Exception as error:
             if sweep_suffix():
                 raise
-            failed.append(error)  # Hydra would print a line of its own before passing it on
+            failed.append(error)  # Hydra would print a line before passing it on
 
     before = {"HYDRA_FULL_ERROR": os.environ.get("HYDRA_FULL_ERROR", "0")}
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # lets errors through to us instead of printing them
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # pass errors through instead of printing them
     arguments = sys.argv
     sys.argv = [f"siamloc {command}", *words]
     try:
@@ -89,16 +89,16 @@ def composed(command: str, words: list[str]) -> DictConfig:
 
 
 def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
-    """Return a configuration with the settings of the run that it names, and everything set.
+    """Return a configuration with the settings of its run, and with every value set.
 
     Raises:
-        ConfigError: a key that has no value.
+        ConfigError: a key without a value.
     """
     keys = [_key(word) for word in words if not word.startswith("-")]
     groups = [key for key in keys if (config_folder() / key).is_dir()]
     for key in keys:
         if "." in key and (config_folder() / key.replace(".", "/")).is_dir():
-            raise ConfigError(f"{key} is a choice of files: write {key.replace('.', '/')}=NAME, with a slash")
+            raise ConfigError(f"{key} is chosen from files: write {key.replace('.', '/')}=NAME, with a slash")
     resumed = command in ("train", "pretrain") and config.get("resume") is True
     if (COMMANDS[command].inherits or resumed) and config.get("run") is not None:
         from siamloc.cli.inherit import with_settings_of_the_run
@@ -131,17 +131,17 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
 
 
 def composed_defaults(name: str) -> DictConfig:
-    """Return a configuration as its files have it, values without a default among them."""
+    """Return a configuration as its files define it, including values without a default."""
     return _hydra_compose(name, [])
 
 
 def plain(config: DictConfig) -> dict[str, Any]:
-    """Return a configuration as plain values, references resolved."""
+    """Return a configuration as plain values, with references resolved."""
     return OmegaConf.to_container(config, resolve=True)  # type: ignore[return-value]
 
 
 def _for_each_run(command: str, config: DictConfig, work: Main) -> None:
-    """Do the work for each run of the sweep that is named, or once where none is; a run that fails stops no other.
+    """Do the work for each run of the given sweep, or once if there is none; a failing run does not stop the others.
 
     Raises:
         SiamlocError: what was wrong with the first run that failed.
@@ -165,7 +165,7 @@ def _for_each_run(command: str, config: DictConfig, work: Main) -> None:
 
 
 def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
-    """Compose while a Hydra job may be running, whose state is put back afterwards."""
+    """Compose a configuration, and restore the state of any running Hydra job afterwards."""
     from hydra import compose as hydra_compose
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
@@ -182,15 +182,15 @@ def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
 
 
 def folder_of(name: str) -> Path:
-    """Return where a command's configuration lies: in a folder of its own if its keys are named as groups are."""
+    """Return the folder of a command's configuration: its own if its keys have the names of groups."""
     folder = config_folder() / name
     return folder if folder.is_dir() else config_folder()
 
 
 def _sweep(command: str, words: list[str]) -> list[str]:
-    """Say where a sweep lies and which words are the same in all its jobs; trainings lie in runs/sweep by default.
+    """Add the folder of a sweep and the words that all its jobs share; trainings go to runs/sweep by default.
 
-    Hydra notes the words of a sweep in its folder. Those of the trainings stay when their runs are evaluated.
+    Hydra stores the words of a sweep in its folder. Those of the trainings stay when their runs are evaluated.
     """
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
@@ -210,7 +210,7 @@ def _sweep(command: str, words: list[str]) -> list[str]:
 
 
 def _check_words(words: list[str]) -> None:
-    """Make sure that every word is one that Hydra can read, and say what is wrong with the first that is not."""
+    """Make sure that Hydra can read every word, and explain what is wrong with the first that it cannot."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
@@ -219,7 +219,7 @@ def _check_words(words: list[str]) -> None:
         if word.startswith("-") or before.startswith("-"):
             continue
         if word.startswith("~"):
-            raise ConfigError(f"{word} takes away a key that is needed: leave the word out, or set another value")
+            raise ConfigError(f"{word} removes a key that is needed: leave it out, or set another value")
         if "=" not in word or word.startswith("="):
             shown = shortened(repr(word))
             raise ConfigError(f"{shown} is not of the form key=value, such as images=[photo.jpeg] or epochs=5")
@@ -228,13 +228,13 @@ def _check_words(words: list[str]) -> None:
         except (HydraException, ValueError) as error:
             key, shown = word.partition("=")[0], shortened(repr(word))
             raise ConfigError(
-                f"the value of {shown} cannot be read: put texts with blanks, brackets or other signs in quotes, "
+                f"the value of {shown} cannot be read: put texts with spaces, brackets or other symbols in quotes, "
                 f"such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
             ) from error
 
 
 def _network_of_a_run(word: str) -> str:
-    """Read `descriptor=FOLDER` as the trained network of that run, and several of them as a sweep over networks."""
+    """Read `descriptor=FOLDER` as the trained network of that run, and several folders as a sweep over networks."""
     key, _, value = word.partition("=")
     folders = [folder.strip("'\"") for folder in value.split(",")]
     if key != "descriptor" or not all((Path(folder) / "run.json").is_file() for folder in folders):
@@ -243,7 +243,7 @@ def _network_of_a_run(word: str) -> str:
 
 
 def _flags_first(words: list[str]) -> list[str]:
-    """Gather the overrides behind the flags: Hydra's parser takes them in one piece only."""
+    """Move the overrides after the flags: Hydra's parser only takes them in one piece."""
     overrides = [word for word in words if word.startswith("~") or ("=" in word and not word.startswith("-"))]
     return [word for word in words if word not in overrides] + overrides
 
@@ -253,12 +253,12 @@ def _key(word: str) -> str:
 
 
 def _quoted(text: object) -> str:
-    """Return a text as a value that Hydra's grammar takes whole, whatever signs it holds."""
+    """Quote a text so that Hydra's grammar takes it as one value, whatever characters it holds."""
     return "'" + str(text).replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
 def _explained(error: Exception, words: list[str], name: str) -> Exception:
-    """Turn Hydra's and OmegaConf's errors into one sentence with the nearest valid name; leave others alone."""
+    """Turn errors of Hydra and OmegaConf into one sentence with the nearest valid name; leave others alone."""
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
@@ -273,7 +273,7 @@ def _explained(error: Exception, words: list[str], name: str) -> Exception:
                 return ConfigError(
                     f"{key} is a group of groups: choose {' or '.join(f'{key}/{one}=NAME' for one in inside)}"
                 )
-        added = f"; what else Lightning's Trainer takes is added with a plus: +{key}=..."
+        added = f"; add other arguments of Lightning's Trainer with a plus: +{key}=..."
         more = added if key.startswith("trainer.") else ""
         return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, name, words)}{more}")
     if found := re.search(r"(?:Could not find|In '[^']*': Could not find) '([^']+)'", text):

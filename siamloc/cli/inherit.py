@@ -1,7 +1,7 @@
-"""What a command takes over from the run that is named: the settings stored in the run and in its map.
+"""Settings that a command takes from the given run: those stored in the run and in its map.
 
-What is said on the command line wins: a key such as `protocol.map.every=2` over the stored one, and a group such as
-`data=cold` over everything that it chooses. The size of the images comes along with the network in any case.
+The command line wins: a key such as `protocol.map.every=2` replaces the stored one, and a group such as `data=cold`
+replaces everything that it chooses. The image size always comes from the network.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from siamloc.errors import ConfigError, FormatError
 from siamloc.models.registry import Optimizer, whole_model
 from siamloc.runs import Run, newest_run
 
-# What a group of the command line chooses besides itself: files in `conf/data` and `conf/experiment` choose others.
+# What a group on the command line chooses in addition: files in `conf/data` and `conf/experiment` choose others.
 _CHOOSES = {
     "data": ("data", "unwrap", "protocol"),
     "experiment": (
@@ -33,18 +33,18 @@ _CHOOSES = {
 def with_settings_of_the_run(
     config: DictConfig, keys: Sequence[str], groups: Sequence[str], *, resumed: bool, replaces_map: bool, required: bool
 ) -> DictConfig:
-    """Return a configuration with the settings of the run that it names; unchanged where there is no such run yet.
+    """Return a configuration with the settings of its run; unchanged if there is no such run yet.
 
     Args:
         config: with `run`, and `descriptor` where the command has one.
-        keys: what was said on the command line, such as "protocol.map.every".
-        groups: those among the keys that are groups, with dots, such as "data" or "model.branch".
-        resumed: whether the settings of the training are wanted too.
-        replaces_map: whether a new map is made: frames and headings of the one that is there are then not taken over.
-        required: whether the run has to be there where its network is needed.
+        keys: those given on the command line, such as "protocol.map.every".
+        groups: those of the keys that are groups, with dots, such as "data" or "model.branch".
+        resumed: whether to take the settings of the training as well.
+        replaces_map: whether a new map is made: frames and headings of the existing one are then not taken.
+        required: whether the run must exist if its network is needed.
 
     Raises:
-        ConfigError: an empty name of a run, or a folder that is none where its network is needed.
+        ConfigError: an empty run name, or a folder that is not a run although its network is needed.
         FormatError: a run or a map of another version.
     """
     if not str(config.run).strip():
@@ -75,10 +75,10 @@ def with_settings_of_the_run(
 
 
 def _check_literal(stored: Any, run: Run) -> None:
-    """Refuse texts that OmegaConf would look up, in the environment of whoever opens a run of somebody else's.
+    """Refuse texts that OmegaConf would look up in the environment of whoever opens somebody else's run.
 
     Raises:
-        FormatError: there is one.
+        FormatError: there is such a text.
     """
     if isinstance(stored, Mapping):
         for value in stored.values():
@@ -91,17 +91,17 @@ def _check_literal(stored: Any, run: Run) -> None:
 
 
 def label_of(options: Mapping[str, Any]) -> str:
-    """Return what the folders and table rows of a descriptor or a build are called: its label, else its name."""
+    """Return the name for the folders and table rows of a descriptor or a build: its label, else its name."""
     return str(options.get("label") or options["name"])
 
 
 def map_file(run: Run, label: str) -> Path:
-    """Return where the map of a descriptor lies in a run."""
+    """Return the path of a descriptor's map in a run."""
     return run.map if label == "network" else run.evaluation(label) / "map.npz"
 
 
 def map_of_job(run: Run, config: DictConfig) -> Path:
-    """Return where a job's map lies: in a folder of its own where a sweep makes maps that differ, else `map_file`."""
+    """Return the path of a job's map: in its own folder if a sweep makes different maps, else `map_file`."""
     label = label_of(config.descriptor)
     shared = run.evaluation(label)
     own = own_folder(shared, config, of_map)
@@ -109,7 +109,7 @@ def map_of_job(run: Run, config: DictConfig) -> Path:
 
 
 def map_known(run: Run, config: DictConfig) -> Path:
-    """Return which map a job searches: its own, or one that other distances and headings share; it need not exist."""
+    """Return the map that a job searches: its own, or one shared across distances and headings; it need not exist."""
     label = label_of(config.descriptor)
     shared = run.evaluation(label)
     for others in ((), ("distance",), ("distance", "heading")):
@@ -123,7 +123,7 @@ def map_known(run: Run, config: DictConfig) -> Path:
 def _kept(
     record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed: bool, replaces_map: bool
 ) -> dict[str, Any]:
-    """Return what is stored, by section of the configuration."""
+    """Return the stored settings by section of the configuration."""
     model, training = whole_model(record.get("model", {})), record.get("training", {})
     kept = _of_data(record.get("data") or (made or {}).get("data") or {})
     if "protocol" in record:
@@ -163,7 +163,7 @@ def _of_data(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
-    """Return what the map of the named descriptor was made of, by section, where the run has one."""
+    """Return the settings with which the map of the descriptor was made, by section; None without a map."""
     if "descriptor" not in config:
         return None
     places = (map_known(run, config), map_file(run, label_of(config.descriptor)))
@@ -178,28 +178,28 @@ def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
         found["data"] = {**known.made["data"], "unit": known.unit}
     if "role" in known.made:
         found["protocol.map"] = known.made["role"]
-    if known.heading is not None and not known.heading.own:  # only columns that are a full turn give headings
+    if known.heading is not None and not known.heading.own:  # headings need columns that are a full turn
         found["heading"] = {key: value for key, value in known.heading.identity.items() if key != "circular"}
     return found
 
 
 def by_network(config: DictConfig) -> bool:
-    """Return whether the configured descriptor is the network of a run."""
+    """Whether the configured descriptor is the network of a run."""
     return config.get("descriptor", {}).get("name", "network") in ("network", "untrained")
 
 
 def check_named(config: DictConfig) -> None:
-    """Make sure that a run is named where its network is needed.
+    """Make sure that a run is given if its network is needed.
 
     Raises:
-        ConfigError: it is not; the newest run is suggested.
+        ConfigError: no run is given; the error suggests the newest one.
     """
     if config.get("run") is None and by_network(config) and config.descriptor.get("run") is None:
         raise ConfigError(f"no run is named: {suggestion()}")
 
 
 def suggestion() -> str:
-    """Return which run a user may have meant, for an error message."""
+    """Suggest a run for an error message."""
     try:
         return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
     except ConfigError:

@@ -1,4 +1,4 @@
-"""The answer to `siamloc <command> --help`: what a command takes, with every key of its configuration."""
+"""The text of `siamloc <command> --help`: the main keys of a command, then every key of its configuration."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from siamloc.cli.help import COMMANDS
 
 
 def command_help(name: str) -> str:
-    """Return the answer to `siamloc <command> --help`: the main keys with a word on each, then all of them."""
+    """Return the text of `siamloc <command> --help`: the main keys with an explanation of each, then all keys."""
     command = COMMANDS[name]
     groups = []
     if command.config is None:
@@ -26,14 +26,14 @@ def command_help(name: str) -> str:
     return (
         f"siamloc {name}: {command.summary}\n\n{indent(dedent(command.details).strip(), '  ')}\n\n"
         f"example:\n  {command.example}\n\n"
-        f"all keys, by what chooses them{more}:\n" + "\n".join(groups)
+        f"all keys, by group{more}:\n" + "\n".join(groups)
     )
 
 
 def keys_of(name: str) -> dict[str, list[str]]:
-    """Return all keys of a configuration by what chooses them: "data=cold|folder|..." and "other keys".
+    """Return all keys of a configuration by group: "data=cold|folder|..." and "other keys".
 
-    They are read from the configuration files and the settings classes, so that the list is always complete.
+    They are read from the configuration files and the settings classes, so the list is always complete.
     """
     from siamloc.cli.compose import composed_defaults, folder_of
     from siamloc.cli.schema import config_folder, nodes_of_config, nodes_of_data
@@ -64,7 +64,7 @@ def _groups_of(file: Path) -> list[str]:
 
 
 def _loaded(file: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what a file of a group holds, with the settings classes that it names."""
+    """Return the contents of a file of a group, including those of the settings classes that it names."""
     from omegaconf import OmegaConf
 
     held: Any = OmegaConf.to_container(OmegaConf.load(file))
@@ -74,7 +74,7 @@ def _loaded(file: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any
 
 
 def _flat(value: Any, prefix: str) -> list[str]:
-    """Return the keys inside of a section, with dots."""
+    """Return the keys inside a section, with dots."""
     from omegaconf import DictConfig, OmegaConf
 
     if isinstance(value, DictConfig):

@@ -1,4 +1,4 @@
-"""From a configuration to the objects of the library: frames, panoramas, descriptors, runs, maps, layers."""
+"""Make the objects of the library from a configuration: frames, panoramas, descriptors, runs, maps, layers."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ def preprocessing_of(config: DictConfig) -> Preprocessing:
 def open_roles(
     config: DictConfig, *names: str, known: VisualMap | None = None
 ) -> tuple[PanoramaLibrary, dict[str, FrameTable]]:
-    """Return the panoramas of the sequences that these roles of the protocol need, and the roles' readable frames.
+    """Return the panoramas that these roles of the protocol need, and the readable frames of each role.
 
     Args:
         config: the configuration.
         names: roles to fill.
-        known: a map that was saved before: its sequences are opened too.
+        known: a saved map whose sequences are opened as well.
 
     Raises:
-        ConfigError: a role without frames, or data that no longer hold the map's frames, or not as the map knows them.
+        ConfigError: a role without frames, or data without the map's frames or with different ones.
     """
     data, protocol = data_of(config), Protocol.of(plain(config.protocol))
     table = data.read()
@@ -62,11 +62,11 @@ def open_roles(
 
 
 def images_named(names: Any) -> list[Path]:
-    """Return the image files that a key names: one file or folder, or a list of them.
+    """Return the image files of a key: one file or folder, or a list of them.
 
     Raises:
-        ConfigError: none named.
-        DataError: a file that is not there, or a folder without images.
+        ConfigError: no images given.
+        DataError: a file that does not exist, or a folder without images.
     """
     paths: list[Path] = []
     for name in [names] if isinstance(names, str) else list(names or []):
@@ -81,10 +81,10 @@ def images_named(names: Any) -> list[Path]:
 
 
 def run_of(config: DictConfig) -> Run:
-    """Return the run that a command works on; analytic descriptors need none, and have a folder of their own.
+    """Return the run that a command works on; analytic descriptors need none and have their own folder.
 
     Raises:
-        ConfigError: a network is needed, and no run is named.
+        ConfigError: a network is needed, and no run is given.
     """
     if config.run is not None:
         return Run(Path(config.run))
@@ -96,7 +96,7 @@ def loss_of(config: DictConfig) -> Any:
     """Return the configured loss over batches of places; None for the contrastive loss, whose margin is a setting.
 
     Raises:
-        ConfigError: an unknown loss, or one that does not go with how the batches are drawn.
+        ConfigError: an unknown loss, or one that does not fit the way batches are drawn.
     """
     from siamloc.data.places import PlaceSettings
     from siamloc.models.batch_losses import LOSSES, make_loss
@@ -114,7 +114,7 @@ def loss_of(config: DictConfig) -> Any:
 
 
 def network_of(config: DictConfig) -> dict[str, Any]:
-    """Return which network the configuration asks for, as `siamloc.models.build` takes it."""
+    """Return the configured network as arguments of `siamloc.models.build`."""
     model = plain(config.model)
     return {
         "branch": model["branch"]["name"],
@@ -137,7 +137,7 @@ def training_folder(config: DictConfig) -> Path:
 
 
 def options_of(name: str) -> dict[str, Any]:
-    """Return the options of a descriptor by the name of its configuration file; what it leaves out has its default.
+    """Return the options of a descriptor by the name of its configuration file; missing ones have their defaults.
 
     Raises:
         ConfigError: an unknown name.
@@ -150,7 +150,7 @@ def options_of(name: str) -> dict[str, Any]:
 
 
 def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | None = None) -> Descriptor:
-    """Return a descriptor by its options, those of the configuration if none are given, on the configured device."""
+    """Return a descriptor on the configured device, from its options or, if None, those of the configuration."""
     parameters = dict(plain(config.descriptor) if options is None else options)
     name, _ = parameters.pop("name"), parameters.pop("label", None)
     if name == "thumbnail":
@@ -163,7 +163,7 @@ def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | Non
     from siamloc import models
 
     if name == "pretrained":
-        _check_size(config, PRETRAINED_SIZE, "the network that comes with siamloc")
+        _check_size(config, PRETRAINED_SIZE, "the network that ships with siamloc")
         return models.as_descriptor(models.pretrained(circular=config.data.circular), device=device(config))
     trained = Run(Path(parameters["run"])) if parameters.get("run") else run
     network = models.load(trained, which="untrained" if name == "untrained" else config.checkpoint)
@@ -172,7 +172,7 @@ def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | Non
 
 
 def baselines_of(config: DictConfig, run: Run, main: str) -> dict[str, Descriptor]:
-    """Return the descriptors that the main one is compared with, by name; those that need a network only with one."""
+    """Return the baseline descriptors by name; those that need a network only if the run has one."""
     found = {}
     for name in config.task.baselines:
         if name == main:
@@ -182,14 +182,14 @@ def baselines_of(config: DictConfig, run: Run, main: str) -> dict[str, Descripto
             continue
         size = _size_of(str(name), run)
         if size is not None and size != list(config.data.image_size):
-            print(f"baseline {name} left out: it takes panoramas of {size[0]} x {size[1]}, others than {main}")
+            print(f"baseline {name} left out: it takes panoramas of {size[0]} x {size[1]}, unlike {main}")
             continue
         found[str(name)] = descriptor_of(config, run, options_of(str(name)))
     return found
 
 
 def heading_of(config: DictConfig) -> Descriptor | None:
-    """Return what gives headings in place of the configured descriptor; None if nothing is asked for."""
+    """Return the descriptor that estimates headings in place of the configured one; None if not requested."""
     options = plain(config.heading)
     name = options.pop("name")
     if name == "none":
@@ -203,7 +203,7 @@ def heading_of(config: DictConfig) -> Descriptor | None:
 
 
 def device(config: DictConfig) -> str:
-    """Return the device that descriptors are computed on."""
+    """Return the device on which descriptors are computed."""
     import torch
 
     if config.device == "auto":
@@ -217,13 +217,13 @@ def device(config: DictConfig) -> str:
 
 
 def way_of(config: DictConfig) -> dict[str, Any]:
-    """Return how the configuration groups frames into nodes, as `siamloc.maps.group` takes it."""
+    """Return how frames are grouped into nodes, as arguments of `siamloc.maps.group`."""
     options = {key: value for key, value in plain(config.build).items() if key != "label"}
     return {"way": options.pop("name"), "seed": config.seed, **options}
 
 
 def search_of(config: DictConfig) -> dict[str, Any]:
-    """Return how a coarse layer is searched, as `siamloc.maps.LayerSearch` takes it: as task=hierarchical says it."""
+    """Return how task=hierarchical searches a coarse layer, as arguments of `siamloc.maps.LayerSearch`."""
     task = plain(config.task)
     if "candidates" not in task:
         return {}
@@ -231,7 +231,7 @@ def search_of(config: DictConfig) -> dict[str, Any]:
 
 
 def figures_in(path: Path) -> dict[str, Any] | None:
-    """Return when an evaluation was made, and its errors; None where there is none."""
+    """Return the date of an evaluation and its errors; None if there is no evaluation."""
     if not path.is_file():
         return None
     found = read_json(path)
@@ -242,7 +242,7 @@ def figures_in(path: Path) -> dict[str, Any] | None:
 def further_steps(
     run: Run, known: VisualMap | None, errors: ErrorModel | None, refinement: Refinement | None, label: str
 ) -> list[str]:
-    """Return what the robot could get besides what was exported, in words."""
+    """Return lines that say what else could be exported for the robot."""
     lines, named = [], f"run={run.folder}" + ("" if label == "network" else f" descriptor={label}")
     none = known is not None and known.heading is None and known.orientation is None
     if known is not None and none and known.made.get("data", {}).get("circular", True):
@@ -262,12 +262,12 @@ def further_steps(
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return all files in a folder, for the record of what was written into a run."""
+    """Return all files in a folder, for the record of files written into a run."""
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 def _check_architecture(config: DictConfig, network: Any, run: Run, *, own: bool) -> None:
-    """Refuse a network that takes other images than are configured, or is another one than the words ask for."""
+    """Refuse a network for other images than configured, or with another architecture than configured."""
     _check_size(config, getattr(network, "image_size", None), f"the network of {run.folder}")
     for key in ("branch", "head") if own else ():
         found, wanted = getattr(getattr(network, key, None), "name", None), config.model[key].name
@@ -279,7 +279,7 @@ def _check_architecture(config: DictConfig, network: Any, run: Run, *, own: bool
 
 
 def _size_of(name: str, run: Run) -> list[int] | None:
-    """Return which panoramas a named network takes; None for any."""
+    """Return the size of panoramas that a named network takes; None for any."""
     if name == "pretrained":
         return list(PRETRAINED_SIZE)
     size = run.settings["model"].get("image_size") if name in ("network", "untrained") else None
@@ -287,7 +287,7 @@ def _size_of(name: str, run: Run) -> list[int] | None:
 
 
 def _check_size(config: DictConfig, size: Sequence[int] | None, network: str) -> None:
-    """Refuse panoramas of another size than a network takes."""
+    """Refuse panoramas of a size that the network does not take."""
     if size is not None and list(size) != list(config.data.image_size):
         rows, columns = size
         raise ConfigError(

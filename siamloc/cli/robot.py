@@ -1,4 +1,4 @@
-"""`siamloc localize` and `siamloc live`, which run where no torch is installed: no Hydra reads their words."""
+"""`siamloc localize` and `siamloc live`, which run without torch and read their arguments without Hydra."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ Threads = Annotated[int, Rule("a whole number from 1 to 1,024", lambda value: 1 
 
 @dataclass(frozen=True)
 class Robot(Settings):
-    """What all commands of the robot take.
+    """Settings that all commands for the robot share.
 
     Attributes:
         images: files, folders, videos, and cameras such as camera:0.
         run: the run whose bundle is used.
         bundle: another bundle.
-        top: map frames to list for each image.
+        top: number of map frames to list for each image.
         track: follow the robot from image to image; each folder, video and camera is a drive.
-        threads: of onnxruntime; its own choice if None.
-        hierarchical: search the coarse layer first; where the bundle has one if None.
+        threads: number of onnxruntime threads; onnxruntime chooses if None.
+        hierarchical: search the coarse layer first; if None, whenever the bundle has one.
     """
 
     images: tuple[Text, ...] | Text = ()
@@ -48,13 +48,13 @@ class Robot(Settings):
     hierarchical: bool | None = None
 
     def localizer(self) -> Localizer:
-        """Return what locates, after making sure that there are images.
+        """Return the localizer, after making sure that images are given.
 
         Raises:
-            ConfigError: neither a bundle nor a run is named, or no images are.
+            ConfigError: neither a bundle nor a run is given, or no images.
         """
         if self.bundle is None and self.run is None:
-            raise ConfigError(f"no bundle and no run are named: give bundle=FOLDER, or {_suggestion()}")
+            raise ConfigError(f"no bundle and no run given: give bundle=FOLDER, or {_suggestion()}")
         from siamloc.runtime import Localizer
         from siamloc.runtime.stream import named
 
@@ -66,13 +66,13 @@ class Robot(Settings):
 
 @dataclass(frozen=True)
 class Localize(Robot):
-    """What `siamloc localize` takes besides.
+    """Settings of `siamloc localize`.
 
     Attributes:
-        format: what is printed: a line to read, of JSON, or of a table.
-        out: file of the locations, .csv or .jsonl; if None, locations.csv beside the run's bundle, or here with
-            `bundle`, where lines to read are printed, and no file otherwise.
-        on_error: go on after an image that cannot be read, or stop there.
+        format: what is printed for each image: a readable line ("table"), a JSON line, or a CSV row.
+        out: file of the locations, .csv or .jsonl; if None and `format` is "table", locations.csv next to the run's
+            bundle, or in the current folder with `bundle`; otherwise no file.
+        on_error: skip images that cannot be read, or stop at the first one.
     """
 
     format: Literal["table", "jsonl", "csv"] = "table"
@@ -88,7 +88,7 @@ class Localize(Robot):
 
 
 def localize(words: Sequence[str]) -> int:
-    """Locate images, and print where each was taken as soon as that is known."""
+    """Locate images, and print each location as soon as it is known."""
     settings = Localize.of(values_of(words, Localize))
     localizer = settings.localizer()
     from siamloc.runtime import locate_all, written
@@ -133,12 +133,12 @@ def localize(words: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class Watch(Robot):
-    """What `siamloc live` takes besides.
+    """Settings of `siamloc live`.
 
     Attributes:
-        host: address to listen at; 0.0.0.0 is every one of this machine's.
-        port: to listen at; 0 takes a free one.
-        fps: images a second at most; 0 for as fast as they are located.
+        host: address to listen on; 0.0.0.0 is all addresses of this machine.
+        port: to listen on; 0 picks a free one.
+        fps: images per second at most; 0 for full speed.
     """
 
     host: Text = "127.0.0.1"
@@ -147,7 +147,7 @@ class Watch(Robot):
 
 
 def live(words: Sequence[str]) -> int:
-    """Locate images, and serve a page where one watches."""
+    """Locate images, and serve a page that shows the locations."""
     settings = Watch.of(values_of(words, Watch))
     localizer = settings.localizer()
     from siamloc.runtime import Live
@@ -156,18 +156,18 @@ def live(words: Sequence[str]) -> int:
         localizer, settings.images, track=settings.track, host=settings.host, port=settings.port, fps=settings.fps
     )
     if settings.host not in ("127.0.0.1", "localhost", "::1"):
-        print(f"everybody who reaches {settings.host} can watch: leave host out to keep it on this machine")
+        print(f"everybody who can reach {settings.host} can watch: leave host out to keep it on this machine")
     with page:
-        print(f"{page.url} shows where the robot is; Ctrl-C ends it", flush=True)
+        print(f"{page.url} shows where the robot is; Ctrl-C stops it", flush=True)
         try:
             page.join()
-            print(f"{page.count} images, and their end: the page stays until Ctrl-C", flush=True)
+            print(f"{page.count} images, all done: the page stays until Ctrl-C", flush=True)
             while True:
                 time.sleep(60)
         except KeyboardInterrupt:
             return 130
         except DataError:
-            time.sleep(1)  # whoever watches is told why, too
+            time.sleep(1)  # so that the page can show the reason as well
             raise
 
 
@@ -175,7 +175,7 @@ def values_of(words: Sequence[str], kind: type[Settings]) -> dict[str, Any]:
     """Read words such as "images=[a.jpeg,'b (1).jpeg']" as the values of a settings class.
 
     Raises:
-        ConfigError: a word that is no key=value, an unknown key, one that is there twice, or a list that cannot be
+        ConfigError: a word that is not key=value, an unknown key, a key that is given twice, or a list that cannot be
             read.
     """
     known, values = fields_of(kind), dict[str, Any]()
@@ -205,7 +205,7 @@ def _items(word: str, inside: str) -> Iterator[str]:
     while at < len(inside.rstrip()):
         found = _ITEM.match(inside, at)
         if found is None:
-            raise ConfigError(f"the list in {word!r} cannot be read: put texts with other signs in quotes, ['a, b']")
+            raise ConfigError(f"the list in {word!r} cannot be read: put texts with other symbols in quotes, ['a, b']")
         yield found[1]
         at = found.end()
 
@@ -226,7 +226,7 @@ def _value(text: str, texts: bool) -> Any:
 
 
 def _text_only(kind: Any) -> bool:
-    """Say whether values of an annotation are texts, or lists of them."""
+    """Whether values of an annotation are texts, or lists of texts."""
     if kind in (str, Path):
         return True
     return any(_text_only(part) for part in get_args(kind))

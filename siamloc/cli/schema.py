@@ -1,4 +1,4 @@
-"""The settings classes of the library as defaults of the configuration, so that every value stands in one place."""
+"""The settings classes of the library as defaults of the configuration, so that every value is defined once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OF_TRAINING = (
     *("seed", "epochs", "batch_size", "clip", "average"),
     *("monitor", "recall_radius", "patience", "checkpoint_every", "compile"),
 )
-"""Settings of a training that the command line calls by the same name."""
+"""Settings of a training that have the same name on the command line."""
 
 
 def config_folder() -> Path:
@@ -25,7 +25,7 @@ def config_folder() -> Path:
 
 
 def register(name: str) -> None:
-    """Make the defaults that a configuration file names known to Hydra."""
+    """Register the defaults that a configuration file names with Hydra."""
     from hydra.core.config_store import ConfigStore
     from omegaconf import OmegaConf
 
@@ -62,7 +62,7 @@ def nodes_of_config() -> dict[str, dict[str, Any]]:
 
     training = defaults_of(Training)
     descriptors = {
-        # Whether columns wrap around follows from the data, and where to compute from `device`.
+        # Whether columns wrap around follows from the data, and the device from `device`.
         name: {key: value for key, value in parameters(name).items() if key not in ("circular", "device")}
         for name in DESCRIPTORS
     }
@@ -102,7 +102,7 @@ _BY_GROUP = ("pairs", "loss", "optimizer")
 
 
 def _nodes_of_recipes() -> dict[str, dict[str, Any]]:
-    """Return what recipes set, by the group in which it is chosen; the rest is under "settings/recipe"."""
+    """Return the settings of the recipes by group; those without a group are under "settings/recipe"."""
     from siamloc.pretraining.settings import RECIPE
     from siamloc.training.recipes import RECIPES
 
@@ -121,7 +121,7 @@ def _nodes_of_recipes() -> dict[str, dict[str, Any]]:
 
 
 def nodes_of_data() -> dict[str, dict[str, Any]]:
-    """Return the nodes of commands that read data only, by group."""
+    """Return the nodes of commands that only read data, by group."""
     from siamloc.data.panorama import HyperbolicMirror, PolarRing
     from siamloc.data.protocol import Protocol
     from siamloc.data.reading import DataSettings

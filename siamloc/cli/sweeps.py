@@ -1,4 +1,4 @@
-"""The jobs of a sweep: what is swept, and which folder each job has to itself."""
+"""The jobs of a sweep: the swept settings, and the folder of each job."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from omegaconf import DictConfig, OmegaConf
 from siamloc.errors import ConfigError
 
 Choice = Callable[[str], bool]
-_MOST_LETTERS = 150  # of a folder's name; file systems take 255 bytes
+_MOST_LETTERS = 150  # in a folder name; file systems allow 255 bytes
 _OF_MAPS = ("data", "unwrap", "protocol", "experiment", "descriptor", "heading", "distance", "model", "checkpoint")
 _OF_QUERIES = tuple(f"protocol.{key}" for key in ("train", "validation", "query", "kind", "leave_one_out", "apart"))
 
 
 def swept() -> dict[str, Any]:
-    """Return the settings of the running job that differ between the jobs of its sweep; nothing outside sweeps.
+    """Return the settings of the running job that differ between the jobs of its sweep; none outside sweeps.
 
-    The keys are those of the command line, such as "model/branch" and "seed", in the order they were said.
+    The keys are those of the command line, such as "model/branch" and "seed", in the order given.
     """
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
@@ -30,10 +30,10 @@ def swept() -> dict[str, Any]:
 
 
 def sweep_suffix(wanted: Choice | None = None) -> str:
-    """Return what tells the jobs of a sweep apart, such as "model-branch-vgg11_seed-1"; empty outside sweeps.
+    """Return a suffix that distinguishes a sweep's jobs, such as "model-branch-vgg11_seed-1"; empty outside sweeps.
 
     Args:
-        wanted: which keys count; all if None, and then a job in which nothing is swept has its number.
+        wanted: which keys count. If None, all do, and a job in which nothing is swept gets its number.
     """
     chosen = [word for key, word in _words().items() if wanted is None or wanted(key)]
     text = "_".join(sorted("-".join(word.split("=", 1)) for word in chosen))
@@ -46,14 +46,14 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
 
 
 def own_folder(folder: Path, config: DictConfig, wanted: Choice) -> Path:
-    """Return the folder of a job inside one that the jobs of a sweep share; that folder itself outside sweeps.
+    """Return the folder of a job inside the folder that a sweep shares; outside sweeps, the shared folder itself.
 
-    What the shared folder is named by already does not count: the run, and the choice of a descriptor or a build.
+    Keys that already name the shared folder do not count: the run, and the choice of a descriptor or a build.
 
     Args:
-        folder: that the jobs share.
+        folder: shared by the jobs.
         config: of the job.
-        wanted: which swept keys change what lies in the folder.
+        wanted: which swept keys change the contents of the folder.
     """
     named = {"run", *(group for group in ("descriptor", "build") if _is_named(config, group))}
     suffix = sweep_suffix(lambda key: key not in named and wanted(key))
@@ -61,35 +61,35 @@ def own_folder(folder: Path, config: DictConfig, wanted: Choice) -> Path:
 
 
 def of_map(key: str) -> bool:
-    """Say whether a map depends on a key of the command line."""
+    """Whether a map depends on a key of the command line."""
     key = key.replace("/", ".")
     return _begins(key, _OF_MAPS) and not key.startswith(_OF_QUERIES)
 
 
 def of_layer(key: str) -> bool:
-    """Say whether a coarse layer depends on a key of the command line."""
+    """Whether a coarse layer depends on a key of the command line."""
     return of_map(key) or _begins(key, ("build", "seed"))
 
 
 def of_results(key: str) -> bool:
-    """Say whether results depend on a key that is not in their name already, as the distance is."""
+    """Whether results depend on a key that is not yet part of their name (the distance already is)."""
     return key != "distance"
 
 
 def with_swept(name: str) -> str:
-    """Return the name of results with what is swept, such as "hog descriptor.bins=8"."""
+    """Return the name of results with the swept settings, such as "hog descriptor.bins=8"."""
     further = [f"{key}={value}" for key, value in swept().items() if key not in ("run", "descriptor", "distance")]
     return " ".join([name, *further])
 
 
 def evaluates(folders: str | Sequence[str], by: str | None) -> bool:
-    """Say whether the evaluations in folders are to be compared, instead of the trainings.
+    """Whether to compare the evaluations in folders instead of the trainings.
 
-    Figures of trainings have a slash in their names, as "val/error" has. Where none is asked for, several trainings
-    are compared rather than what was measured of them.
+    Figures of trainings have a slash in their names, such as "val/error". If no figure is requested, several trainings
+    are compared rather than their evaluations.
 
     Raises:
-        ConfigError: folders that are missing, or hold neither.
+        ConfigError: missing folders, or folders with neither.
     """
     from siamloc.comparison import files_named
 
@@ -103,7 +103,7 @@ def evaluates(folders: str | Sequence[str], by: str | None) -> bool:
 
 
 def _is_named(config: DictConfig, group: str) -> bool:
-    """Say whether the choice of a group is what its label says; a label that was set hides the choice."""
+    """Whether the label of a group shows its choice; a label that was set hides the choice."""
     options: Mapping[str, Any] = OmegaConf.select(config, group) or {}
     word = _words().get(group, "").partition("=")[2]
     return word == str(options.get("label") or options.get("name"))
@@ -124,7 +124,7 @@ def _job() -> int | None:
 
 
 def _words() -> dict[str, str]:
-    """Return the words of the running job that other jobs of its sweep say otherwise, by key."""
+    """Return the words of the running job that differ between the jobs of its sweep, by key."""
     from hydra.core.hydra_config import HydraConfig
 
     if _job() is None:

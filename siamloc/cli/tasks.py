@@ -1,4 +1,4 @@
-"""`siamloc evaluate`: which call of `siamloc.evaluation` a configuration asks for, and with what."""
+"""`siamloc evaluate`: call the function of `siamloc.evaluation` that a configuration asks for."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from siamloc.runs import Run
 
 
 def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
-    """Return what the configured task measures, and what its folder is called."""
+    """Measure the configured task; return the name of its folder and the result."""
     settings = settings_of(plain(config.task))
     if isinstance(settings, MapMeasures):
         return _mapping(config, run, settings)
@@ -100,7 +100,7 @@ def _hierarchical(config: DictConfig, run: Run, settings: Hierarchical) -> tuple
         coarse = maps.build(descriptor_of(config, run, options), images, known.frames, distance=config.distance)
     if (known if coarse is None else coarse).aligned and settings.coarse.by == "representatives":
         raise ConfigError(
-            f"descriptors of {coarse_label} are compared after turning, so that their means have no meaning: use "
+            f"descriptors of {coarse_label} are compared after turning, so their means are meaningless: use "
             "task.coarse.by=vote, or another task.coarse.descriptor"
         )
     built, _ = _layer(config, run, known if coarse is None else coarse, coarse_label)
@@ -178,16 +178,16 @@ def _buildings(config: DictConfig, run: Run) -> tuple[str, Result]:
 
 
 def _named(config: DictConfig) -> str:
-    """Return what a descriptor's results are called: its label, with the distance where one is asked for."""
+    """Return the name of a descriptor's results: its label, with the distance if one is given."""
     label = label_of(config.descriptor)
     return label if config.distance is None else f"{label}-{config.distance}"
 
 
 def _saved_maps(named: Any, label: str, described: Descriptor) -> list[VisualMap]:
-    """Return saved maps, each given by its file or by the folder of its run.
+    """Return saved maps, each given by its file or the folder of its run.
 
     Raises:
-        ConfigError: fewer than two, no such map, or one by another descriptor.
+        ConfigError: fewer than two maps, a map that does not exist, or one with another descriptor.
     """
     if isinstance(named, str):
         raise ConfigError(
@@ -213,12 +213,12 @@ def _saved_maps(named: Any, label: str, described: Descriptor) -> list[VisualMap
 
 
 def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, PanoramaLibrary, dict[str, FrameTable]]:
-    """Return the saved map, or one made of the configured frames, with the frames of some roles.
+    """Return the saved map, or one made from the configured frames, with the frames of some roles.
 
-    Nothing is written: only `siamloc map` makes and replaces maps.
+    Nothing is written: only `siamloc map` creates and replaces maps.
 
     Raises:
-        ConfigError: the saved map is by another descriptor, or of other frames than protocol.map asks for.
+        ConfigError: the saved map has another descriptor, or other frames than protocol.map asks for.
     """
     described, heading = descriptor_of(config, run), heading_of(config)
     path = map_known(run, config)
@@ -229,7 +229,7 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
     if known is not None and roles:
         raise ConfigError(
             f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "
-            "protocol.map keys that are wanted"
+            "intended protocol.map keys"
         )
     images, frames = open_roles(config, "map", *roles)
     known = maps.build(described, images, frames["map"], heading=heading, distance=config.distance)
@@ -237,20 +237,20 @@ def _known(config: DictConfig, run: Run, *roles: str) -> tuple[VisualMap, Panora
 
 
 def _is_wanted(known: VisualMap, config: DictConfig) -> bool:
-    """Return whether a saved map was made of the frames that the configuration asks for."""
+    """Whether a saved map was made from the frames that the configuration asks for."""
     wanted, role = _protocol(config), known.made.get("role")
     if role is not None:
         return Protocol.of({"map": role}).map == wanted.map
-    if wanted.map == Role():  # a map that was made in Python, and nothing else is asked for
+    if wanted.map == Role():  # a map made in Python, and no other frames requested
         return True
     asked = wanted.frames("map", data_of(config).read())
     return asked.identities() == known.frames.identities()
 
 
 def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[Built, Path]:
-    """Return the configured layer over a map and its folder: the one that was built before, if it fits.
+    """Return the configured layer over a map and its folder: an existing one, if it fits.
 
-    The layer of another map than the saved one does not take the place of the saved map's.
+    A layer over any other map does not replace that of the saved map.
     """
     if config.build.name == "none":
         raise ConfigError(
@@ -269,7 +269,7 @@ def _layer(config: DictConfig, run: Run, known: VisualMap, label: str) -> tuple[
 
 
 def _changed(path: Path) -> int | None:
-    """Return when a file was written last; None where there is none."""
+    """Return when a file was last written; None if it does not exist."""
     return path.stat().st_mtime_ns if path.is_file() else None
 
 

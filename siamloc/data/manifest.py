@@ -41,7 +41,7 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     check_policy(on_error)
     file = Path(manifest).expanduser()
     if file.exists() and not file.is_file():
-        raise DataError(f"the manifest {file} is no regular file: give a CSV table with one row for each image")
+        raise DataError(f"the manifest {file} is not a regular file: give a CSV table with one row for each image")
     lines = _lines(file)
     header = next(lines, None)
     if header is None:

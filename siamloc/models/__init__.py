@@ -1,6 +1,6 @@
-"""Siamese networks: branches and heads, losses, the Lightning modules, trained weights ([T] 5.2-5.3).
+"""Siamese networks: branches and heads, losses, Lightning modules, trained weights ([T] 5.2-5.3).
 
-Importing this package loads no torch; each name is loaded when it is first used.
+Importing this package loads no torch; each name is loaded on first use.
 """
 
 from __future__ import annotations

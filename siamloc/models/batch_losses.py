@@ -1,4 +1,4 @@
-"""Losses over all pairs of a batch: each image is described once, and compared with every other one."""
+"""Losses over all pairs of a batch: each image is described once and compared with every other one."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from siamloc.models.registry import MetricCalibrated, SoftContrastive
 
 
 class SoftContrastiveLoss(ScheduledLoss):
-    """Let each image look like its neighbours in the building, the more so the nearer they are.
+    """Make each image similar to its neighbours in the building, the more so the nearer they are.
 
     The mean over the images i of the cross-entropy, over all other images j, between the softmax of the similarities
-    and a kernel of the distances in the building, for instance a Gaussian:
+    and a kernel of the distances in the building, for example a Gaussian:
 
         p_ij = exp(-|x_i - x_j|^2 / 2 sigma^2) / sum_k,    q_ij = exp(d_i . d_j / temperature) / sum_k.
 
-    It is InfoNCE with a target that fades with the distance instead of ending at a radius. With rooms, p_ij is the
-    weighted mean of this one, without the images of other rooms, and of one that is equal for all images of the room
-    of i, and 0 for others. For the latter, q_ij is a softmax without the images whose room nobody knows. Images without
+    This is InfoNCE with a target that fades with the distance instead of ending at a radius. With rooms, p_ij is the
+    weighted mean of this target, without the images of other rooms, and of one that is equal for all images of the room
+    of i, and 0 for others. For the latter, q_ij is a softmax without the images whose room is unknown. Images without
     a neighbour or another image of their room in the batch do not count.
 
     Args:
@@ -56,7 +56,7 @@ class SoftContrastiveLoss(ScheduledLoss):
 
         Args:
             descriptors: (N, D), of unit length.
-            origins: of the N images; those without position are nobody's neighbours.
+            origins: of the N images; those without a position have no neighbours.
 
         Raises:
             DataError: other shapes.
@@ -68,7 +68,7 @@ class SoftContrastiveLoss(ScheduledLoss):
             similarity = (found @ found.T / self.temperature).masked_fill(itself, -math.inf)
             near, mates, unknown = self._wanted(origins, itself)
             counts = (near + mates).sum(dim=1) > 0
-            # The softmax of an image with itself is 0, and its logarithm must not meet the 0 that is wanted.
+            # The softmax of an image with itself is 0; its logarithm must not be multiplied by the target of 0.
             told = similarity.log_softmax(dim=1).masked_fill(itself, 0)
             cost = -(near * told).sum(dim=1)
             if self.room > 0:
@@ -77,25 +77,25 @@ class SoftContrastiveLoss(ScheduledLoss):
             return (cost * counts).sum() / counts.sum().clamp(min=1)
 
     def lowest(self, origins: Origins) -> float:
-        """Return the smallest loss that images from there can have: their descriptors are as alike as is wanted."""
+        """Return the smallest loss possible for images from there: descriptors exactly as similar as the target."""
         itself = torch.eye(len(origins.frame), dtype=torch.bool, device=origins.xy.device)
         near, mates, unknown = self._wanted(origins, itself)
         counts = (near + mates).sum(dim=1) > 0
-        # Who of those with known rooms, who of the others, and how much goes to either is chosen independently.
+        # The shares within known rooms, within the others, and between the two groups can be chosen independently.
         known, others = near.masked_fill(unknown, 0), near * unknown
         either = torch.stack([known.sum(dim=1), others.sum(dim=1)], dim=1)
         lowest = sum(_entropy(weights) for weights in (known + mates, others, either))
         return float(lowest / counts.sum().clamp(min=1))
 
     def positives(self, origins: Origins) -> Tensor:
-        """Return (N, N) bool: True where two different frames should look alike, however little."""
+        """Return (N, N) bool: True where two different frames should be similar, however little."""
         near, mates, _ = self._wanted(origins, origins.frame[:, None] == origins.frame[None])
         return near + mates > 0
 
     def _wanted(self, origins: Origins, itself: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return how alike the images should look (N, N): for being near, and for their room; together rows sum to 1.
+        """Return the target similarities (N, N), for being near and for their room; together, rows sum to 1.
 
-        And where the room of the second is unknown (N, N), in rows that compare rooms; `itself` is the diagonal.
+        Also return where the room of the second is unknown (N, N), in rows that compare rooms; `itself`: the diagonal.
         """
         wanted = mates = torch.zeros(itself.shape, device=itself.device)
         if self.room < 1:
@@ -123,17 +123,17 @@ def _entropy(weights: Tensor) -> Tensor:
 
 
 def _shares(weights: Tensor) -> Tensor:
-    """Divide rows by their sums; a row of next to nothing becomes 0."""
+    """Divide rows by their sums; a row that is almost 0 becomes 0."""
     total = weights.sum(dim=1, keepdim=True)
     return torch.where(total > _LEAST_WEIGHT, weights / total.clamp(min=_LEAST_WEIGHT), 0)
 
 
 class MetricCalibratedLoss(ScheduledLoss):
-    """Let the distance of two descriptors grow with that of the two images, up to a cap.
+    """Make the distance of two descriptors grow with that of the two images, up to a cap.
 
-    The mean over all pairs of images of a building, or of two, of (|d_i - d_j| - sqrt(2) min(x_ij / cap, 1))^2. At the
-    cap two descriptors of unit length say nothing of each other. Afterwards the distance of descriptors is one in
-    metres. Pairs with an unknown position do not count.
+    The mean over all pairs of images, from one building or two, of (|d_i - d_j| - sqrt(2) min(x_ij / cap, 1))^2. At the
+    cap two descriptors of unit length are orthogonal. After training, the distance of descriptors measures metres.
+    Pairs with an unknown position do not count.
 
     Args:
         settings: see `siamloc.models.registry.MetricCalibrated`.
@@ -173,10 +173,10 @@ LOSSES: dict[str, Callable[..., nn.Module]] = {
     "multi_similarity": MultiSimilarityLoss,
     "cross_entropy": CrossEntropyLoss,
 }
-"""The losses over a batch, by the names that configurations call them."""
+"""The losses over a batch, by their names in configurations."""
 
 UNIT_LENGTH = (SoftContrastiveLoss, MetricCalibratedLoss, NearAndFarLoss)
-"""Losses for descriptors of unit length: those of near and far make them so, and what is compared later has to be."""
+"""Losses for descriptors of unit length: near-and-far losses normalize them, so those compared later must be, too."""
 
 _LEAST_WEIGHT = 1e-6
 

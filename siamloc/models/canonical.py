@@ -1,4 +1,4 @@
-"""Turning panoramas to a canonical direction, so that a turn by any whole column changes nothing that is seen after."""
+"""Turn panoramas to a canonical direction, so that turning by whole columns changes nothing afterwards."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ _PRECISION = 1 << 20
 
 
 class Canonical(nn.Module):
-    """Turn each panorama by fewer columns than one of the features has, to where a wave of that length has its crest.
+    """Turn each panorama by less than the width of a feature column, to the crest of a wave of that length.
 
-    Features that are computed with strides along the azimuth move along when the robot turns by one of their columns;
-    in between they change. The sum of all pixels in columns that lie such a stride apart is a signal with one period.
-    Turning the robot turns it, too, so that its first harmonic says by how much to turn back. Which of the whole
-    columns comes nearest is decided in whole numbers, so that on every machine a panorama and its turned copies become
-    the same one, up to turns by whole columns of the features, which heads such as `magnitudes` forget.
+    Features computed with strides along the azimuth shift when the robot turns by one of their columns; in between they
+    change. Summing all pixels in columns that are one such stride apart gives a signal of one period. Turning the robot
+    turns this signal, too, so its first harmonic shows how far to turn back. The nearest whole column is found in whole
+    numbers, so that on every machine a panorama and its turned copies become the same, up to turns by whole columns of
+    the features, which heads such as `magnitudes` discard.
 
     Args:
-        period: columns of the panorama to one column of the features.
+        period: columns of the panorama per column of the features.
 
     Example:
         >>> panorama = torch.rand(1, 3, 8, 32, generator=torch.Generator().manual_seed(0))
@@ -37,29 +37,29 @@ class Canonical(nn.Module):
         self.register_buffer("waves", torch.empty(period, period, dtype=torch.int64), persistent=False)
 
     def reset(self) -> None:
-        """Fill in one period of a cosine from each of its columns on, in whole numbers."""
+        """Fill in one period of a cosine, starting at each of its columns, in whole numbers."""
         column = torch.arange(self.period)
         angle = ((column[:, None] - column) % self.period).double() * (2 * torch.pi / self.period)
         with torch.no_grad():
             self.waves.copy_((angle.cos() * _PRECISION).round())
 
     def forward(self, panorama: Tensor) -> tuple[Tensor, Tensor]:
-        """Return panoramas (B, 3, H, W) in their canonical direction, and by how many columns each was turned (B,).
+        """Return panoramas (B, 3, H, W) in their canonical direction, and the columns (B,) by which each was turned.
 
-        Their column c is what was column c + turned before.
+        Their column c was column c + turned before.
         """
         levels = (panorama * 255).round().double()  # sums of whole numbers are the same in any order
         signal = levels.sum(dim=(1, 2)).unflatten(1, (-1, self.period)).sum(dim=1)
-        turned = (signal @ self.waves.double()).argmax(dim=1)  # kept as integers, which no .half() rounds
+        turned = (signal @ self.waves.double()).argmax(dim=1)  # kept as integers, which .half() does not round
         columns = torch.arange(panorama.shape[3], device=panorama.device)
         seen = (columns + turned[:, None]) % panorama.shape[3]
         return panorama.gather(3, seen[:, None, None].expand_as(panorama)), turned
 
 
 def shifts(columns: int, steps: Tensor) -> Tensor:
-    """Return the matrices (S, n, n) that shift periodic signals of n columns by parts of a column, by their harmonics.
+    """Return the matrices (S, n, n) that shift periodic signals of n columns by fractions of a column.
 
-    signal @ matrix has at column c what the signal, taken as the sum of its n harmonics, has at c - step.
+    signal @ matrix has at column c the value of the signal, as the sum of its n harmonics, at c - step.
     """
     column = torch.arange(columns, dtype=torch.float64)
     apart = column - column[:, None] - steps.double()[:, None, None]

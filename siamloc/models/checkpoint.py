@@ -1,4 +1,4 @@
-"""Loading a trained network from a run or a checkpoint, without running anything that the file may hold."""
+"""Load a trained network from a run or a checkpoint, without running any code in the file."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from siamloc.runs import Run
 def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: nn.Module | None = None) -> nn.Module:
     """Load a trained network, on the CPU and in evaluation mode.
 
-    No code in the file is run, and nothing is downloaded, whatever weights the training started from. Its `rooms` are
-    the `RoomClassifier` of a training with `CrossEntropyLoss`, and None after others.
+    No code in the file is run, and nothing is downloaded, whatever weights the training started from. The network's
+    `rooms` is the `RoomClassifier` of a training with `CrossEntropyLoss`, and None after others.
 
     Args:
-        run_or_checkpoint: a run, its folder, the file of a checkpoint, or one that `save_weights` wrote.
-        which: of a run's checkpoints: "best" (by the validation; the last where nothing was validated) or "last".
+        run_or_checkpoint: a run, its folder, a checkpoint file, or a file written by `save_weights`.
+        which: the checkpoint of a run: "best" (by the validation; the last if nothing was validated) or "last".
             "untrained" gives the network as it was before the training.
-        network: where the weights go, for a module of your own; networks of `build` are made again if None.
+        network: a custom module to load the weights into; if None, the network is rebuilt with `build`.
 
     Raises:
-        ConfigError: a folder without a checkpoint, another `which`, a module of your own that is not given, or a file
-            of weights that is cut short.
-        FormatError: the file is missing, not whole, altered, not such a checkpoint, or of another architecture.
+        ConfigError: a folder without a checkpoint, another `which`, a custom module that is not given, or a weights
+            file that is cut short.
+        FormatError: the file is missing, incomplete, altered, not such a checkpoint, or of another architecture.
 
     Example:
         >>> network = load("runs/robot")  # doctest: +SKIP
@@ -62,7 +62,7 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     if difference is not None:
         raise FormatError(_other_architecture(path, about, difference))
     network.load_state_dict(state)
-    # Losses over batches have a name; the margin of a triplet is none of pairs.
+    # Losses over batches have a name; a triplet margin is not a margin of pairs.
     pairs: Any = about["loss"] if "name" not in about["loss"] else {}
     network.trained_margin = pairs.get("margin")
     network.rooms = _rooms_in(path, about, content["state_dict"])  # type: ignore[assignment]
@@ -70,10 +70,10 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
 
 
 def _rooms_in(path: Path, about: dict[str, Any], state: dict[str, Tensor]) -> RoomClassifier | None:
-    """Return the class layer that was trained with the network; None where none was.
+    """Return the class layer that was trained with the network; None if there was none.
 
     Raises:
-        FormatError: it is not whole.
+        FormatError: the layer is incomplete.
     """
     if "rooms" not in about:
         return None
@@ -86,10 +86,10 @@ def _rooms_in(path: Path, about: dict[str, Any], state: dict[str, Tensor]) -> Ro
 
 
 def check_architecture(path: Path, module: nn.Module) -> None:
-    """Make sure that a module, with its network and its loss, can go on from a checkpoint.
+    """Make sure that a module, with its network and its loss, can continue from a checkpoint.
 
     Raises:
-        FormatError: the file is no checkpoint, or has other weights.
+        FormatError: the file is not a checkpoint, or has other weights.
     """
     content = read_checkpoint(path, mmap=True)
     difference = mismatch(module, content["state_dict"])
@@ -109,7 +109,7 @@ def _checkpoint_of(source: str | Path | Run, which: str) -> Path:
 
 
 def _from_weights(path: Path, which: str, network: nn.Module | None) -> nn.Module:
-    """Return the network in a file of weights, or the given one with these weights."""
+    """Return the network in a weights file, or the given one with these weights."""
     if which == "untrained":
         raise ConfigError(f"the weights file {path} holds trained weights alone: take a run for which='untrained'")
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""Reading the file of a checkpoint, without running anything that it may hold."""
+"""Read a checkpoint file without running any code in it."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
         mmap: leave the weights on the disk until they are used.
 
     Raises:
-        FormatError: the file is missing, not whole, not such a checkpoint, or of another version.
+        FormatError: the file is missing, incomplete, not such a checkpoint, or of another version.
     """
     path = Path(path)
     if not path.is_file():
         raise FormatError(f"the checkpoint {path} does not exist")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what torch says of a foreign file would hide our own sentence
+            warnings.simplefilter("ignore")  # warnings of torch about a foreign file would hide our own message
             content = torch.load(path, map_location="cpu", weights_only=True, mmap=mmap)
-    except Exception as error:  # zip, pickle and torch each raise their own kinds
+    except Exception as error:  # zip, pickle and torch each raise their own errors
         raise FormatError(
             f"the checkpoint {path} cannot be read ({type(error).__name__}): it is cut short, or holds more than "
             f"tensors and plain values; train again or take another checkpoint"
@@ -42,20 +42,20 @@ def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
 
 
 def checked_content(content: Any, path: Path) -> dict[str, Any]:
-    """Return what a checkpoint holds.
+    """Check the contents of a checkpoint, and return them.
 
     Raises:
-        FormatError: it is none of `SiameseModule`, or one of another version.
+        FormatError: the checkpoint is not from `SiameseModule`, or of another version.
     """
     if not isinstance(content, dict) or not isinstance(content.get("state_dict"), dict):
-        raise FormatError(f"{path} is no checkpoint of a siamese network: it has no weights")
+        raise FormatError(f"{path} is not a checkpoint of a siamese network: it has no weights")
     if "siamloc_format" in content:
         raise FormatError(
             f"the checkpoint {path} was written by siamloc 0.1, whose runs are no longer read: train again"
         )
     about = content.get(CONTENT_KEY)
     if not isinstance(about, dict) or not {"format", "model", "loss"} <= set(about):
-        raise FormatError(f"{path} is no checkpoint of a siamese network: it does not say what was trained")
+        raise FormatError(f"{path} is not a checkpoint of a siamese network: it does not say what was trained")
     if not isinstance(about["format"], int) or about["format"] > FORMAT_VERSION:
         raise FormatError(
             f"the checkpoint {path} has format {about['format']}, this version of siamloc reads up to "
@@ -65,6 +65,6 @@ def checked_content(content: Any, path: Path) -> dict[str, Any]:
 
 
 def network_state(content: Mapping[str, Any]) -> dict[str, Tensor]:
-    """Return the weights of the network alone, by their names in it."""
+    """Return only the weights of the network, by their names in it."""
     states = content["state_dict"].items()
     return {name.removeprefix("network."): tensor for name, tensor in states if name.startswith("network.")}

@@ -1,7 +1,7 @@
 """Convolutions and pooling around the azimuth: the columns of a panorama are a full turn, so nothing ends at its sides.
 
-A layer of stride s gives W / s columns, rounded up. Where s divides W, turning the panorama by s columns turns what the
-layer gives by one column.
+A layer of stride s gives W / s columns, rounded up. If s divides W, turning the panorama by s columns turns the output
+by one column.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 
 class CircularConv2d(nn.Conv2d):
-    """A convolution whose columns wrap around; rows are padded with zeros as they were."""
+    """A convolution whose columns wrap around; rows are padded with zeros as before."""
 
     def _conv_forward(self, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
         input = _wrapped(input, self.kernel_size[1], self.stride[1], int(self.padding[1]), self.dilation[1])
@@ -31,10 +31,10 @@ class CircularMaxPool2d(nn.MaxPool2d):
 
 
 def circular(module: nn.Module) -> nn.Module:
-    """Let all convolutions and pools of a module wrap around the azimuth, in place; names and weights stay.
+    """Make all convolutions and pools of a module wrap around the azimuth, in place; names and weights stay.
 
     Returns:
-        The module, or what takes its place where it is such a layer itself.
+        The module, or its replacement if it is such a layer itself.
 
     Example:
         >>> from torch import nn
@@ -72,8 +72,8 @@ def _same_weights(source: nn.Conv2d, target: nn.Conv2d) -> nn.Conv2d:
 
 
 def _wrapped(features: Tensor, kernel: int, stride: int, left: int, dilation: int = 1) -> Tensor:
-    """Return features with columns of the other side on the left, as many as were padded there, and on the right."""
-    surplus = -features.shape[-1] % stride  # the last window begins before the end of the turn
+    """Pad features on both sides with columns from the other side; on the left as many as were padded there."""
+    surplus = -features.shape[-1] % stride  # the last window starts before the end of the turn
     right = max(dilation * (kernel - 1) + 1 - stride - left + surplus, 0)
     parts = [features]
     if left:

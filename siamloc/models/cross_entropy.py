@@ -1,4 +1,4 @@
-"""Learning to name the room: the loss of the single networks that [T] table 5.19 compares with."""
+"""Learn to name the room: the loss of the single networks that [T] table 5.19 compares with."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.models.origins import Origins, check_batch
 from siamloc.models.registry import CrossEntropy
 
-_ROOMS = 2  # that have to be told apart at least
+_ROOMS = 2  # minimum number to distinguish
 
 
 class CrossEntropyLoss(nn.Module):
-    """Let one fully connected layer name the room of an image from its descriptor.
+    """Train one fully connected layer to name the room of an image from its descriptor.
 
     The mean over the images with a room of -log of the room's share in the softmax of (W d + b) / temperature. The
-    layer is part of the loss and is trained with the network. The network itself describes as ever: the descriptor is
-    what comes before the class layer ([T] 5.4.3, "CNN simple"). `siamloc.models.load` gives the layer back as
+    layer is part of the loss and is trained with the network. The network itself describes images as usual: the
+    descriptor is the input of the class layer ([T] 5.4.3, "CNN simple"). `siamloc.models.load` returns the layer as
     `network.rooms`.
 
     Args:
@@ -43,7 +43,7 @@ class CrossEntropyLoss(nn.Module):
     """
 
     room = 1.0
-    """Share of what is wanted that goes by rooms; see `siamloc.models.registry.SoftContrastive`."""
+    """Share of the target that depends on rooms; see `siamloc.models.registry.SoftContrastive`."""
 
     @takes(CrossEntropy)
     def __init__(self, *, settings: CrossEntropy) -> None:
@@ -54,10 +54,10 @@ class CrossEntropyLoss(nn.Module):
         self.layer: nn.Linear | None = None
 
     def open(self, rooms: Sequence[str], width: int, seed: int = 0) -> None:
-        """Make a new class layer, whose weights are drawn from the seed alone; `siamloc.training.fit` does.
+        """Make a new class layer, with weights drawn from the seed alone; `siamloc.training.fit` calls this.
 
         Args:
-            rooms: names; the rooms of a batch are numbers among them.
+            rooms: names; the rooms of a batch are indices into them.
             width: numbers in a descriptor.
             seed: of the weights.
 
@@ -86,7 +86,7 @@ class CrossEntropyLoss(nn.Module):
             return (cost * known).sum() / known.sum().clamp(min=1)
 
     def scores(self, descriptors: Tensor) -> Tensor:
-        """Return the scores (N, r) of descriptors (N, D), whose softmax are the probabilities.
+        """Return the scores (N, r) of descriptors (N, D); their softmax gives the probabilities.
 
         Raises:
             ConfigError: there is no class layer yet.
@@ -99,11 +99,11 @@ class CrossEntropyLoss(nn.Module):
         return self.layer(descriptors.float()) / self.temperature
 
     def accuracy(self, descriptors: Tensor, room: Tensor) -> Tensor:
-        """Return the share of descriptors (N, D) with a room whose room is named; NaN where none has one.
+        """Return the share of descriptors (N, D) with a room that are named correctly; NaN if none has a room.
 
         Args:
             descriptors: (N, D).
-            room: (N,) numbers of the rooms, negative where unknown; others than those of the classes are never named.
+            room: (N,) numbers of the rooms, negative where unknown; rooms that are not classes are never named.
         """
         right = self.scores(descriptors.detach()).detach().argmax(dim=1) == room
         known = room >= 0

@@ -1,4 +1,4 @@
-"""Describing images with a network: `as_descriptor` gives any module the interface of the analytic descriptors."""
+"""Describe images with a network: `as_descriptor` gives any module the interface of the analytic descriptors."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _ROUNDING = 1e-3
 class NetworkDescriptor(BetweenColumns):
     """Describe images with a network, in evaluation mode and full precision.
 
-    A network of `siamloc.models.build` with the head `fourier` or `magnitudes` and circular=True finds headings as
-    well: its features move along the azimuth as the robot turns, and are compared at all turns; see
+    A network of `siamloc.models.build` with the head `fourier` or `magnitudes` and circular=True also finds headings:
+    its features move along the azimuth as the robot turns, and are compared at all turns; see
     `siamloc.models.orientation`.
 
     Attributes:
         module: the network, (B, 3, H, W) floating point in [0, 1] -> (B, D). Its weights are read at each call, and
-            its mode and the random state stay as they are.
+            its mode and the random state are left unchanged.
     """
 
     name = "network"
@@ -58,7 +58,7 @@ class NetworkDescriptor(BetweenColumns):
 
     @property
     def rooms(self) -> RoomClassifier | None:
-        """What names the room from a descriptor; None unless the network was trained with `CrossEntropyLoss`."""
+        """Classifier that names the room from a descriptor; None unless trained with `CrossEntropyLoss`."""
         found = getattr(network_of(self.module), "rooms", None)
         return found if isinstance(found, RoomClassifier) else None
 
@@ -66,11 +66,11 @@ class NetworkDescriptor(BetweenColumns):
         """Name the rooms that images show.
 
         Args:
-            batch: as `describe` takes it.
-            chunk: images in one pass.
+            batch: as for `describe`.
+            chunk: images per pass.
 
         Raises:
-            ConfigError: a network that was not trained to name rooms.
+            ConfigError: the network was not trained to name rooms.
             DataError: as `describe`.
         """
         if (rooms := self.rooms) is None:
@@ -82,7 +82,7 @@ class NetworkDescriptor(BetweenColumns):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What decides the descriptors: the network's names and a hash of its weights.
+        """Everything that determines the descriptors: the network's names and a hash of its weights.
 
         Reads every weight, which takes about a second for the largest networks: keep the result.
         """
@@ -93,7 +93,7 @@ class NetworkDescriptor(BetweenColumns):
 
         Args:
             batch: (B, 3, H, W), (3, H, W), (B, H, W) or (H, W).
-            chunk: images in one pass; it bounds the memory and changes no result beyond rounding.
+            chunk: images per pass; bounds the memory and changes results only by rounding.
 
         Raises:
             DataError: another shape, type or range.
@@ -106,25 +106,25 @@ class NetworkDescriptor(BetweenColumns):
 
     @property
     def compares(self) -> bool:
-        """Whether the network tells where one image was taken relative to another: built with relative=True."""
+        """Whether the network estimates where one image was taken relative to another: built with relative=True."""
         network = orienting(self.module)
         return network is not None and network.relative is not None
 
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32], chunk: int = 8 * CHUNK
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Tell where images were taken relative to others, by the orientation parts of both.
+        """Estimate where images were taken relative to others, from the orientation parts of both.
 
         Args:
             queries: (n, K, F).
             known: (n, K, F).
-            chunk: pairs in one pass.
+            chunk: pairs per pass.
 
         Returns:
             Pose (n, 3), information (n, 3, 3) and match (n,); see `siamloc.models.relative.Relative`.
 
         Raises:
-            ConfigError: a network that does not compare.
+            ConfigError: the network does not compare images.
         """
         relative = required_comparing(self.module)
         like = next(relative.parameters())
@@ -145,7 +145,7 @@ class NetworkDescriptor(BetweenColumns):
 
 @typed
 def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | None = None) -> Descriptor:
-    """Make a descriptor of whatever describes images: of a network, or of a descriptor as it is.
+    """Make a descriptor from a network; a descriptor is returned as it is.
 
     Args:
         network: a module (B, 3, H, W) floating point in [0, 1] -> (B, D), or a descriptor of `analytic`.
@@ -171,7 +171,7 @@ def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | 
 
 
 def identity_of(network: nn.Module) -> dict[str, Any]:
-    """Say in plain values what decides a network's descriptors: its own `identity`, or its class and its weights."""
+    """Return plain values that determine a network's descriptors: its own `identity`, or its class and weights."""
     own = getattr(network, "identity", None)
     if isinstance(own, dict):
         return own
@@ -179,30 +179,30 @@ def identity_of(network: nn.Module) -> dict[str, Any]:
 
 
 def network_of(module: nn.Module) -> nn.Module:
-    """Return the network that one of our training modules trains; any other module as it is."""
+    """Return the network that a training module of siamloc trains; any other module as it is."""
     return getattr(module, "trained_network", module)
 
 
 def orienting(module: nn.Module) -> Network | None:
-    """Return the network of a module if it finds headings by itself.
+    """Return the network of a module if it finds headings by itself, else None.
 
-    A subclass of `Network` may describe otherwise than by branch and head, and is none.
+    A subclass of `Network` does not count, since it may describe images in other ways than by branch and head.
     """
     network = network_of(module)
     return network if type(network) is Network and network.orientation is not None else None
 
 
 def comparing(module: nn.Module) -> RelativePose | None:
-    """Return what the network of a module compares images by; None for one that does not."""
+    """Return the part of a module's network that compares images; None if it has none."""
     network = orienting(module)
     return None if network is None else network.relative
 
 
 def required_comparing(module: nn.Module) -> RelativePose:
-    """Return what the network of a module compares images by.
+    """Return the part of a module's network that compares images.
 
     Raises:
-        ConfigError: it does not compare.
+        ConfigError: the network does not compare images.
     """
     if (relative := comparing(module)) is None:
         raise ConfigError(
@@ -213,13 +213,13 @@ def required_comparing(module: nn.Module) -> RelativePose:
 
 
 def margin_of(loss: object) -> float | None:
-    """Look up the margin of a contrastive loss, in Euclidean distance; None for any other loss."""
+    """Return the margin of a contrastive loss, in Euclidean distance; None for any other loss."""
     return loss.margin if isinstance(loss, ContrastiveLoss) else None
 
 
 @contextmanager
 def evaluating(module: nn.Module) -> Iterator[None]:
-    """Put a module into evaluation mode without gradients; afterwards every part has its mode back."""
+    """Put a module into evaluation mode without gradients; afterwards the mode of every part is restored."""
     modes = [(part, part.training) for part in module.modules()]
     module.eval()
     try:
@@ -250,7 +250,7 @@ def describe(network: nn.Module, batch: Any, chunk: int = CHUNK) -> NDArray[np.f
         network: (B, 3, H, W) in [0, 1] -> (B, D).
         batch: array or tensor (B, 3, H, W), (3, H, W), (B, H, W) or (H, W), uint8 or floating point in [0, 1];
             grey images are repeated over the three channels.
-        chunk: images in one pass. It bounds the memory and changes no result beyond rounding.
+        chunk: images per pass; bounds the memory and changes results only by rounding.
 
     Raises:
         DataError: another shape or type, values that are not finite or outside [0, 1].
@@ -261,7 +261,7 @@ def describe(network: nn.Module, batch: Any, chunk: int = CHUNK) -> NDArray[np.f
 def _described(
     network: nn.Module, describes: Callable[[Tensor], tuple[Tensor, ...]], batch: Any, chunk: int
 ) -> list[NDArray[np.float32]]:
-    """Return what a network gives for images, chunk by chunk, in evaluation mode and full precision."""
+    """Return the outputs of a network for images, chunk by chunk, in evaluation mode and full precision."""
     images = _as_images(batch)
     parameter = next(network.parameters(), torch.empty(0))
     with evaluating(network), torch.autocast(device_type=parameter.device.type, enabled=False):
@@ -283,7 +283,7 @@ def _as_images(batch: Any) -> Tensor:
 
 def _ready(images: Tensor, parameter: Tensor) -> Tensor:
     images = as_float(images.to(parameter.device))
-    # Written so that NaN fails it too.
+    # Written so that NaN fails, too.
     if not bool((images.min() >= -_ROUNDING) & (images.max() <= 1 + _ROUNDING)):
         raise DataError("floating point images must lie in [0, 1]: divide them by 255, or clean them of NaN")
     return images.to(parameter.dtype)

@@ -1,4 +1,4 @@
-"""How well a network locates a validation drive: its queries are looked for in a map, by their descriptors."""
+"""How well a network locates a validation drive: its queries are searched in a map by their descriptors."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from siamloc.errors import DataError
 from siamloc.models.relative import RelativePose
 
 ELSEWHERE = 100.0
-"""What counts as the error of a query that is found in another building, in the unit of the positions."""
+"""Error assigned to a query that is found in another building, in the unit of the positions."""
 
 RECALL_RADIUS = 0.5
-"""A query is found if the map frame with the nearest descriptor lies this near, in the unit of the positions."""
+"""A query is found if the map frame with the nearest descriptor is this near, in the unit of the positions."""
 
 _COLUMNS = ("xy", "building", "room", "known")
 _ROOMS_NEED = 2
@@ -22,10 +22,10 @@ _AT_ONCE = 256  # pairs to compare
 
 
 class DriveFigures:
-    """Gather the descriptors of map frames and queries, and compute how far off the queries are found.
+    """Gather the descriptors of map frames and queries, and compute the errors of the queries.
 
     Args:
-        radius: a query is found if its map frame lies this near, in the unit of the positions.
+        radius: a query is found if its map frame is this near, in the unit of the positions.
 
     Example:
         >>> figures = DriveFigures(radius=0.5)
@@ -42,13 +42,13 @@ class DriveFigures:
         self._parts: list[dict[str, Tensor]] = []
 
     def add(self, batch: Mapping[str, Tensor], descriptors: Tensor, orientation: Tensor | None = None) -> None:
-        """Add frames of the map and queries.
+        """Add map frames and queries.
 
         Args:
-            batch: `known` (B,) bool, True for frames of the map; `xy` (B, 2), NaN where unknown; `building` (B,);
-                `room` (B,), negative where unknown.
+            batch: `known` (B,) bool, True for map frames; `xy` (B, 2), NaN if unknown; `building` (B,); `room` (B,),
+                negative if unknown.
             descriptors: (B, D).
-            orientation: parts (B, K, F) of a network that compares; then the batch has `theta` (B,) as well, NaN where
+            orientation: parts (B, K, F) of a network that compares images; then the batch also has `theta` (B,), NaN if
                 unknown.
 
         Raises:
@@ -69,17 +69,17 @@ class DriveFigures:
         relative: RelativePose | None = None,
         naming: Callable[[Tensor, Tensor], Tensor] | None = None,
     ) -> dict[str, Tensor]:
-        """Look for the queries in the map, and forget them.
+        """Search the queries in the map, compute the figures, and clear everything added.
 
         Args:
-            relative: compares the orientation parts.
-            naming: (descriptors (B, D), room (B,)) -> the share whose room is named.
+            relative: the module that compares the orientation parts.
+            naming: (descriptors (B, D), room (B,)) -> the share whose room is named correctly.
 
         Returns:
-            `error`, the mean distance from the map frame with the nearest descriptor, `median` and `recall`, where
-            there are positions; `refined`, the mean error of the pose by comparison with that frame, where parts were
-            added and there are headings; `room`, the share of queries whose room it has, where the map has two or more;
-            `accuracy`, the share whose room is named; nothing where nothing was added.
+            `error`, the mean distance from the map frame with the nearest descriptor, `median` and `recall`, if there
+            are positions; `refined`, the mean error of the pose by comparison with that frame, if orientation parts
+            and headings are available; `room`, the share of queries with the same room as that frame, if the map has
+            two or more rooms; `accuracy`, the share whose room is named correctly. Empty if nothing was added.
 
         Raises:
             FloatingPointError: descriptors are not finite.
@@ -92,9 +92,9 @@ class DriveFigures:
             raise FloatingPointError("descriptors of the validation are not finite")
         known, query = whole["known"], ~whole["known"]
         apart = torch.cdist(whole["descriptors"][query], whole["descriptors"][known])
-        placed = torch.isfinite(whole["xy"][known]).all(dim=1)  # the others cannot say where a query is
+        placed = torch.isfinite(whole["xy"][known]).all(dim=1)  # the others cannot locate a query
         match = apart.masked_fill(~placed, torch.inf).argmin(dim=1)
-        # A frame of another building is wrong, however far off that is.
+        # A frame in another building is wrong, whatever the distance.
         there = whole["building"][query] == whole["building"][known][match]
         error = torch.linalg.vector_norm(whole["xy"][query] - whole["xy"][known][match], dim=1)
         found = there & (error <= self.radius)
@@ -122,12 +122,12 @@ class DriveFigures:
 
 
 def _pairs(query: Tensor, known: Tensor, match: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yield queries with the map frames that they match (n,), some at a time, so that memory does not grow with n."""
+    """Yield queries with their matching map frames (n,) in chunks, so that memory does not grow with n."""
     for part, rows in zip(query.split(_AT_ONCE), match.split(_AT_ONCE), strict=True):
         yield part, known[rows]
 
 
 def _turned(xy: Tensor, theta: Tensor) -> Tensor:
-    """Return vectors (n, 2) in the axes of robots with these headings (n,) in those of the building."""
+    """Rotate vectors (n, 2) from the axes of robots with these headings (n,) to those of the building."""
     cosine, sine = theta.cos(), theta.sin()
     return torch.stack([cosine * xy[:, 0] - sine * xy[:, 1], sine * xy[:, 0] + cosine * xy[:, 1]], dim=1)

@@ -1,4 +1,4 @@
-"""Heads: from the features of a panorama, (B, C, h, w), to its descriptor, (B, D)."""
+"""Heads: turn the features of a panorama, (B, C, h, w), into its descriptor, (B, D)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from siamloc.errors import ConfigError
 from siamloc.models.registry import head_widths
 
 _SMALLEST = 1e-6
-_POWER = 0.7  # of its magnitudes; maps keep what it makes
+_POWER = 0.7  # of the magnitudes; stored maps depend on it
 
 
 class Head(nn.Module):
@@ -36,11 +36,11 @@ class Head(nn.Module):
 class FullyConnected(Head):
     """Two or three fully connected layers with a ReLU between them ([T] table 5.2).
 
-    Nothing follows the last layer, and there is no softmax before it: a softmax would press the descriptors of all
-    places together, and the published code of the thesis has none.
+    Nothing follows the last layer, not even a softmax: it would squeeze the descriptors of all places together, and
+    the published code of the thesis has none.
 
     Args:
-        name: what the head is called.
+        name: of the head.
         shape: (C, h, w) of the features.
         widths: neurons of the layers; the last number is D.
     """
@@ -59,11 +59,11 @@ class FullyConnected(Head):
 
 
 class UnitHead(Head):
-    """Base of the heads that end in one layer, whose descriptors have unit length.
+    """Base of the heads that end in one layer and give descriptors of unit length.
 
     Args:
-        name: what the head is called.
-        inputs: numbers that the layer takes.
+        name: of the head.
+        inputs: number of inputs of the layer.
         outputs: length D of a descriptor.
     """
 
@@ -81,7 +81,7 @@ class Flat(UnitHead):
     """One fully connected layer over all features, scaled to unit length: what is seen where, relative to the robot.
 
     Args:
-        name: what the head is called.
+        name: of the head.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -97,11 +97,11 @@ class Flat(UnitHead):
 class GeneralizedMean(UnitHead):
     """The generalized mean of each channel over the panorama, then one layer, scaled to unit length [Radenovic 2018].
 
-    The mean of the p-th powers, to the power 1 / p; p is learned and begins with 3. p = 1 is the average, a large p the
-    maximum. It forgets where in the panorama something is.
+    The mean of the p-th powers, to the power 1 / p; p is learned and starts at 3. p = 1 is the average, a large p the
+    maximum. The head discards where in the panorama something is.
 
     Args:
-        name: what the head is called.
+        name: of the head.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -114,7 +114,7 @@ class GeneralizedMean(UnitHead):
         self.power = nn.Parameter(torch.empty(1))
 
     def reset(self) -> None:
-        """Let the power begin with 3."""
+        """Set the power to 3, its initial value."""
         nn.init.constant_(self.power, 3.0)
 
     def forward(self, features: Tensor) -> Tensor:
@@ -126,11 +126,11 @@ class GeneralizedMean(UnitHead):
 class Bands(GeneralizedMean):
     """The generalized mean of each channel over each row of the features, then one layer, scaled to unit length.
 
-    Like `gem`, but for each row of the features separately: it forgets the direction of things and keeps their height.
-    For cameras that stay level and turn, also where the columns of a picture do not wrap around.
+    Like `gem`, but for each row of the features separately: it discards the direction of things and keeps their height.
+    For cameras that stay level and turn, even if the columns of an image do not wrap around.
 
     Args:
-        name: what the head is called.
+        name: of the head.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -141,7 +141,7 @@ class Bands(GeneralizedMean):
 class Spectrum(nn.Module):
     """The squared Fourier magnitudes of each row of each channel along the azimuth.
 
-    Turning a signal changes the phases of its Fourier series alone.
+    Turning a signal changes only the phases of its Fourier series.
 
     Args:
         columns: w of the features.
@@ -157,7 +157,7 @@ class Spectrum(nn.Module):
             self.register_buffer(part, torch.empty(columns, self.frequencies), persistent=False)
 
     def reset(self) -> None:
-        """Fill in the Fourier basis, scaled as that of the transform that keeps lengths."""
+        """Fill in the Fourier basis, scaled so that the transform preserves lengths."""
         columns, frequencies = self.cosine.shape
         angle = torch.arange(columns, dtype=torch.float64)[:, None] * torch.arange(frequencies, dtype=torch.float64)
         angle = (angle % columns) * (2 * torch.pi / columns)
@@ -166,22 +166,22 @@ class Spectrum(nn.Module):
             self.sine.copy_(angle.sin() / columns**0.5)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return (B, C, h, w // 2 + 1) of features (B, C, h, w); never 0, where roots have no slope."""
-        # As a product with the basis: w is small, and every device and runtime has it.
+        """Return (B, C, h, w // 2 + 1) of features (B, C, h, w); never 0, where the root has no gradient."""
+        # As a product with the basis: w is small, and every device and runtime supports it.
         return (features @ self.cosine) ** 2 + (features @ self.sine) ** 2 + _SMALLEST
 
 
 class Fourier(UnitHead):
     """The Fourier magnitudes of each row of each channel along the azimuth, then one layer, scaled to unit length.
 
-    Turning a signal changes the phases of its Fourier series alone. So where the branch wraps around
-    (`siamloc.models.build(..., circular=True)`), a robot that has turned by a whole column of the features has the same
-    descriptor. In between it has another one, which training with random turns brings near. The rows still say where in
-    elevation something is. What the magnitudes leave out, how far the robot has turned, is kept by
-    `siamloc.models.orientation` beside it.
+    Turning a signal changes only the phases of its Fourier series. So if the branch wraps around
+    (`siamloc.models.build(..., circular=True)`), turning the robot by a whole column of the features leaves the
+    descriptor unchanged. Turns in between change it; training with random turns keeps that change small. The rows still
+    encode the elevation of things. How far the robot has turned, which the magnitudes leave out, is kept separately by
+    `siamloc.models.orientation`.
 
     Args:
-        name: what the head is called.
+        name: of the head.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -200,14 +200,14 @@ class Fourier(UnitHead):
 class Magnitudes(Head):
     """The Fourier magnitudes of each row of each channel along the azimuth, in sums with random signs, of unit length.
 
-    The head has no weights. A layer at the end, such as that of `fourier`, fits the buildings that it was trained in;
-    elsewhere what comes before it tells places apart better ([Chen 2020] drop theirs, too). The mean over the azimuth,
+    The head has no weights. A final layer, such as that of `fourier`, fits the buildings that it was trained in;
+    elsewhere its input distinguishes places better ([Chen 2020] drop theirs, too). The mean over the azimuth,
     frequency 0, is left out: it changes most with the light. The others are taken to the power 0.7, so that a few
-    strong ones do not decide alone ([Perronnin 2010]). Each then goes into one of D sums, with a sign, which nearly
-    keeps how far apart two descriptors are, at a part of the size ([Charikar 2002]).
+    strong ones do not dominate ([Perronnin 2010]). Each is then added to one of D sums with a random sign, which nearly
+    preserves the distances between descriptors at a fraction of the size ([Charikar 2002]).
 
     Args:
-        name: what the head is called.
+        name: of the head.
         shape: (C, h, w) of the features, which have C * h * (w // 2) magnitudes.
         outputs: length D of a descriptor, at most that many.
 
@@ -236,7 +236,7 @@ class Magnitudes(Head):
         self.register_buffer("signs", torch.empty(padded), persistent=False)
 
     def reset(self) -> None:
-        """Fill in which magnitudes are added up, and their signs, the same on every machine."""
+        """Fill in which magnitudes are summed and their signs, the same on every machine."""
         with torch.no_grad():
             self.order.copy_(torch.from_numpy(_random_bits(len(self.order), seed=1).argsort()))
             self.signs.copy_(random_signs(1, len(self.signs))[0])
@@ -255,7 +255,7 @@ def random_signs(rows: int, columns: int) -> Tensor:
 
 
 def _random_bits(count: int, seed: int = 0) -> NDArray[np.uint64]:
-    # Raw bits, because their order is promised for all versions of NumPy: maps keep what they make.
+    # Raw bits, since NumPy guarantees their order for all versions; stored maps depend on them.
     return np.random.PCG64(seed).random_raw(count)
 
 
@@ -268,10 +268,10 @@ _KINDS: dict[str, type[Flat] | type[GeneralizedMean] | type[Fourier]] = {
 
 
 def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None) -> Head:
-    """Make a head by its name for features of a shape (C, h, w).
+    """Make a head by its name for features of shape (C, h, w).
 
     Raises:
-        ConfigError: an unknown name, outputs for a head that has its own, or features too small for it.
+        ConfigError: an unknown name, outputs for a head with a fixed number, or features too small for the head.
     """
     widths = head_widths(name, outputs)
     if name == "magnitudes":

@@ -12,9 +12,9 @@ from siamloc.errors import ConfigError, DataError
 
 
 def pair_distance(d0: Tensor, d1: Tensor) -> Tensor:
-    """Measure the Euclidean distance of each pair of descriptors (B, D): (B,), in float32 or better.
+    """Compute the Euclidean distance (B,) of each pair of descriptors (B, D), in float32 or better.
 
-    Mixed precision is switched off here, since differences of close numbers need the digits. The gradient at
+    Mixed precision is switched off here, since differences of close numbers need the precision. The gradient at
     distance 0, where the root has none, is 0.
 
     Example:
@@ -57,10 +57,10 @@ class ContrastiveLoss(nn.Module):
         Args:
             d0: (B, D), descriptors of the first images.
             d1: (B, D), descriptors of the second images.
-            y: (B,), dissimilarity in [0, 1]: 0 similar, 1 dissimilar, anything between is allowed.
+            y: (B,), dissimilarity in [0, 1]: 0 similar, 1 dissimilar, or anything in between.
 
         Raises:
-            DataError: other shapes, or (seen on the CPU, where looking costs nothing) labels outside [0, 1].
+            DataError: other shapes, or labels outside [0, 1] (only checked on the CPU, where that is free).
         """
         check_descriptors(d0, d1)
         check_labels(y, len(d0))
@@ -83,7 +83,7 @@ def check_descriptors(d0: Tensor, d1: Tensor) -> None:
 
 
 def check_labels(y: Tensor, pairs: int) -> None:
-    """Raise DataError unless the labels are (pairs,), and in [0, 1] where they lie on the CPU."""
+    """Raise DataError unless the labels are (pairs,), and in [0, 1] if they are on the CPU."""
     if y.shape != (pairs,):
         hint = ": drop its last axis, or every label would meet every distance" if y.shape == (pairs, 1) else ""
         raise DataError(f"the contrastive loss needs one label per pair, shape ({pairs},), got {tuple(y.shape)}{hint}")

@@ -1,4 +1,4 @@
-"""What every training of a network shares: its optimizer, what is logged, and what a checkpoint says of it."""
+"""Base of all training modules: optimizer, logging, and the contents of checkpoints."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class NetworkModule(LightningModule):
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
-        loss: a module, whose parameters are trained as well, or a function. If it has a method `progress`, that is
-            told before each step which share of the training is done.
+        loss: a module, whose parameters are trained as well, or a function. If it has a method `progress`, this is
+            called before each step with the share of the training that is done.
         optimizer: how the weights are updated.
         recall_radius: of the recall on a validation drive, see `DriveFigures`.
 
     Raises:
-        ConfigError: a network that is no module or has no such stages, or a loss that cannot be called.
+        ConfigError: a network that is not a module or lacks the stages to freeze, or a loss that is not callable.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class NetworkModule(LightningModule):
         self.loss = loss
         self.optimizer = Optimizer() if optimizer is None else optimizer
         self._drive = DriveFigures(recall_radius)
-        self.compiled: Callable[[Tensor], Tensor] | None = None  # the network, where its steps are compiled
+        self.compiled: Callable[[Tensor], Tensor] | None = None  # the compiled network, if steps are compiled
         self._by_stage = self.optimizer.frozen_stages > 0 or self.optimizer.stage_decay < 1
         self._frozen: FrozenStages | None = None
         if self._by_stage and self.optimizer.frozen_stages >= (count := sum(map(bool, weights_by_stage(network)))):
@@ -65,7 +65,7 @@ class NetworkModule(LightningModule):
 
     @property
     def trained_network(self) -> nn.Module:
-        """The network alone, which describes and is exported in place of the module."""
+        """The network alone, which is used and exported in place of the module."""
         return self.network
 
     @property
@@ -75,7 +75,7 @@ class NetworkModule(LightningModule):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """That of the network: see `NetworkDescriptor`."""
+        """The identity of the network: see `NetworkDescriptor`."""
         return identity_of(self.network)
 
     def forward(self, panorama: Tensor) -> Tensor:
@@ -83,11 +83,11 @@ class NetworkModule(LightningModule):
         return self.network(panorama)
 
     def computed(self, images: Tensor) -> Tensor:
-        """Compute descriptors in a step: by the compiled network where there is one, in training alone."""
+        """Compute descriptors in a step, in training with the compiled network if there is one."""
         return (self.compiled if self.training and self.compiled is not None else self.network)(images)
 
     def log_step(self, loss: Tensor) -> None:
-        """Log the loss of a training step; on the progress bar, which reads it at once, only where nothing waits."""
+        """Log the loss of a training step; the progress bar reads it at once, so show it there only on the CPU."""
         if self._trainer is not None:
             shown = loss.device.type == "cpu"
             self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=shown, batch_size=1)
@@ -98,25 +98,25 @@ class NetworkModule(LightningModule):
             self._frozen = FrozenStages(self.network, self.optimizer.frozen_stages)
 
     def on_train_start(self) -> None:
-        """Let the frozen stages work as in evaluation."""
+        """Switch the frozen stages to evaluation mode."""
         if self._frozen is not None:
             self._frozen.rest()
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
-        """Tell a loss that changes with the training how far it is: 0 in the first step, 1 in the last."""
+        """Tell a loss that changes during training the progress: 0 in the first step, 1 in the last."""
         progress = getattr(self.loss, "progress", None)
         if callable(progress):
             steps = self.trainer.estimated_stepping_batches
             progress(min(self.trainer.global_step / max(steps - 1, 1), 1.0))
 
     def teardown(self, stage: str) -> None:
-        """Let the frozen stages be as they were."""
+        """Restore the frozen stages."""
         frozen, self._frozen = self._frozen, None
         if frozen is not None:
             frozen.thaw()
 
     def configure_optimizers(self) -> Any:
-        """Make the optimizer of all weights, those of the loss included, and the schedule of its learning rate."""
+        """Make the optimizer of all weights, including those of the loss, and the learning rate schedule."""
         settings = self.optimizer
         common: dict[str, Any] = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
         if settings.name == "sgd":
@@ -140,13 +140,13 @@ class NetworkModule(LightningModule):
         return {"optimizer": made, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def _weights(self) -> Any:
-        """Return all weights, by stage with their learning rates where those differ; the loss goes with the head."""
+        """Return all weights, by stage with their learning rates if those differ; the loss goes with the head."""
         if not self._by_stage:
             return self.parameters()
         of_network = set(self.network.parameters())
         *stages, head = weights_by_stage(self.network)
         stages.append([*head, *(weight for weight in self.parameters() if weight not in of_network)])
-        # A last stage that compares alone, and describes nothing, has the rate of the stage before it.
+        # A last stage that only compares images has the rate of the stage before it.
         compares = {id(weight) for weight in comparing_weights(self.network)}
         last = len(stages) - 1 - all(id(weight) in compares for weight in stages[-1])
         decay = self.optimizer.stage_decay
@@ -155,7 +155,7 @@ class NetworkModule(LightningModule):
         return groups[self.optimizer.frozen_stages :]
 
     def content(self) -> dict[str, Any]:
-        """Describe in plain values what is trained: the network, the loss, the rooms it names, and the optimizer."""
+        """Describe in plain values what is trained: the network, the loss, its rooms, and the optimizer."""
         loss: dict[str, Any] = {"class": name_of(self.loss), **getattr(self.loss, "settings", {})}
         if margin_of(self.loss) is not None:
             loss["margin"] = margin_of(self.loss)
@@ -166,7 +166,7 @@ class NetworkModule(LightningModule):
         return {"model": model, "loss": loss, **rooms, "optimizer": self.optimizer.plain()}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Write what `siamloc.models.load` needs alongside the weights."""
+        """Add to the weights what `siamloc.models.load` needs."""
         checkpoint[CONTENT_KEY] = {"format": FORMAT_VERSION, **self.content()}
 
     def log_epoch(self, stage: str, values: Mapping[str, Any]) -> None:
@@ -185,14 +185,14 @@ class NetworkModule(LightningModule):
         """Describe a batch of map frames and queries of the validation drive.
 
         Raises:
-            DataError: a batch that does not say what belongs to the map.
+            DataError: a batch that does not say which frames belong to the map.
         """
         images, network = as_float(batch["images"]), self.comparing_network
         found, parts = (self.network(images), None) if network is None else network.with_orientation(images)
         self._drive.add(batch, checked_descriptors(found, len(images)), parts)
 
     def drive_figures(self) -> dict[str, Tensor]:
-        """Look for the queries of the validation drive in the map; nothing where there were none.
+        """Locate the queries of the validation drive in the map and return the figures; empty without queries.
 
         Raises:
             ConfigError: the descriptors are not finite.
@@ -204,29 +204,29 @@ class NetworkModule(LightningModule):
             raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return what has been summed up since the epoch began, for a checkpoint within it."""
+        """Return the sums since the epoch began, for a checkpoint within it."""
         return {}
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Go on with the sums of a checkpoint."""
+        """Continue with the sums of a checkpoint."""
 
     def diverged(self, sign: str) -> ConfigError:
-        """Return the error of a training that came to nothing, with what showed it."""
+        """Return the error for a training that diverged, with the sign of it."""
         rate = self.optimizer.learning_rate
         advice = f"train again with a smaller optimizer.learning_rate than {rate:g}"
         return ConfigError(f"the training diverged: {sign}; {advice}")
 
 
 def cosine_share(step: int, steps: int, warm_up: float) -> float:
-    """Compute the share of the full learning rate in a step: even growth, then half a cosine to almost 0.
+    """Compute the share of the full learning rate in a step: a linear rise, then half a cosine to almost 0.
 
-    With w whole steps of warm-up it is (t + 1) / (w + 1) in the steps t before w, and then
+    With w whole steps of warm-up this is (t + 1) / (w + 1) in the steps t before w, and then
     (1 + cos(pi (t - w) / (steps - w))) / 2.
 
     Args:
         step: t, from 0.
         steps: of the whole training.
-        warm_up: share of them in which it grows.
+        warm_up: share of the steps in which the learning rate rises.
 
     Example:
         >>> [round(cosine_share(step, steps=6, warm_up=0.4), 3) for step in range(6)]
@@ -239,17 +239,17 @@ def cosine_share(step: int, steps: int, warm_up: float) -> float:
 
 
 def name_of(thing: object) -> str:
-    """Name a function, or the class of an object, wherever it is defined."""
+    """Return the qualified name of a function, or of the class of an object."""
     return str(getattr(thing, "__qualname__", type(thing).__qualname__))
 
 
 def shown(value: Any) -> str:
-    """Describe what a network or a loss gave, for an error message."""
+    """Describe the output of a network or a loss for an error message."""
     return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
 
 
 def checked_descriptors(descriptors: Any, images: int) -> Tensor:
-    """Return what a network gave for so many images.
+    """Check the output of a network for a number of images, and return it.
 
     Raises:
         DataError: it is not one descriptor per image.
@@ -262,7 +262,7 @@ def checked_descriptors(descriptors: Any, images: int) -> Tensor:
 
 
 def checked_loss(loss: Any, kind: object) -> Tensor:
-    """Return what a loss gave.
+    """Check the output of a loss, and return it as a scalar.
 
     Raises:
         DataError: it is not one number.

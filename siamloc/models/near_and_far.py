@@ -1,4 +1,4 @@
-"""Losses over the near and the far images of a batch, all of them or those that a miner picks."""
+"""Losses over the near and the far images of a batch: all of them or those picked by a miner."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from siamloc.models.origins import Origins, ScheduledLoss, check_batch
 from siamloc.models.registry import Circle, MultiSimilarity, NearAndFar, Triplet
 from siamloc.settings import fields_of
 
-_LEAST_SLOPE = 1e-3  # of a pair that something is learned from
+_LEAST_SLOPE = 1e-3  # of a pair that contributes to learning
 _TRIPLETS = 3  # columns: an image, a positive and a negative of it
 _MINERS: dict[str, tuple[str, dict[str, Any]]] = {
     "multi_similarity": ("MultiSimilarityMiner", {}),
@@ -23,12 +23,12 @@ _MINERS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 class NearAndFarLoss(ScheduledLoss):
-    """Base of the losses of pytorch-metric-learning: what is a positive of what follows from the distances.
+    """Base of the losses of pytorch-metric-learning: positives and negatives follow from the distances.
 
-    Its miners know labels, for which an image is either of the same kind as another one or of a different one. Here
-    an image may be near to two others that are far from each other, or neither near nor far. So a miner is asked
-    for one image at a time, with label 1, among those near it, with label 1 too, and those far from it, with label 0.
-    None of these miners compares two images, so that nothing is lost.
+    Its miners work with labels, for which two images have either the same label or different ones. Here an image may be
+    near two others that are far from each other, or neither near nor far. So a miner is called for one image at a time,
+    with label 1, among those near it, also with label 1, and those far from it, with label 0. None of these miners
+    compares two anchor images, so that nothing is lost.
     """
 
     def __init__(self, name: str, published: str, settings: Triplet | Circle | MultiSimilarity) -> None:
@@ -64,16 +64,16 @@ class NearAndFarLoss(ScheduledLoss):
             return self.loss(found, indices_tuple=self._picked(found.detach(), origins))
 
     def _picked(self, descriptors: Tensor, origins: Origins) -> tuple[Tensor, ...]:
-        """Return the pairs that count, or triplets where the miner gives such.
+        """Return the pairs that count, or triplets if the miner returns those.
 
-        Pairs are the images of the positive pairs, first and second, and those of the negative pairs.
+        Pairs are the first and second images of the positive pairs, then those of the negative pairs.
         """
         apart = origins.distances()
         itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
         near, far = (apart <= self.near) & ~itself, apart > self.far
         if self.miner is None:
             return (*near.nonzero().T, *far.nonzero().T)
-        # Many small steps, for which a GPU would need longer.
+        # Many small steps, which would take longer on a GPU.
         near, far, descriptors = near.cpu(), far.cpu(), descriptors.cpu()
         both = near.any(dim=1) & far.any(dim=1)  # a miner compares the two
         if not bool(both.any()):
@@ -90,9 +90,9 @@ class NearAndFarLoss(ScheduledLoss):
 
 
 class TripletLoss(NearAndFarLoss):
-    """Let each image be nearer to each of its positives than to each of its negatives, by a margin ([Schroff 2015]).
+    """Make each image nearer to each of its positives than to each of its negatives, by a margin ([Schroff 2015]).
 
-    The mean over the triplets that cost anything of max(|d_a - d_p| - |d_a - d_n| + margin, 0).
+    The mean over the triplets with a non-zero loss of max(|d_a - d_p| - |d_a - d_n| + margin, 0).
 
     Args:
         settings: see `siamloc.models.registry.Triplet`.
@@ -107,9 +107,9 @@ class TripletLoss(NearAndFarLoss):
         super().__init__("triplet", "TripletMarginLoss", settings)
 
     def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
-        """Return the share of the triplets that cost anything, a scalar; 0 where there are none.
+        """Return the share of triplets with a non-zero loss, a scalar; 0 if there are no triplets.
 
-        With a miner, of those that it picks.
+        With a miner, only triplets that it picks count.
         """
         with torch.no_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
             found, distance = descriptors.float(), self.loss.distance
@@ -125,15 +125,15 @@ class TripletLoss(NearAndFarLoss):
 
 
 class _PairLoss(NearAndFarLoss):
-    """Base of the losses whose cost is that of the pairs of each image."""
+    """Base of the losses that add up over the pairs of each image."""
 
-    steepest = 1.0  # what the similarity of a pair can change the cost of its image by, roughly
+    steepest = 1.0  # roughly the largest slope of the loss of an image in the similarity of a pair
 
     def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
-        """Return the share of the pairs, an image first and one near or far of it second, that are learned from.
+        """Return the share of pairs (an image, and one near it or far from it) that contribute to learning.
 
-        No pair costs nothing at all: those count whose gradient is above a thousandth of what it can be. With a miner,
-        of the pairs that it picks; 0 where there are none.
+        No pair has a loss of exactly 0: pairs count if their gradient is above a thousandth of its maximum. With a
+        miner, only pairs that it picks count; 0 if there are none.
         """
         with torch.enable_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
             found = descriptors.detach().float()
@@ -147,9 +147,9 @@ class _PairLoss(NearAndFarLoss):
 
 
 class CircleLoss(_PairLoss):
-    """Pull positives and push negatives the more, the farther they are from where they should be ([Sun 2020]).
+    """Pull positives and push negatives the more, the farther they are from their targets ([Sun 2020]).
 
-    The mean over the images i that cost anything of log(1 + sum_n exp(gamma [s_n + m]+ (s_n - m)) times
+    The mean over the images i with a non-zero loss of log(1 + sum_n exp(gamma [s_n + m]+ (s_n - m)) times
     sum_p exp(-gamma [1 + m - s_p]+ (s_p - 1 + m))), with the similarities s to the negatives and positives of i.
 
     Args:
@@ -166,7 +166,7 @@ class MultiSimilarityLoss(_PairLoss):
     """Weigh each pair by how it compares with the other pairs of its image ([Wang 2019]).
 
     The mean over the images i of log(1 + sum_p exp(-alpha (s_p - base))) / alpha
-    + log(1 + sum_n exp(beta (s_n - base))) / beta, with distances from `base` on the other way round.
+    + log(1 + sum_n exp(beta (s_n - base))) / beta, for distances with the opposite signs.
 
     Args:
         settings: see `siamloc.models.registry.MultiSimilarity`.

@@ -1,4 +1,4 @@
-"""The network that both images of a pair share: a branch, then a head ([T] 5.3, figure 5.2)."""
+"""The network shared by both images of a pair: a branch, then a head ([T] 5.3, figure 5.2)."""
 
 from __future__ import annotations
 
@@ -30,8 +30,11 @@ from siamloc.runs import Run
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 SIMPLE_GRID = (4, 16)
-_BY_FREQUENCY = (Fourier, Magnitudes)  # heads that forget how far the robot has turned, and leave it to `Orientation`
-RESIDUAL = 0.1  # share of the two convolutions in what a residual block gives at first
+_BY_FREQUENCY = (
+    Fourier,
+    Magnitudes,
+)  # heads that discard how far the robot has turned; `Orientation` keeps it
+RESIDUAL = 0.1  # initial share of the two convolutions in the output of a residual block
 
 
 @typed
@@ -50,11 +53,11 @@ def build(
 ) -> Network:
     """Make a network that describes panoramas: (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
 
-    The weights are drawn from `seed` alone; no global random generator is read or moved. Convolutions and fully
-    connected layers get He initialization (normal, variance 2 / inputs; [He 2015]) and zero biases, which keeps
-    the size of the signal through any depth of ReLU layers, so that also the deep branches without batch
-    normalization learn from scratch. The last layer, which no ReLU follows, has variance 1 / (inputs * D): the
-    descriptors begin with a length of about 1, so that distances begin on the scale of the margin whatever D is.
+    The weights are drawn from `seed` alone; the global random generator is neither read nor advanced. Convolutions and
+    fully connected layers get He initialization (normal, variance 2 / inputs; [He 2015]) and zero biases, which keeps
+    the size of the signal through any depth of ReLU layers, so that even the deep branches without batch
+    normalization learn from scratch. The last layer, which no ReLU follows, has variance 1 / (inputs * D):
+    descriptors start with a length of about 1, so that distances start on the scale of the margin whatever D is.
 
     Args:
         branch: a name in `BRANCHES`.
@@ -62,25 +65,25 @@ def build(
         image_size: (H, W) of the panoramas in pixels.
         weights: None for random weights; "imagenet" or the name of a torchvision weight enum such as
             "IMAGENET1K_V1" for a pre-trained branch; the path of a state dict (.pth, .safetensors) of this network or
-            of a torchvision network with this branch; "siamloc" for the network that comes along, see
-            `siamloc.models.pretrained`; or a run, its folder or a checkpoint: of a run the best one is
-            taken, all of it where head and image size agree, else the branch alone, as a printed note says.
+            of a torchvision network with this branch; "siamloc" for the network that ships with siamloc, see
+            `siamloc.models.pretrained`; or a run, its folder or a checkpoint. For a run, the best checkpoint is
+            used: all of it if head and image size agree, otherwise only the branch, as a printed note says.
         seed: of the random weights; any integer from 0 to 2**63 - 1.
         outputs: length D of a descriptor, for the heads "flat", "gem", "bands" and "fourier", 256 if None; and for
-            "magnitudes", 2048 if None, or fewer where small images have fewer.
-        circular: let convolutions and pools wrap around the azimuth: for panoramas, whose columns are a full turn.
+            "magnitudes", 2048 if None, or fewer if small images have fewer magnitudes.
+        circular: let convolutions and pools wrap around the azimuth, for panoramas, whose columns are a full turn.
         normalize: "channels": subtract a mean and divide by a standard deviation for each channel, ImageNet's unless
             the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.
             "local": give the surroundings of each pixel zero mean and unit contrast, whatever light falls there;
-            "local_brightness": the same, but colours stay. What the branch is meant for if None.
-        canonical: turn each panorama first, by fewer columns than one of the features has, so that turning the robot by
-            any whole column of the panorama changes nothing; see `siamloc.models.canonical`. For circular=True and a
-            head that forgets the direction: "fourier", "magnitudes", "gem" or "bands".
-        relative: learn to tell where an image was taken relative to another one, besides; see
+            "local_brightness": the same, but colours stay. If None, the default of the branch.
+        canonical: first turn each panorama, by less than the width of one feature column, so that turning the robot by
+            whole columns of the panorama changes nothing; see `siamloc.models.canonical`. For circular=True and a
+            head that discards the direction: "fourier", "magnitudes", "gem" or "bands".
+        relative: also learn to estimate where an image was taken relative to another one; see
             `siamloc.models.relative`. For circular=True and the heads "fourier" and "magnitudes".
 
     Raises:
-        ConfigError: unknown names, an image too small for the branch, weights that cannot be had or do not fit.
+        ConfigError: unknown names, an image too small for the branch, weights that are not available or do not fit.
         FormatError: a checkpoint of another version.
 
     Example:
@@ -121,28 +124,29 @@ def build(
 
 
 class Network(nn.Module):
-    """A branch and a head; made by `build`.
+    """A network of a branch and a head; made by `build`.
 
     Args:
         branch: a name in `BRANCHES`.
         head: a name in `HEADS`.
         image_size: (H, W) in pixels.
-        outputs: length of a descriptor, for heads that let it be chosen.
+        outputs: length of a descriptor, for heads with a choice.
         circular: whether the branch wraps around the azimuth.
         normalize: a name in `NORMALIZATIONS`.
         canonical: whether panoramas are turned to a canonical direction first.
-        relative: whether it compares images.
+        relative: whether the network also compares images.
 
     Attributes:
         branch: the `Branch`, which also normalizes.
         head: the `Head`.
         image_size: (H, W) in pixels.
         grid: rows and columns of the features that the head sees.
-        orientation: what finds headings, where the branch wraps around and the head is `fourier` or `magnitudes`;
-            else None.
+        orientation: the `Orientation` for finding headings, if the branch wraps around and the head is `fourier` or
+            `magnitudes`; else None.
         relative: the `RelativePose` that compares orientation parts; None for a network that does not.
-        rooms: what names the room from a descriptor, after a training with `CrossEntropyLoss`; else None.
-        settings: the arguments of `build` that made it, as plain values.
+        rooms: the `RoomClassifier` that names the room from a descriptor, after a training with `CrossEntropyLoss`;
+            else None.
+        settings: the arguments of `build` that made the network, as plain values.
     """
 
     rooms: RoomClassifier | None = None
@@ -186,7 +190,7 @@ class Network(nn.Module):
 
     @property
     def stages(self) -> list[list[nn.Module]]:
-        """The parts with weights: the layers of the branch by resolution, then the head if it has any."""
+        """The parts with weights: the layers of the branch by resolution, then the head if it has weights."""
         layers = iter(self.branch.features)
         counts = _layers_by_stage(self.branch.name, self.branch.circular)
         above: list[nn.Module] = [part for part in (self.head, self.orientation, self.relative) if part is not None]
@@ -196,7 +200,7 @@ class Network(nn.Module):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What decides the descriptors: names, image size, a hash of all weights, and what else is out of the ordinary.
+        """Everything that determines the descriptors: names, image size, a hash of all weights, non-default settings.
 
         Reads every weight, which takes about a second for the largest networks: keep the result.
         """
@@ -216,7 +220,7 @@ class Network(nn.Module):
         """Return descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1].
 
         Raises:
-            DataError: another shape or integers (not looked at while a compiler or an exporter traces).
+            DataError: another shape or integers (not checked while a compiler or an exporter traces).
         """
         if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
             self._check(panorama)
@@ -228,7 +232,7 @@ class Network(nn.Module):
         """Return descriptors (B, D) and orientation parts (B, K, F) of panoramas in one pass; see `Orientation`.
 
         Raises:
-            ConfigError: a network that finds no headings.
+            ConfigError: the network does not find headings.
             DataError: as `forward`.
         """
         if self.orientation is None:
@@ -259,14 +263,14 @@ class Branch(nn.Module):
 
     The images are normalized first. "channels" uses the mean and standard deviation of ImageNet unless the loaded
     weights say otherwise; branches without ImageNet weights use the same numbers, which bring indoor images close to
-    zero mean and unit variance, what He initialization counts on. "image" does so for each image by its own numbers,
-    so that neither exposure nor contrast matters, and the other two for the
-    surroundings of each pixel, see `siamloc.models.normalization`.
+    zero mean and unit variance, as He initialization assumes. "image" normalizes each image by its own mean and
+    deviation, so that neither exposure nor contrast matters, and the other two the surroundings of each pixel, see
+    `siamloc.models.normalization`.
 
-    The torchvision networks keep their own stride: nothing is pooled or scaled to a fixed grid after them. At
-    128 x 512 VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU as it does in its paper. The
-    simple branches keep the full resolution through three 3 x 3 convolutions and then average it to 4 x 16. Where
-    the columns wrap around, AlexNet gives 3 x 16.
+    The torchvision networks keep their own stride: their output is not pooled or scaled to a fixed grid. At 128 x 512
+    VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU, as in its paper. The simple branches keep
+    the full resolution through three 3 x 3 convolutions and then average it to 4 x 16. If the columns wrap around,
+    AlexNet gives 3 x 16.
 
     Args:
         name: a name in `BRANCHES`.
@@ -291,7 +295,7 @@ class Branch(nn.Module):
         self.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
 
     def normalize_with(self, mean: Sequence[float], std: Sequence[float]) -> None:
-        """Set what the red, green and blue channels are normalized with, in units of [0, 1]."""
+        """Set the normalization of the red, green and blue channels, in units of [0, 1]."""
         for buffer, values in ((self.mean, mean), (self.std, std)):
             with torch.no_grad():
                 buffer.copy_(torch.tensor(list(values), dtype=buffer.dtype, device="cpu").view(1, 3, 1, 1))
@@ -301,12 +305,12 @@ class Branch(nn.Module):
         return self.features(self.normalized(panorama))
 
     def both(self, panorama: Tensor, level: int) -> tuple[Tensor, Tensor]:
-        """Return what the first layers give, that many of them, and the features, in one pass."""
+        """Return the output of the first `level` layers and the features, in one pass."""
         first = self.features[:level](self.normalized(panorama))
         return first, self.features[level:](first)
 
     def normalized(self, panorama: Tensor) -> Tensor:
-        """Return panoramas (B, 3, H, W) in [0, 1] as the first layer gets them."""
+        """Return panoramas (B, 3, H, W) in [0, 1], normalized for the first layer."""
         if self.normalize == "channels":
             return (panorama - self.mean) / self.std
         if self.normalize == "image":
@@ -316,10 +320,10 @@ class Branch(nn.Module):
 
 @lru_cache(maxsize=256)
 def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False) -> tuple[int, int, int]:
-    """Return channels, rows and columns of the features at an image size (H, W); computes shapes only.
+    """Return channels, rows and columns of the features at an image size (H, W); only shapes are computed.
 
     Raises:
-        ConfigError: an unknown branch, or an image smaller than the branch can take.
+        ConfigError: an unknown branch, or an image too small for it.
     """
     shape = _shape_or_none(name, *image_size, circular)
     if shape is None:
@@ -333,11 +337,11 @@ def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False
 
 @lru_cache(maxsize=64)
 def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[int, int, int]] | None:
-    """Return where a branch that wraps around has features of at least twice as many columns as it gives.
+    """Return where a circular branch has features with at least twice as many columns as its output.
 
     Returns:
-        How many layers give the last such features, 0 for the image itself; and their channels, rows and columns.
-        None where not even the image has so many columns.
+        The number of layers up to the last such features, 0 for the image itself; and their channels, rows and columns.
+        None if not even the image has so many columns.
     """
     found = [(3, *image_size), *_shapes(name, image_size)]
     finer = [number for number, one in enumerate(found) if one[2] >= 2 * found[-1][2]]
@@ -346,7 +350,7 @@ def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[i
 
 @lru_cache(maxsize=64)
 def _shapes(name: str, image_size: tuple[int, int]) -> list[tuple[int, int, int]]:
-    """Return channels, rows and columns after each layer of a branch that wraps around."""
+    """Return channels, rows and columns after each layer of a circular branch."""
     found, features = [], torch.empty(1, 3, *image_size, device="meta")
     with torch.no_grad():
         for layer in _weightless(name, True):
@@ -358,7 +362,7 @@ def _shapes(name: str, image_size: tuple[int, int]) -> list[tuple[int, int, int]
 
 @lru_cache(maxsize=64)
 def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
-    """Return the smallest image (H, W) that the branch can take; each side alone may be as small as that."""
+    """Return the smallest image (H, W) that the branch can take; each side alone may be that small."""
     if branch_spec(name).kind == "simple":
         return SIMPLE_GRID
     rows = _first(lambda side: _shape_or_none(name, side, 256, circular) is not None, enough=256)
@@ -378,10 +382,10 @@ def checked_image_size(image_size: Sequence[int]) -> tuple[int, int]:
 
 
 def _canonical(branch: str, head: Head, image_size: tuple[int, int], circular: bool) -> Canonical:
-    """Return what turns panoramas first.
+    """Return the module that turns panoramas to their canonical direction.
 
     Raises:
-        ConfigError: a head for which that would mean nothing, or columns that cannot be told in whole ones.
+        ConfigError: a head for which that is meaningless, or columns that the layers do not divide evenly.
     """
     if not circular or not isinstance(head, (*_BY_FREQUENCY, GeneralizedMean)):
         raise ConfigError(
@@ -419,7 +423,7 @@ def _initialize(network: Network, seed: int) -> None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")
     if network.relative is not None:
         network.relative.reset()  # after its layers
-    for module in network.modules():  # each block begins as little more than what its shortcut gives
+    for module in network.modules():  # each block starts as little more than its shortcut
         if isinstance(module, ResidualBlock):
             nn.init.constant_(module.second[1].weight, RESIDUAL)  # type: ignore[arg-type]
 
@@ -442,7 +446,7 @@ def _torchvision_features(name: str) -> nn.Sequential:
     ensure_torchvision()
     from torchvision import models
 
-    # The classifier, most of such a network, is thrown away: on the meta device it is never allocated.
+    # The classifier, most of such a network, is discarded: on the meta device it is never allocated.
     with torch.device("meta"):
         features = models.get_model(name, weights=None).features
     device = torch.empty(0).device
@@ -454,7 +458,7 @@ def _torchvision_features(name: str) -> nn.Sequential:
 
 @lru_cache(maxsize=32)
 def _layers_by_stage(name: str, circular: bool) -> list[int]:
-    """Count the layers of a branch at each resolution; those without weights belong to the weights before them."""
+    """Count the layers of a branch at each resolution; those without weights count with the weights before them."""
     features, counts, before = torch.empty(1, 3, 256, 256, device="meta"), [0], None
     with torch.no_grad():
         for layer in _weightless(name, circular):

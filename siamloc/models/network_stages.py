@@ -1,4 +1,4 @@
-"""The stages of a network from the image to the descriptor: which weights belong to which, and freezing the first."""
+"""The stages of a network from the image to the descriptor: the weights of each, and freezing the first stages."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from siamloc.errors import ConfigError
 def stages(network: nn.Module) -> list[list[str]]:
     """List the names of a network's weights by stage, from the image to the descriptor.
 
-    A network of `siamloc.models.build` has a stage for each resolution of its branch: a new one begins with the layer
-    that makes rows and columns fewer, or follows a pool that does; the last stage is the head. A module of one's own
-    says its stages by a property `stages`, a list with a module or a list of modules for each.
+    A network of `siamloc.models.build` has a stage for each resolution of its branch: a new one starts with the layer
+    that reduces rows and columns, or after a pool that does; the last stage is the head. A custom module gives its
+    stages in a property `stages`, a list with a module or a list of modules for each.
 
     Raises:
-        ConfigError: a module that does not say its stages, or whose stages do not hold every weight once.
+        ConfigError: a module without stages, or whose stages do not hold every weight once.
 
     Example:
         >>> from siamloc.models import build
@@ -33,7 +33,7 @@ def stages(network: nn.Module) -> list[list[str]]:
 
 
 def weights_by_stage(network: nn.Module) -> list[list[nn.Parameter]]:
-    """List the weights of a network themselves as `stages` does their names.
+    """List the weights of a network by stage; `stages` lists their names.
 
     Raises:
         ConfigError: as `stages`.
@@ -53,14 +53,14 @@ def weights_by_stage(network: nn.Module) -> list[list[nn.Parameter]]:
 
 
 def comparing_weights(network: nn.Module) -> list[nn.Parameter]:
-    """List the weights that learn displacements, see `siamloc.models.relative`; none for a network that does not."""
+    """List the weights that learn displacements, see `siamloc.models.relative`; empty for other networks."""
     if not isinstance(getattr(network, "relative", None), nn.Module):
         return []
     return [weight for part in ("orientation", "relative") for weight in network.get_submodule(part).parameters()]
 
 
 class FrozenStages:
-    """The first stages of a network, which get no gradient until they are thawed.
+    """Freeze the first stages of a network: they get no gradient until they are thawed.
 
     Raises:
         ConfigError: as `stages`.
@@ -73,11 +73,11 @@ class FrozenStages:
         self._parts.requires_grad_(False)
 
     def rest(self) -> None:
-        """Let them work as in evaluation: batch normalization keeps its statistics, and nothing drops out."""
+        """Switch them to evaluation mode: batch normalization keeps its statistics, and dropout is off."""
         self._parts.eval()
 
     def thaw(self) -> None:
-        """Let everything be as it was."""
+        """Restore gradients and modes."""
         for weight, trained in self._weights:
             weight.requires_grad_(trained)
         for part, training in self._modes:

@@ -1,4 +1,4 @@
-"""What a network finds headings by: its features along the azimuth, at twice as many columns as the head sees."""
+"""Orientation parts, for finding headings: features along the azimuth, with twice the columns that the head sees."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ _SMALLEST = 1e-12
 
 
 class Orientation(nn.Module):
-    """The features of a panorama as an orientation part: few numbers for each column, which move when the robot turns.
+    """Turn the features of a panorama into an orientation part: a few numbers per column that move with the robot.
 
-    All channels and rows of a column are mixed into 64 sums with random signs, which nearly keeps the correlations
-    between columns [Achlioptas 2003] at a small part of the size. Then the mean over the columns is taken away,
-    neighbouring columns are averaged, which fades out the high frequencies that coarse columns show wrongly, and all is
-    scaled to a mean square of 1. Nothing in it is trained, and the signs are the same on every machine.
+    All channels and rows of a column are mixed into 64 sums with random signs, which nearly preserves the correlations
+    between columns [Achlioptas 2003] at a fraction of the size. Then the mean over the columns is subtracted,
+    neighbouring columns are averaged, which fades out the high frequencies that alias on coarse columns, and everything
+    is scaled to a mean square of 1. Nothing in it is trained, and the signs are the same on every machine.
 
-    With `trained=True` the sums are learned together with `siamloc.models.relative`, which tells displacements by them,
-    and neighbouring columns are not averaged. The features themselves are not trained by it.
+    With `trained=True` the sums are learned together with `siamloc.models.relative`, which estimates displacements from
+    them, and neighbouring columns are not averaged. This does not train the features themselves.
 
     Args:
-        level: how many layers of the branch give the features.
+        level: number of layers of the branch up to the features.
         shape: (C, h, w) of the features.
-        grid: rows and columns to which they are averaged where they have more.
-        canonical: columns of the panorama, where it is turned to its canonical direction first, which is undone here.
-        trained: whether the sums are learned; they begin as those with random signs.
+        grid: rows and columns to which larger features are averaged.
+        canonical: columns of the panorama, if it is first turned to its canonical direction, which is undone here.
+        trained: whether the sums are learned; they start with random signs.
 
     Example:
         >>> from siamloc.models import build
@@ -64,7 +64,7 @@ class Orientation(nn.Module):
         self.register_buffer("back", back, persistent=False)
 
     def reset(self) -> None:
-        """Fill in the signs, and what turns back."""
+        """Fill in the signs, and the matrices that turn back."""
         columns, canonical = self.columns
         with torch.no_grad():
             if self.back is not None and canonical is not None:
@@ -78,7 +78,7 @@ class Orientation(nn.Module):
 
         Args:
             features: of the layer.
-            turned: by how many columns the panoramas were turned first (B,), see `siamloc.models.canonical`.
+            turned: number of columns (B,) by which the panoramas were turned first, see `siamloc.models.canonical`.
         """
         if self.grid is not None:
             features = F.adaptive_avg_pool2d(features, self.grid)

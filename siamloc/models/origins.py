@@ -1,4 +1,4 @@
-"""Where the images of a batch come from, and what losses over all its pairs have in common."""
+"""Where the images of a batch come from, and the base of losses over all its pairs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from siamloc.settings import Settings
 
 @dataclass(frozen=True)
 class Origins:
-    """Where the images of a batch come from, one entry for each of N images, on the device of the descriptors.
+    """Where the images of a batch come from: one entry for each of N images, on the device of the descriptors.
 
     Attributes:
-        xy: (N, 2) floating point, in the unit of the positions, from the middle of the building; NaN where unknown.
+        xy: (N, 2) floating point, in the unit of the positions, relative to the middle of the building; NaN if unknown.
         building: (N,) whole numbers.
-        room: (N,) whole numbers, those of two buildings different; negative where unknown.
-        frame: (N,) whole numbers: a frame that is drawn twice has the same one.
-        theta: (N,) headings in rad, NaN where unknown; None where nobody asks for them.
+        room: (N,) whole numbers, different across buildings; negative if unknown.
+        frame: (N,) whole numbers: a frame that is drawn twice has the same number.
+        theta: (N,) headings in rad, NaN if unknown; None if not needed.
     """
 
     xy: Tensor
@@ -45,7 +45,7 @@ class Origins:
 
 
 class ScheduledLoss(nn.Module):
-    """Base of losses of which a number may change along the training: with `sigma_start` that is `sigma`."""
+    """Base of losses with parameters that may change during training, such as `sigma` with `sigma_start`."""
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()
@@ -54,12 +54,12 @@ class ScheduledLoss(nn.Module):
         self._courses = {name: (start, getattr(settings, name)) for name, start in names.items()}
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Return the least and the most that a number is along the training."""
+        """Return the smallest and the largest value of a parameter during training."""
         course = self._courses.get(name, (getattr(self, name),))
         return min(course), max(course)
 
     def progress(self, share: float) -> None:
-        """Set what changes to what it is after a share of the training, from 0 in the first step to 1 in the last."""
+        """Set the changing parameters for a share of the training, from 0 in the first step to 1 in the last."""
         for name, (first, last) in self._courses.items():
             setattr(self, name, float(first ** (1 - share) * last**share))
 

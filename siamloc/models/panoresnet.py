@@ -1,4 +1,4 @@
-"""A small residual network for panoramas, trained from random weights in minutes ([He 2016], at low resolution)."""
+"""A small residual network for panoramas that trains from random weights in minutes ([He 2016], at low resolution)."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def residual_features(widths: Sequence[int]) -> nn.Sequential:
 
 
 class ResidualBlock(nn.Module):
-    """Two 3 x 3 convolutions, added to what comes in.
+    """Two 3 x 3 convolutions, added to the input.
 
     Args:
-        inputs: channels that come in.
-        outputs: channels that go out.
-        stride: by which rows and columns shrink.
+        inputs: number of input channels.
+        outputs: number of output channels.
+        stride: factor by which rows and columns shrink.
     """
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
@@ -49,7 +49,7 @@ class ResidualBlock(nn.Module):
         )
         self.shortcut: nn.Module = nn.Identity()
         if stride > 1 or inputs != outputs:
-            # Averaging before the 1 x 1 convolution looks at every pixel.
+            # Averaging before the 1 x 1 convolution uses every pixel.
             self.shortcut = nn.Sequential(
                 nn.AvgPool2d(stride, ceil_mode=True) if stride > 1 else nn.Identity(),
                 nn.Conv2d(inputs, outputs, kernel_size=1, bias=False),

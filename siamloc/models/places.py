@@ -1,4 +1,4 @@
-"""What happens in a step of training on places, all pairs of a batch at once: the `LightningModule`."""
+"""The `LightningModule` for training on places, with all pairs of a batch at once."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ _KEYS = ("images", "xy", "building", "room", "frame")
 class PlaceModule(NetworkModule):
     """Train a network on all pairs of a batch.
 
-    A batch is a dictionary with `images` (N, 3, H, W), uint8 or floating point in [0, 1], and what `Origins` holds:
-    `xy`, `building`, `room`, `frame`. A network built with relative=True learns displacements besides, where the batch
-    has `theta` as well: from the same features, which that does not change. A batch of the validation has `known` (N,)
-    bool as well: True for frames of the map, in which the others are looked for.
+    A batch is a dictionary with `images` (N, 3, H, W), uint8 or floating point in [0, 1], and the fields of `Origins`:
+    `xy`, `building`, `room`, `frame`. A network built with relative=True also learns displacements, and then the batch
+    needs `theta`, too. It learns them from the same features, without changing those. A validation batch also has
+    `known` (N,) bool: True for map frames, in which the others are searched.
 
     Logged at the end of an epoch: `train/loss` and `train/spread`, the mean distance of descriptors from their mean,
-    near 0 where the network gives every image the same descriptor; with a loss that can tell, such as `TripletLoss`,
-    `train/active`, the share of triplets that cost anything, or of pairs with a gradient; where displacements are
-    learned `train/relative`, the mean error of those within reach; of the validation
-    `val/error`, the mean distance from the map frame with the nearest descriptor, `val/median`, `val/recall`, the
-    share that lies within a radius of it, `val/room`, the share whose room it has, and `val/refined`, the mean error of
-    the pose by comparison with that frame. With a `CrossEntropyLoss` `train/accuracy` and `val/accuracy` are the shares
-    of images whose room is named.
+    near 0 if the network gives every image the same descriptor; with losses that report it, such as `TripletLoss`,
+    `train/active`, the share of triplets with a non-zero loss, or of pairs with a gradient; if displacements are
+    learned, `train/relative`, the mean error of those within reach. For the validation: `val/error`, the mean distance
+    from the map frame with the nearest descriptor; `val/median`; `val/recall`, the share within a radius of it;
+    `val/room`, the share with the same room as that frame; and `val/refined`, the mean error of the pose by comparison
+    with that frame. With a `CrossEntropyLoss`, `train/accuracy` and `val/accuracy` are the shares of images whose room
+    is named correctly.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -50,7 +50,7 @@ class PlaceModule(NetworkModule):
         recall_radius: of `val/recall`, in the unit of the positions.
 
     Raises:
-        ConfigError: a network that is no module, or a loss that cannot be called.
+        ConfigError: a network that is not a module, or a loss that is not callable.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class PlaceModule(NetworkModule):
         gradient_clip_val: float | None = None,
         gradient_clip_algorithm: str | None = None,
     ) -> None:
-        """Clip the gradients of what learns displacements apart from all others, which it then does not change."""
+        """Clip the gradients of the displacement weights separately, so that they do not affect all others."""
         apart = comparing_weights(self.network)
         if not apart or not gradient_clip_val or gradient_clip_algorithm not in (None, "norm"):
             super().configure_gradient_clipping(optimizer, gradient_clip_val, gradient_clip_algorithm)
@@ -108,7 +108,7 @@ class PlaceModule(NetworkModule):
             torch.nn.utils.clip_grad_norm_(weights, gradient_clip_val)
 
     def _described(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor | None]:
-        """Return descriptors, and orientation parts where displacements are learned."""
+        """Return descriptors, and orientation parts if displacements are learned."""
         images, network = as_float(batch["images"]), self.comparing_network
         if network is None:
             return self.computed(images), None
@@ -127,7 +127,7 @@ class PlaceModule(NetworkModule):
         return {name: torch.stack(each) for name, each in self._figures.items()}
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Go on with those of a checkpoint."""
+        """Continue with the figures of a checkpoint."""
         self._figures = {name: list(each) for name, each in sums.items()}
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
@@ -135,11 +135,11 @@ class PlaceModule(NetworkModule):
         self.describe_drive(batch)
 
     def on_validation_epoch_end(self) -> None:
-        """Look for the queries in the map, and log how far off they are found."""
+        """Search the queries in the map, and log their errors."""
         self.log_epoch("val", self.drive_figures())
 
     def _of_all(self, descriptors: Tensor, origins: Origins) -> tuple[Tensor, Origins]:
-        """Gather the batch of all processes, with gradients."""
+        """Gather the batches of all processes, with gradients."""
 
         def gathered(value: Tensor, grads: bool = False) -> Tensor:
             return self.all_gather(value, sync_grads=grads).flatten(0, 1)  # type: ignore[union-attr]

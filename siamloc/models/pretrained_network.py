@@ -1,4 +1,4 @@
-"""The network that comes with siamloc: trained on random buildings, it describes panoramas without any training."""
+"""The network that ships with siamloc: trained on random buildings, it describes panoramas without further training."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from siamloc.models.weights_file import write_weights
 
 @typed
 def pretrained(*, circular: bool = True, relative: bool = True) -> Network:
-    """Make the network that comes with siamloc, in evaluation mode on the CPU; its card lies beside its weights.
+    """Make the network that ships with siamloc, in evaluation mode on the CPU; its model card is next to its weights.
 
     Args:
-        circular: False for pictures whose columns are no full turn, such as those of an ordinary camera: the same
+        circular: False for images whose columns are not a full turn, such as those of an ordinary camera: the same
             weights, without wrapping around and without headings.
-        relative: False leaves out what compares images, as for fine-tuning on drives without headings.
+        relative: False leaves out the part that compares images, for example to fine-tune on drives without headings.
 
     Raises:
-        ConfigError: the file of the weights is cut short.
-        FormatError: it is missing or altered.
+        ConfigError: the weights file is cut short.
+        FormatError: the weights file is missing or altered.
 
     Example:
         >>> network = pretrained()
@@ -44,7 +44,7 @@ def pretrained(*, circular: bool = True, relative: bool = True) -> Network:
 
 
 def without_layer(network: Network) -> Network:
-    """Replace the head `fourier` by `magnitudes`, which has no layer that fits the training buildings.
+    """Replace the head `fourier` with `magnitudes`, which has no layer fitted to the training buildings.
 
     Other networks stay as they are.
 
@@ -55,7 +55,7 @@ def without_layer(network: Network) -> Network:
 
 
 def _rebuilt(network: Network, **changes: Any) -> Network:
-    """Make a network that differs in some arguments of `build`, with the same branch, and comparing as it does."""
+    """Make a network that differs in some arguments of `build`; branch and comparing part keep their weights."""
     found = build(**{**network.settings, "weights": None, **changes})
     found.branch.load_state_dict(network.branch.state_dict())
     if found.relative is not None and network.relative is not None:
@@ -66,17 +66,17 @@ def _rebuilt(network: Network, **changes: Any) -> Network:
 
 @typed
 def save_weights(network: Network, path: str | Path) -> Path:
-    """Write the weights of a network into a file that `load` and `build(weights=...)` read, half as large as they are.
+    """Write the weights of a network, at half their size, to a file that `load` and `build(weights=...)` can read.
 
     Args:
-        network: what `siamloc.models.build` made.
+        network: from `siamloc.models.build`.
         path: of the file, ending in .safetensors.
 
     Returns:
         The path.
 
     Raises:
-        ConfigError: another ending, or a module of your own.
+        ConfigError: another ending, or a custom module.
         StorageError: the disk refuses.
     """
     path = Path(path)

@@ -1,4 +1,4 @@
-"""What a network can be made of and trained with, by name ([T] tables 5.1 and 5.2). Loads no torch."""
+"""Branches, heads, losses and optimizers by name ([T] tables 5.1 and 5.2). Loads no torch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from siamloc.settings import Natural, NotNegative, Positive, Rule, Settings, Sha
 
 Normalization = Literal["channels", "image", "local", "local_brightness"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
-"""What can happen to images before the branch sees them, see `siamloc.models.build`."""
+"""Normalizations of the images before the branch, see `siamloc.models.build`."""
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,10 @@ class BranchSpec:
     """How a branch is made.
 
     Attributes:
-        name: what configurations call it; for a torchvision network its name there.
+        name: name in configurations; for a torchvision network its name there.
         kind: "torchvision", "simple" or "residual".
         widths: outputs of the convolutions of a simple branch, and of the stages of a residual one.
-        normalize: what happens to images first, see `siamloc.models.build`.
+        normalize: default normalization of images, see `siamloc.models.build`.
     """
 
     name: str
@@ -33,10 +33,10 @@ class BranchSpec:
 
 
 PRETRAINED = Path(__file__).parent / "shipped" / "panoramas.safetensors"
-"""The weights that come with siamloc; the card beside them says what they are."""
+"""The weights that ship with siamloc; the model card next to them describes them."""
 
 PRETRAINED_SIZE = (64, 256)
-"""Rows and columns of the panoramas that they are for."""
+"""Rows and columns of the panoramas for these weights."""
 
 BRANCHES: dict[str, BranchSpec] = {
     spec.name: spec
@@ -49,8 +49,8 @@ BRANCHES: dict[str, BranchSpec] = {
         BranchSpec("panoresnet", "residual", widths=(32, 64, 128, 192), normalize="image"),
     )
 }
-"""The feature extractors of [T] table 5.1, `*_bn` with a batch normalization after each convolution; and `panoresnet`,
-a small residual network of ours for training from random weights."""
+"""The feature extractors of [T] table 5.1, `*_bn` with batch normalization after each convolution; and `panoresnet`,
+our own small residual network for training from random weights."""
 
 HEADS: dict[str, tuple[int, ...]] = {
     "fc500_500_5": (500, 500, 5),
@@ -64,10 +64,10 @@ HEADS: dict[str, tuple[int, ...]] = {
     "fourier": (256,),
     "magnitudes": (2048,),
 }
-"""Neurons of the fully connected layers: three in versions 1 to 4 of [T] table 5.2; two in the layers that AlexNet has
-before its classes, the descriptor of 4096 numbers in [T] table 5.19; one in the heads that give descriptors of unit
-length, whose number of outputs can be chosen. `magnitudes` has no neurons, and so many outputs where its features give
-as many numbers."""
+"""Neurons of the fully connected layers: three layers in versions 1 to 4 of [T] table 5.2; two as in AlexNet before its
+class layer, with the descriptor of 4096 numbers in [T] table 5.19; one in the heads with descriptors of unit length,
+whose number of outputs can be chosen. `magnitudes` has no neurons, and this many outputs if its features have that many
+magnitudes."""
 
 
 Outputs = Annotated[int, Rule("a whole number from 1 to 65,536", lambda value: 1 <= value <= 65_536)]
@@ -82,15 +82,15 @@ class Optimizer(Settings):
         name: "sgd", "adam" or "adamw".
         learning_rate: step size.
         momentum: of "sgd"; for the other two the decay of the first moment (beta 1).
-        weight_decay: share of a weight that each step takes away, times the learning rate.
-        schedule: "constant"; "one_cycle": the learning rate grows to `learning_rate` and falls to almost 0, each along
-            half a cosine, over the whole training ([Smith 2018]); or "cosine": it grows evenly and falls along half a
+        weight_decay: share of a weight that each step removes, times the learning rate.
+        schedule: "constant"; "one_cycle": the learning rate rises to `learning_rate` and falls to almost 0, each along
+            half a cosine, over the whole training ([Smith 2018]); or "cosine": it rises linearly and falls along half a
             cosine ([Loshchilov 2017]).
-        warm_up: share of the steps in which it grows.
-        frozen_stages: how many stages of the network, from the image on, stay as they are, the statistics of their
-            batch normalizations as well; `siamloc.models.stages` lists them.
-        stage_decay: what the learning rate of a stage is multiplied with for that of the stage before it. The last
-            stage, the head where it has weights, has the full one.
+        warm_up: share of the steps in which the learning rate rises.
+        frozen_stages: number of stages, starting at the image, that are not trained, including the statistics of their
+            batch normalizations; `siamloc.models.stages` lists the stages.
+        stage_decay: factor from the learning rate of a stage to that of the stage before it. The last stage, the head
+            if it has weights, has the full learning rate.
     """
 
     WHERE = "optimizer"
@@ -110,16 +110,15 @@ class SoftContrastive(Settings):
     """The parameters of `SoftContrastiveLoss`.
 
     Attributes:
-        temperature: of the softmax of the similarities of descriptors of unit length.
-        kernel: how alike two images should look, by the distance x between them: "gaussian",
-            exp(-x^2 / 2 sigma^2), or "exponential", exp(-x / sigma), which tells the nearest from the second nearest
-            and still says something of those beyond.
+        temperature: of the softmax over the similarities of descriptors of unit length.
+        kernel: how similar two images should be at a distance x: "gaussian", exp(-x^2 / 2 sigma^2), or "exponential",
+            exp(-x / sigma), which distinguishes the nearest from the second nearest and still tells apart those beyond.
         sigma: width of the kernel, in the unit of the positions.
-        sigma_start: width with which a training begins; from step to step it is multiplied with the same number until
-            it is `sigma` in the last one. The same width throughout if None.
-        room: share of what is wanted that goes to all images of the same room alike, the rest goes by the kernel, and
-            then not to those of other rooms. With 1 it is the supervised contrastive loss of the rooms ([Khosla 2020]),
-            which needs no positions.
+        sigma_start: width at the beginning of a training; each step multiplies it by the same factor, so that it is
+            `sigma` in the last step. The same width throughout if None.
+        room: share of the target that is spread equally over all images of the same room. The rest follows the kernel,
+            and then excludes images of other rooms. With 1 this is the supervised contrastive loss on rooms
+            ([Khosla 2020]), which needs no positions.
     """
 
     WHERE = "loss"
@@ -136,8 +135,8 @@ class MetricCalibrated(Settings):
     """The parameters of `MetricCalibratedLoss`.
 
     Attributes:
-        cap: distance from which two images are as different as can be, in the unit of the positions.
-        cap_start: what the cap is at the beginning of a training, as `sigma_start` of `SoftContrastive`.
+        cap: distance from which two images are maximally different, in the unit of the positions.
+        cap_start: cap at the beginning of a training; see `sigma_start` of `SoftContrastive`.
     """
 
     WHERE = "loss"
@@ -152,18 +151,18 @@ Closeness = Literal["cosine", "euclidean", "squared"]
 
 @dataclass(frozen=True)
 class NearAndFar(Settings):
-    """Which images of a batch belong together, and which do not; of those in between nothing is wanted.
+    """Which images of a batch belong together, and which do not; those in between are ignored.
 
     Attributes:
         near: images up to this far apart are positives of each other, in the unit of the positions.
         far: images farther apart than this are negatives of each other.
-        near_start: what `near` is at the beginning of a training, as `sigma_start` of `SoftContrastive`.
-        far_start: what `far` is at the beginning of a training.
+        near_start: `near` at the beginning of a training; see `sigma_start` of `SoftContrastive`.
+        far_start: `far` at the beginning of a training.
         miner: which of the positives and negatives of an image count; all if None. "multi_similarity": positives less
-            alike than the most alike negative, and negatives more alike than the least alike positive, or by at most
-            0.1 the other way; "batch_hard": the least alike positive and the most alike negative; "batch_easy_hard":
-            the most alike positive, and the most alike of the negatives less alike than that one; "semihard": triplets
-            whose negative is less alike than the positive, but by no more than the margin.
+            similar than the most similar negative, and negatives more similar than the least similar positive, with a
+            tolerance of 0.1; "batch_hard": the least similar positive and the most similar negative;
+            "batch_easy_hard": the most similar positive, and the most similar of the negatives less similar than it;
+            "semihard": triplets whose negative is less similar than the positive, but by no more than the margin.
     """
 
     WHERE = "loss"
@@ -199,9 +198,9 @@ class Triplet(NearAndFar):
     """The parameters of `TripletLoss`.
 
     Attributes:
-        margin: by which a negative must be farther than a positive.
-        distance: what the margin is counted in, of descriptors of unit length: "euclidean", from 0 to 2, "squared",
-            its square, or "cosine", the similarity from 1 to -1, which is 1 less half of the square.
+        margin: by how much a negative must be farther away than a positive.
+        distance: what the margin refers to, for descriptors of unit length: "euclidean", from 0 to 2; "squared", its
+            square; or "cosine", the similarity from 1 to -1, which is 1 minus half the square.
     """
 
     margin: Positive = 0.2
@@ -213,9 +212,9 @@ class Circle(NearAndFar):
     """The parameters of `CircleLoss`.
 
     Attributes:
-        m: how far from 1 and from 0 similarities may stay.
+        m: how far similarities may be from 1 and from 0.
         gamma: scale of the similarities.
-        distance: "cosine"; the loss is made for no other.
+        distance: "cosine", the only one for this loss.
     """
 
     m: Positive = 0.4
@@ -238,8 +237,8 @@ class MultiSimilarity(NearAndFar):
     Attributes:
         alpha: weight of the positives.
         beta: weight of the negatives.
-        base: similarity, or distance, that tells the two apart.
-        distance: what is compared, of descriptors of unit length: "cosine", the similarity from 1 to -1; "euclidean",
+        base: similarity, or distance, that separates the two.
+        distance: how descriptors of unit length are compared: "cosine", the similarity from 1 to -1; "euclidean",
             from 0 to 2; or "squared", its square.
     """
 
@@ -254,8 +253,8 @@ class CrossEntropy(Settings):
     """The parameters of `CrossEntropyLoss`.
 
     Attributes:
-        temperature: what the scores of the rooms are divided by. With heads of unit length a small one, such as 0.1,
-            makes clear answers possible.
+        temperature: divisor of the room scores. For heads of unit length a small one, such as 0.1, makes clear answers
+            possible.
     """
 
     WHERE = "loss"
@@ -271,7 +270,7 @@ LOSS_SETTINGS: dict[str, type[Settings]] = {
     "multi_similarity": MultiSimilarity,
     "cross_entropy": CrossEntropy,
 }
-"""The losses over batches of places, by the names that configurations call them, with their parameters."""
+"""Parameters of the losses over batches of places, by the names of the losses in configurations."""
 
 
 def branch_spec(name: str) -> BranchSpec:
@@ -286,7 +285,7 @@ def branch_spec(name: str) -> BranchSpec:
 
 
 def whole_model(model: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the record of a network with what older ones leave out; that of a module of one's own as it is."""
+    """Return the record of a network, completed with what older records leave out; a custom module's as it is."""
     if "branch" not in model:
         return dict(model)
     usual = {
@@ -307,7 +306,7 @@ def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
         outputs: length of a descriptor, for heads of one layer; the head's own if None.
 
     Raises:
-        ConfigError: an unknown name, no positive number, or outputs for a head that has its own.
+        ConfigError: an unknown name, a number that is not positive, or outputs for a head with a fixed number.
     """
     if name not in HEADS:
         raise ConfigError(f"unknown head {name!r}: {hint(name, HEADS)}")

@@ -1,4 +1,4 @@
-"""Where a robot stands relative to a map frame: its displacement and turn, by the orientation parts of both."""
+"""Estimate displacement and turn of a robot relative to a map frame, from the orientation parts of both."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from torch import Tensor, nn
 from siamloc.models.origins import Origins
 
 REACH = 5.0
-"""How far two images may be apart, in the unit of the positions, to be compared."""
+"""Largest distance between two images for a comparison, in the unit of the positions."""
 FREEDOM = 4.0
-"""Degrees of freedom of the t-distribution of errors; what joins answers, `siamloc.maps.refine`, counts on as many."""
+"""Degrees of freedom of the t-distribution of errors; `siamloc.maps.refine`, which joins answers, assumes the same."""
 _GROUPS, _SHIFTS, _WIDTH = 8, 5, 128
-_TURN = 10.0  # turns count in tenths of a radian, of the size of displacements
-_PRIOR = 0.5  # information of each coordinate before any column is looked at: a deviation of 1.4 m
+_TURN = 10.0  # turns count in tenths of a radian, about the size of displacements
+_PRIOR = 0.5  # information of each coordinate before any column is considered: a deviation of 1.4 m
 _GAIN = 10.0
-_MOST = 6.0  # logarithm of how much more or less than by its sum the information may be
-_RANKS = (0, 4, 10)  # of an image's nearest ones in a batch, those that it is compared with
-_ELSEWHERE = (1.0, REACH)  # and of those farther away than this, the one that looks most like it
-_ALIGNED = 2.0  # columns: a query that is turned otherwise than it should be by more cannot be compared
+_MOST = 6.0  # largest logarithm of the factor on the summed information
+_RANKS = (0, 4, 10)  # an image is compared with these of its nearest ones in a batch
+_ELSEWHERE = (1.0, REACH)  # and, beyond each of these distances, with the most similar one
+_ALIGNED = 2.0  # columns: a query whose turn is off by more cannot be compared
 
 
 class Relative(NamedTuple):
-    """What is said of pairs of images.
+    """The result of comparing pairs of images.
 
     Attributes:
-        pose: (B, 3) displacement ahead and to the left of the map frame's robot, in the unit of the positions, and how
-            far the query's robot has turned left, in rad in [-pi, pi].
-        information: (B, 3, 3) inverse of the scale matrix of a t-distribution with 4 degrees of freedom; a turn counts
-            in rad.
-        match: (B,) logarithm of the odds that the images were taken within `REACH` of each other, and turned alike.
+        pose: (B, 3) displacement ahead and to the left, seen from the map frame's robot, in the unit of the positions,
+            and how far the query's robot has turned left, in rad in [-pi, pi].
+        information: (B, 3, 3) inverse of the scale matrix of a t-distribution with 4 degrees of freedom; turns are in
+            rad.
+        match: (B,) log odds that the images were taken within `REACH` of each other, and turned alike.
     """
 
     pose: Tensor
@@ -44,13 +44,13 @@ class Relative(NamedTuple):
 class RelativePose(nn.Module):
     """Compare the orientation parts of a query and a map frame.
 
-    The query's columns are first turned to where they fit the map frame's best, by whole columns. Then each column of
-    the map frame is compared with its surroundings in the query: a robot that stands elsewhere sees things shifted, by
-    an angle that says how far it has moved across the line of sight. From that, each column votes for a displacement
-    along and across its own line of sight and for the rest of the turn, with an information matrix. The votes are
-    turned into the map frame's axes and added up as independent measurements are. How much less than those they know
-    together, where two places look alike for instance, is told by all columns at once. So a panorama that is turned
-    turns the answer, whatever was learned.
+    The query's columns are first turned to the best fit with the map frame, by whole columns. Then each column of the
+    map frame is compared with its surroundings in the query: from another position, things appear shifted, by an angle
+    that shows the movement across the line of sight. From that, each column votes for a displacement along and across
+    its own line of sight and for the rest of the turn, with an information matrix. The votes are rotated into the map
+    frame's axes and summed like independent measurements. Together they may carry less information than that, for
+    example if two places look alike; a factor estimated from all columns accounts for it. By construction, turning a
+    panorama turns the answer, whatever was learned.
 
     Args:
         columns: K of the orientation parts.
@@ -84,7 +84,7 @@ class RelativePose(nn.Module):
         self.register_buffer("axes", torch.empty(columns, 3, 3), persistent=False)
 
     def reset(self) -> None:
-        """Fill in what follows from the number of columns, and let all votes begin small."""
+        """Fill in the buffers that follow from the number of columns, and let all votes start small."""
         column = torch.arange(self.columns)
         azimuth = -(column + 0.5 - self.columns / 2).double() * (2 * math.pi / self.columns)
         with torch.no_grad():
@@ -104,8 +104,8 @@ class RelativePose(nn.Module):
 
         Args:
             query: orientation parts (B, K, F).
-            known: of as many map frames (B, K, F).
-            steps: by how many columns each query is turned first (B,); found by correlation if None.
+            known: orientation parts of as many map frames (B, K, F).
+            steps: number of columns by which each query is turned first (B,); found by correlation if None.
         """
         if steps is None:
             steps = self.steps(query, known)
@@ -125,13 +125,13 @@ class RelativePose(nn.Module):
         )
 
     def steps(self, query: Tensor, known: Tensor) -> Tensor:
-        """Return by how many columns to turn queries (B,) to where their correlation with map frames is largest."""
+        """Return the number of columns (B,) by which queries must turn to correlate best with map frames."""
         products = known @ query.mT  # (B, K, K): column j of the map frame, column i of the query
         shifted = products.gather(2, self.places.mT.expand(products.shape[0], -1, -1))  # i = j - step
         return shifted.sum(dim=1).argmax(dim=1)
 
     def _votes(self, seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the votes (B, 9, K), and by all columns the odds of a match and what they know together (B, 2)."""
+        """Return the votes (B, 9, K); and from all columns the odds of a match and their joint information (B, 2)."""
         around = seen.index_select(1, self.windows.flatten()).unflatten(1, self.windows.shape)  # (B, S, K, F)
         compared = (known[:, None] * around).unflatten(3, (_GROUPS, -1)).mean(dim=4)  # (B, S, K, G)
         compared = compared.transpose(2, 3).flatten(1, 2)
@@ -143,10 +143,10 @@ class RelativePose(nn.Module):
 
 
 def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
-    """Choose pairs of a batch to learn from: the query's row and the map frame's row of each.
+    """Choose pairs of a batch to learn from; return the query's row and the map frame's row of each.
 
-    Each image is compared with some of its nearest ones, near and farther, with the one at another place that looks
-    most like it, and with the one out of reach that does: they are what a search finds by mistake.
+    Each image is compared with some of its nearest ones, near and farther, with the most similar one at another place,
+    and with the most similar one out of reach: these are the ones that a search finds by mistake.
 
     Args:
         origins: of the images (N); those without a heading are left out.
@@ -171,17 +171,17 @@ def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
 def relative_loss(
     relative: RelativePose, orientation: Tensor, origins: Origins, descriptors: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the loss of what is said of pairs of a batch, and the mean error of the displacements within reach.
+    """Return the loss of comparing pairs of a batch, and the mean error of the displacements within reach.
 
-    The loss is the negative logarithm of the likelihood: of a t-distribution for the pose, for which a few large errors
-    do not decide alone, and of whether the images can be compared: taken within reach of each other, and turned alike
-    by their correlation. The error is NaN where no two images can.
+    The loss is the negative log likelihood: of a t-distribution for the pose, which a few large errors do not dominate,
+    and of whether the images can be compared, that is, were taken within reach of each other and are turned alike by
+    their correlation. The error is NaN if no two images can be compared.
 
     Args:
-        relative: compares.
+        relative: the module that compares.
         orientation: parts of the images (N, K, F).
         origins: of the images (N), with their headings.
-        descriptors: (N, D), to find those that look alike.
+        descriptors: (N, D), to find similar images.
     """
     assert origins.theta is not None
     query, known = compared(origins, descriptors)
@@ -209,12 +209,12 @@ def relative_loss(
 
 
 def _wrap(angle: Tensor) -> Tensor:
-    """Return angles in [-pi, pi]."""
+    """Wrap angles to [-pi, pi]."""
     return angle - 2 * math.pi * (angle / (2 * math.pi)).round()
 
 
 def _wrapped(values: Tensor, columns: int) -> Tensor:
-    """Return values (..., K) with some columns of the other end at each end."""
+    """Pad values (..., K) at each end with columns from the other end."""
     return torch.cat([values[..., -columns:], values, values[..., :columns]], dim=-1)
 
 
@@ -236,8 +236,8 @@ def _identity(like: Tensor) -> Tensor:
 
 
 def _inverse(matrix: Tensor) -> Tensor:
-    """Return the inverses of symmetric matrices (B, 3, 3), by their cofactors: every runtime has what that takes."""
-    one, two = torch.tensor([[1, 2, 0], [2, 0, 1]], device=matrix.device)  # the rows and columns a cofactor is made of
+    """Return the inverses of symmetric matrices (B, 3, 3) from cofactors, which every runtime supports."""
+    one, two = torch.tensor([[1, 2, 0], [2, 0, 1]], device=matrix.device)  # the rows and columns of a cofactor
     upper, lower = matrix.index_select(1, one), matrix.index_select(1, two)
     cofactor = upper.index_select(2, one) * lower.index_select(2, two)
     cofactor = cofactor - upper.index_select(2, two) * lower.index_select(2, one)

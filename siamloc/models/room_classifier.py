@@ -1,4 +1,4 @@
-"""Naming the room by a descriptor: what `CrossEntropyLoss` leaves besides the network. Loads no torch."""
+"""Name the room from a descriptor, with the class layer trained by `CrossEntropyLoss`. Loads no torch."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from siamloc.errors import DataError
 
 @dataclass(frozen=True, eq=False)
 class NamedRooms:
-    """What rooms images show.
+    """The rooms that images show.
 
     Attributes:
-        room: (n,) the most probable room of each.
+        room: (n,) the most probable room of each image.
         probabilities: (n, r) of all rooms; each row sums to 1.
         names: (r,) the rooms.
     """
@@ -34,12 +34,12 @@ class RoomClassifier:
     """One fully connected layer from a descriptor to the scores of rooms, and a softmax. Immutable.
 
     Attributes:
-        names: (r,) the rooms, as `FrameTable.place` has them; each once.
+        names: (r,) the rooms, named as in `FrameTable.place`; each once.
         weight: (r, D) float32.
         bias: (r,) float32.
 
     Raises:
-        DataError: parts that do not fit each other.
+        DataError: parts that do not match.
 
     Example:
         >>> rooms = RoomClassifier(["hall", "office"], [[1.0, 0.0], [0.0, 1.0]], [0.0, 0.0])
@@ -69,7 +69,7 @@ class RoomClassifier:
         return len(self.names)
 
     def scores(self, descriptors: ArrayLike) -> NDArray[np.float64]:
-        """Return the scores (n, r) of descriptors (n, D), whose softmax are the probabilities.
+        """Return the scores (n, r) of descriptors (n, D); their softmax gives the probabilities.
 
         Raises:
             DataError: descriptors of another length.
@@ -93,7 +93,7 @@ class RoomClassifier:
         return NamedRooms(self.names[scores.argmax(axis=1)], shares / shares.sum(axis=1, keepdims=True), self.names)
 
     def of(self, names: Sequence[str]) -> RoomClassifier:
-        """Return the layer for some of its rooms, in their order: one of these it is then.
+        """Return the layer for only some of its rooms, in the given order: it then always names one of these.
 
         Raises:
             DataError: a room that it does not know.

@@ -1,4 +1,4 @@
-"""What happens in a step of siamese training ([T] 5.2-5.3): the `LightningModule`."""
+"""The `LightningModule` of siamese training ([T] 5.2-5.3)."""
 
 from __future__ import annotations
 
@@ -34,17 +34,16 @@ _GAP = 2
 
 
 class SiameseModule(NetworkModule):
-    """Train one network on both images of a pair: its loss, its optimizer and what is logged.
+    """Train one network on both images of a pair: loss, optimizer and logging.
 
     A batch is a dictionary with `first` and `second` (B, 3, H, W), uint8 or floating point in [0, 1]; `label` (B,)
     float32, dissimilarity in [0, 1]; and `same` (B,) bool, True where both images show the same room. uint8
     becomes floating point on the device. Both images go through the network in one pass, so that batch
     normalization sees them together.
 
-    Logged at the end of an epoch as `train/...` and `val/...`: what `PairStatistics` computes; and as
-    `loss_step` the loss of a training step. Where the validation also has batches of map frames and queries, those of a
-    `PlaceModule`, `val/error` and whatever else that logs of them. A TensorBoard logger also gets a picture of the
-    first pairs.
+    Logged at the end of an epoch: the figures of `PairStatistics`, as `train/...` and `val/...`; and in each training
+    step its loss, as `loss_step`. If the validation also has batches of map frames and queries, as for a `PlaceModule`,
+    `val/error` and the other figures that it logs of them. A TensorBoard logger also gets an image of the first pairs.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -54,7 +53,7 @@ class SiameseModule(NetworkModule):
         recall_radius: of `val/recall`, in the unit of the positions.
 
     Raises:
-        ConfigError: a network that is no module or was built with relative=True, or a loss that cannot be called.
+        ConfigError: a network that is not a module or was built with relative=True, or a loss that is not callable.
 
     Example:
         >>> import torch
@@ -91,7 +90,7 @@ class SiameseModule(NetworkModule):
         return loss
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
-        """Add a batch of pairs to the statistics of the validation, or describe one of map frames and queries."""
+        """Add a batch of pairs to the validation statistics, or describe a batch of map frames and queries."""
         if "known" in batch:
             self.describe_drive(batch)
             return
@@ -102,7 +101,7 @@ class SiameseModule(NetworkModule):
         self._log_epoch("train", self.train_statistics)
 
     def on_validation_epoch_end(self) -> None:
-        """Log the statistics of the validation, and how far off its queries are found."""
+        """Log the validation statistics, and the errors of its queries."""
         self._log_epoch("val", self.val_statistics, self.drive_figures())
 
     def epoch_sums(self) -> dict[str, Tensor]:
@@ -110,7 +109,7 @@ class SiameseModule(NetworkModule):
         return self.train_statistics.sums()
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Go on with the statistics of a checkpoint."""
+        """Continue with the statistics of a checkpoint."""
         self.train_statistics.load_sums(sums)
 
     def _step(self, batch: Mapping[str, Tensor], batch_index: int, stage: str, statistics: PairStatistics) -> Tensor:
@@ -149,7 +148,7 @@ class SiameseModule(NetworkModule):
 def pair_picture(
     first: NDArray[Any], second: NDArray[Any], label: NDArray[Any], distance: NDArray[Any]
 ) -> NDArray[np.uint8]:
-    """Draw pairs below each other: a caption, the first image and the second image of each.
+    """Draw pairs below each other, each with a caption, the first image and the second image.
 
     Args:
         first: (B, 3, H, W), uint8, or floating point in [0, 1].

@@ -18,24 +18,24 @@ SAME_BELOW = 0.5
 
 
 class PairStatistics(Metric):
-    """Loss, distances, accuracies and spread over all pairs since the last reset.
+    """Compute loss, distances, accuracies and spread over all pairs since the last reset.
 
     `compute` returns a dictionary of scalars:
 
     - `loss`: mean over the pairs;
     - `distance_same`, `distance_different`: mean distance of the pairs of one room and of two rooms;
     - `accuracy`, `accuracy_same`, `accuracy_different`: share of correct decisions when a pair counts as the same
-      room if min(d / margin, 1) < 0.5 ([T] 5.3.4). `accuracy`, of all pairs, needs both kinds: where all pairs are
-      of one kind, a network that tells nothing apart has 0 or 1;
-    - `active`: share of the pairs with label 1 that are nearer than the margin: the others cost nothing under the
-      contrastive loss. The lower, the less is left to learn from such pairs;
+      room if min(d / margin, 1) < 0.5 ([T] 5.3.4). `accuracy`, of all pairs, needs both kinds: if all pairs are of
+      one kind, a network that distinguishes nothing has 0 or 1;
+    - `active`: share of the pairs with label 1 that are nearer than the margin: the others cost nothing in the
+      contrastive loss. The lower it is, the less is left to learn from such pairs;
     - `spread`: standard deviation of the descriptors' values, averaged over the D dimensions. Near 0 the network
       gives every image the same descriptor.
 
-    What has no pair behind it is left out, so that no NaN reaches a logger.
+    Figures without any pairs are left out, so that no NaN reaches a logger.
 
     Args:
-        margin: of the loss; None for a loss without one, which gives neither accuracies nor `active`.
+        margin: of the loss; None for a loss without one: then there are neither accuracies nor `active`.
     """
 
     full_state_update = False
@@ -53,7 +53,7 @@ class PairStatistics(Metric):
         for name in ("count", "distance", "correct", "active"):
             self.add_state(name, torch.zeros(2, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("loss", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        for name in ("values", "squares"):  # the first batch gives them the length D of a descriptor
+        for name in ("values", "squares"):  # the first batch sets their length to D
             self.add_state(name, torch.zeros(1, dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(self, descriptors: Tensor, distance: Tensor, loss: Tensor, same: Tensor, label: Tensor) -> None:
@@ -85,13 +85,13 @@ class PairStatistics(Metric):
         return {name: getattr(self, name).clone() for name in self._defaults}
 
     def load_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Go on with what `sums` returned."""
+        """Continue with the result of `sums`."""
         for name, value in sums.items():
             setattr(self, name, value.clone())
-        self._update_count = max(self._update_count, 1)  # `compute` warns where there was no update
+        self._update_count = max(self._update_count, 1)  # `compute` warns if there was no update
 
     def compute(self) -> dict[str, Tensor]:
-        """Compute the scalars that have at least one pair behind them."""
+        """Compute the scalars that are based on at least one pair."""
         count, total = self.count, self.count.sum()
         if total == 0:
             return {}

@@ -1,4 +1,4 @@
-"""Weights from elsewhere: torchvision's ImageNet weights, a state dict on disk, or what another training left."""
+"""Weights from other sources: ImageNet weights of torchvision, a state dict on disk, or another training."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from siamloc.models.registry import BRANCHES, PRETRAINED, branch_spec, whole_mod
 from siamloc.models.weights_file import read_weights_file
 from siamloc.runs import Run
 
-# The published DenseNet files number the layers "norm.1", the class has called them "norm1" for years.
+# The published DenseNet files number the layers "norm.1"; the class has called them "norm1" for years.
 _OLD_DENSENET = re.compile(r"(denselayer\d+\.(?:norm|relu|conv))\.([12])\.")
 _NAMES = re.compile("imagenet(1k_.*)?", re.IGNORECASE)
 _SUFFIXES = (".pth", ".pt", ".bin", ".ckpt", ".safetensors")
@@ -29,14 +29,14 @@ _SUFFIXES = (".pth", ".pt", ".bin", ".ckpt", ".safetensors")
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights that were found.
+    """Weights and their origin.
 
     Attributes:
         state: names and tensors.
-        origin: where they come from, in words.
-        mean: of the red, green and blue channel of the images they were trained on, in [0, 1]; None if unknown.
+        origin: where the weights come from, in words.
+        mean: of the red, green and blue channels of the training images, in [0, 1]; None if unknown.
         std: standard deviations, likewise.
-        model: for what a training left: the network as its run's settings describe it.
+        model: for weights of a training, the network as described in the settings of its run.
     """
 
     state: Mapping[str, Tensor]
@@ -56,13 +56,13 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
 
     Raises:
         ConfigError: an unknown name, a failed download, a file that cannot be read, or a run without a checkpoint.
-        FormatError: a checkpoint of another version, or a file of weights that was altered.
+        FormatError: a checkpoint of another version, or a weights file that was altered.
     """
     if isinstance(weights, Run):
         return read_weights(weights.checkpoint())
     if weights == "siamloc":
         check_shipped()
-        return replace(read_weights(PRETRAINED), origin="the weights that come with siamloc")
+        return replace(read_weights(PRETRAINED), origin="the weights that ship with siamloc")
     path = Path(weights).expanduser()
     if path.is_dir() and not _NAMES.fullmatch(str(weights)):
         return read_weights(Run(path).checkpoint())
@@ -76,15 +76,15 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
 
 
 def fill(network: nn.Module, weights: Weights, what: str) -> None:
-    """Put weights into a network, in place: into all of it, or into its branch if they are a torchvision network's.
+    """Load weights into a network, in place: into all of it, or only into its branch if they are from torchvision.
 
-    What a training left goes into all of it as well, or, with a note that says why, into its branch alone where the
-    head was another one or saw features of another size.
+    Weights of a training also go into the whole network; if the head was another one or saw features of another size,
+    they go only into the branch, with a note that says why.
 
     Args:
-        network: branch and head, as `siamloc.models.build` makes it.
+        network: branch and head, from `siamloc.models.build`.
         weights: of the whole network, or of another one with this branch.
-        what: the network in words.
+        what: description of the network.
 
     Raises:
         ConfigError: weights of another architecture.
@@ -120,17 +120,17 @@ def fill(network: nn.Module, weights: Weights, what: str) -> None:
 
 
 def check_shipped() -> None:
-    """Raise FormatError if the weights that come with siamloc are missing."""
+    """Raise FormatError if the weights that ship with siamloc are missing."""
     if not PRETRAINED.is_file():
-        raise FormatError(f"the weights that come with siamloc are missing at {PRETRAINED}: install siamloc again")
+        raise FormatError(f"the weights that ship with siamloc are missing at {PRETRAINED}: install siamloc again")
 
 
 def read_weights(path: Path) -> Weights:
-    """Read a state dict or a checkpoint without running any code that may stand in the file.
+    """Read a state dict or a checkpoint without running any code in the file.
 
     Raises:
-        ConfigError: the file is missing, is not whole, or holds anything but named tensors.
-        FormatError: a checkpoint or a file of weights of another version, or a file of weights that was altered.
+        ConfigError: the file is missing, incomplete, or holds anything but named tensors.
+        FormatError: a checkpoint or a weights file of another version, or a weights file that was altered.
     """
     if not path.is_file():
         raise ConfigError(f"the weights file {path} does not exist")
@@ -139,7 +139,7 @@ def read_weights(path: Path) -> Weights:
         return Weights(held, str(path), model=model)
     try:
         state: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # each layer below (zip, pickle, torch) raises its own kinds
+    except Exception as error:  # zip, pickle and torch each raise their own errors
         raise ConfigError(f"the weights file {path} is not a whole state dict ({type(error).__name__})") from error
     if isinstance(state, Mapping) and CONTENT_KEY in state:
         content = checked_content(state, path)
@@ -152,7 +152,7 @@ def read_weights(path: Path) -> Weights:
 
 
 def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
-    """Return in words how a state dict differs from what the module needs; None if it fits."""
+    """Describe how a state dict differs from what the module needs; None if it fits."""
     own = module.state_dict()
     missing = [key for key in own if key not in state]
     surplus = [key for key in state if key not in own]
@@ -170,7 +170,7 @@ def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
 
 
 def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, Any], what: str) -> None:
-    """Put what a training left into a network: all of it where the heads agree, else what the branch has."""
+    """Load the weights of a training: all of them if the heads agree, else only those of the branch."""
     here: Mapping[str, Any] = network.settings  # type: ignore[assignment]
     if "branch" not in model:
         raise ConfigError(
@@ -200,7 +200,7 @@ def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, A
 
 
 def _comparing_as_here(network: nn.Module, state: Mapping[str, Tensor], keep: bool) -> Mapping[str, Tensor]:
-    """Return a state whose weights that compare images are the network's own, unless they are there and are kept."""
+    """Return a state with the network's own weights for comparing images, unless the state has them and `keep`."""
 
     def compares(name: str) -> bool:
         return name.startswith(("orientation.", "relative."))

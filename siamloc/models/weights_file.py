@@ -1,4 +1,4 @@
-"""A network in a safetensors file: its weights, what it takes to make it again, and a hash of both."""
+"""A network in a safetensors file: its weights, the settings to rebuild it, and a hash of both."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def state_hash(state: Mapping[str, Tensor], length: int = 16) -> str:
 
 
 def write_weights(path: str | Path, state: Mapping[str, Tensor], model: Mapping[str, Any]) -> None:
-    """Write the weights of a network, those of its convolutions and layers in half precision.
+    """Write the weights of a network, with convolutions and layers in half precision.
 
     Equal weights give equal files.
 
     Args:
         path: of the file, ending in .safetensors.
         state: names and tensors.
-        model: what `siamloc.models.build` needs to make the network, as plain values.
+        model: arguments of `siamloc.models.build` for the network, as plain values.
 
     Raises:
         StorageError: the disk refuses.
@@ -54,12 +54,12 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], model: Mapping[
 
 
 def read_weights_file(path: Path) -> tuple[dict[str, Tensor], dict[str, Any] | None]:
-    """Return the tensors of a safetensors file in single precision, and the network that it says they are of.
+    """Return the tensors of a safetensors file in single precision, and the settings of their network.
 
-    The second is None for files that siamloc did not write.
+    The settings are None for files that siamloc did not write.
 
     Raises:
-        ConfigError: a file that is cut short, or none of this kind.
+        ConfigError: a file that is cut short or not a safetensors file.
         FormatError: a file that was altered since siamloc wrote it, or is of another version.
     """
     from safetensors import SafetensorError, safe_open
@@ -70,7 +70,7 @@ def read_weights_file(path: Path) -> tuple[dict[str, Tensor], dict[str, Any] | N
             text = (file.metadata() or {}).get(_KEY)
     except (SafetensorError, OSError, ValueError) as error:
         raise ConfigError(
-            f"the weights file {path} is not a whole state dict ({type(error).__name__}): it is cut short or no "
+            f"the weights file {path} is not a whole state dict ({type(error).__name__}): it is cut short or not a "
             "safetensors file, get it again"
         ) from error
     if text is None:

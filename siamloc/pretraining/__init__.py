@@ -1,6 +1,6 @@
 """Pretraining: a network learns from an endless supply of random buildings, before it sees any data set.
 
-Importing this package loads no torch; each name is loaded when it is first used.
+Importing this package loads no torch; each name is loaded on first use.
 """
 
 from __future__ import annotations

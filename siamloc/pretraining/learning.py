@@ -42,36 +42,37 @@ def pretrain(
     settings: Training | None = None,
     **changes: Any,
 ) -> Run:
-    """Train a network on random buildings, in place, each drawn, furnished, lit and rendered while others are learned.
+    """Train a network in place on random buildings, drawn, furnished, lit and rendered while it learns from others.
 
-    All follows from the seed: the n-th building, and the batch that is learned from in a step, however fast buildings
-    are rendered. Where several processes train together, each renders buildings of its own. After every epoch the
-    network is asked for places in buildings that it never learns from. With `views.processes` above 0 processes are
-    spawned: a script calls this under `if __name__ == "__main__":`.
+    Everything follows from the seed: the n-th building, and the batch of each step, however fast buildings are
+    rendered. If several processes train together, each renders its own buildings. After every epoch the network is
+    validated in buildings that it never learns from. With `views.processes` above 0, processes are spawned: scripts
+    must call this under `if __name__ == "__main__":`.
 
     Args:
-        network: what `siamloc.models.build` makes; pictures are rendered at its image size.
+        network: from `siamloc.models.build`; images are rendered at its image size.
         run: folder of the run, a new or empty one.
-        views: which buildings; the defaults of `ViewSettings` if None.
+        views: the buildings; the defaults of `ViewSettings` if None.
         loss: (descriptors (N, D), `Origins`) -> scalar; that of `RECIPE` if None.
-        augmentation: what happens to the pictures, as for `siamloc.training.fit`; that of `RECIPE` if None.
+        augmentation: of the images, as for `siamloc.training.fit`; that of `RECIPE` if None.
         trainer: further arguments of `lightning.Trainer`.
-        resume: go on from the last checkpoint of the run.
+        resume: continue from the last checkpoint of the run.
         overwrite: replace a run.
-        settings: the fields of `siamloc.training.Training` together; those of `RECIPE` if None.
-        changes: single fields of them, instead; `pairs` and `optimizer` are changed key by key.
+        settings: all fields of `siamloc.training.Training` together; those of `RECIPE` if None.
+        changes: or single fields of them; `pairs` and `optimizer` are changed key by key.
 
     Returns:
-        The run; the network then holds the weights that `siamloc.models.load(run)` gives, the best by the validation.
-        `run.weights` is a file of them for `siamloc.models.load` and `build(weights=...)`; of a network with the head
-        `fourier` it drops the layer, which fits the training buildings only, and has the head `magnitudes`.
+        The run; the network then holds the same weights as `siamloc.models.load(run)`, the best by the validation.
+        `run.weights` is a file with them for `siamloc.models.load` and `build(weights=...)`. For a network with the
+        head `fourier` this file has the head `magnitudes` instead, without the layer, which only fits the training
+        buildings.
 
     Raises:
-        ConfigError: settings that have no meaning or contradict each other, a folder that holds a run or other files, a
-            run of other settings to resume, or a loss that is not finite.
-        DataError: a process that renders died.
+        ConfigError: settings that are invalid or contradict each other, a folder that holds a run or other files, a run
+            with other settings to resume, or a loss that is not finite.
+        DataError: a rendering process died.
         SiamlocError: embreex is not installed.
-        KeyboardInterrupt: the user stopped it; the run can be resumed.
+        KeyboardInterrupt: the user stopped the training; the run can be resumed.
 
     Example:
         >>> from siamloc.pretraining import RECIPE, pretrain
@@ -90,7 +91,7 @@ def pretrain(
         raise ConfigError(f"settings= has all fields: give {', '.join(changes)} in it, or leave it out")
     places = _check(settings, views)
     if not isinstance(network, Network):
-        raise ConfigError("pretraining needs a network of siamloc.models.build, whose image size the pictures have")
+        raise ConfigError("pretraining needs a network of siamloc.models.build, whose image size it renders at")
     if isinstance(loss, CrossEntropyLoss):
         raise ConfigError(
             "loss=cross_entropy learns the rooms of one building by name, and pretraining takes one building after "
@@ -105,7 +106,7 @@ def pretrain(
     data = ViewDataModule(network.image_size, views, places, change, settings.seed)
     module = PlaceModule(network, loss, settings.optimizer, settings.recall_radius)
     noise = np.random.default_rng(0).integers(0, 256, (1, 3, *network.image_size), dtype=np.uint8)
-    without_layer(network)  # refused before the training, not after it
+    without_layer(network)  # fails before the training, not after it
     check_network(network, noise, circular=True, unit=isinstance(module.loss, UNIT_LENGTH))
     content = module.content()
     used: dict[str, Any] = {
@@ -139,10 +140,10 @@ def pretrain(
 
 
 def _check(settings: Training, views: ViewSettings) -> PlaceSettings:
-    """Return which pictures a batch has.
+    """Return how batches are drawn.
 
     Raises:
-        ConfigError: settings that have no meaning in random buildings.
+        ConfigError: settings that are meaningless for random buildings.
     """
     places = settings.pairs
     if not isinstance(places, PlaceSettings) or places.epoch_batches is None:
@@ -154,13 +155,13 @@ def _check(settings: Training, views: ViewSettings) -> PlaceSettings:
     most = views.drives * views.lights * views.poses
     if places.places > most:
         raise ConfigError(
-            f"a batch of pairs.places={places.places} places needs as many pictures, and a building has {most}: set "
+            f"a batch of pairs.places={places.places} places needs as many images, and a building has {most}: set "
             "views.poses larger"
         )
     if settings.workers:
         raise ConfigError(
-            f"workers={settings.workers} gather batches of a data set; how many render buildings is views.processes"
+            f"workers={settings.workers} gather batches of a data set; set rendering processes with views.processes"
         )
     if settings.monitor not in ("auto", "recall", "error", "refined"):
-        raise ConfigError(f"pretraining is judged by the places found: monitor={settings.monitor} means nothing here")
+        raise ConfigError(f"pretraining is judged by the places found: monitor={settings.monitor} has no meaning here")
     return places

@@ -1,4 +1,4 @@
-"""`Renderer`: random buildings, drawn and rendered by other processes before they are needed."""
+"""`Renderer`: draw and render random buildings in other processes before they are needed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Renderer:
     """Render buildings, several at once.
 
     Args:
-        processes: how many processes render; 0 renders in this one, when a building is asked for.
+        processes: number of rendering processes; 0 renders in this one, when a building is requested.
     """
 
     def __init__(self, processes: int) -> None:
@@ -28,10 +28,10 @@ class Renderer:
         self._coming: dict[Wanted, Future[Views]] = {}
 
     def begin(self, wanted: Wanted) -> None:
-        """Let a building be rendered, unless it is already.
+        """Start rendering a building, unless that was done already.
 
         Raises:
-            DataError: a process that renders has died.
+            DataError: a rendering process has died.
         """
         if not self._processes or wanted in self._coming:
             return
@@ -43,10 +43,10 @@ class Renderer:
             raise self._died() from error
 
     def views(self, wanted: Wanted) -> Views:
-        """Return the pictures of a building; waits where they are not ready.
+        """Return the images of a building; waits if they are not ready.
 
         Raises:
-            DataError: a process that renders has died.
+            DataError: a rendering process has died.
         """
         if not self._processes:
             return draw_views(*wanted)
@@ -60,15 +60,15 @@ class Renderer:
         self.close()
         return DataError(
             "a process that renders buildings died, perhaps for lack of memory: call it again with fewer "
-            "views.processes, or with 0; in a script of your own, call pretrain under `if __name__ == '__main__':`"
+            "views.processes, or with 0; in your own script, call pretrain under `if __name__ == '__main__':`"
         )
 
     def close(self) -> None:
-        """End the processes at once; what they are at is given up."""
+        """End the processes at once; unfinished work is discarded."""
         pool, self._pool = self._pool, None
         self._coming.clear()
         if pool is not None:
-            # The executor itself would let each end its building; before Python 3.14 it has no public way to stop them.
+            # The executor would let each finish its building; before Python 3.14 it has no public way to stop them.
             processes = list((getattr(pool, "_processes", None) or {}).values())
             results = getattr(pool, "_result_queue", None)
             pool.shutdown(wait=False, cancel_futures=True)
@@ -78,5 +78,5 @@ class Renderer:
                 process.join(_PATIENCE)
                 process.kill()
             if results is not None:
-                # A building of which half was sent never ends; with no writer left, who reads it knows that.
+                # A building that was half sent would never end; with no writer left, the reader notices.
                 results._writer.close()

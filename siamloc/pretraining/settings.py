@@ -1,4 +1,4 @@
-"""Which random buildings are learned from, and the recipe. Loads no torch."""
+"""The settings of the random buildings, and the recipe. Loads no torch."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from siamloc.training.recipes import RECIPES, Recipe
 
 @dataclass(frozen=True)
 class ViewSettings(Settings):
-    """Which buildings are learned from.
+    """The buildings for pretraining.
 
     Attributes:
-        batches: before a new building replaces the oldest one; each stays for `held` times as many.
-        held: buildings in memory, fewer at the start.
-        together: how many buildings the places of one batch come from, where so many are held.
-        drives: through each building; between two drives doors, chairs and people move.
-        lights: of each drive.
-        poses: of each drive, at most.
-        spacing: metres between them.
-        cameras: that see the buildings: any, panoramas only, or the built_in one only.
+        batches: number of batches before a new building replaces the oldest one; each stays for `held` times as many.
+        held: number of buildings in memory, fewer at the start.
+        together: number of buildings that the places of one batch come from, if that many are held.
+        drives: number of drives through each building; between two drives doors, chairs and people move.
+        lights: number of lightings of each drive.
+        poses: maximum number of poses of each drive.
+        spacing: metres between poses.
+        cameras: used in the buildings: any, panoramas only, or the built_in one only.
         exposure: drawn, or metered for the best exposure and white balance, without noise.
-        processes: how many processes render; 0 renders in the training process.
+        processes: number of rendering processes; 0 renders in the training process.
     """
 
     WHERE = "views"
@@ -45,7 +45,7 @@ class ViewSettings(Settings):
         if self.together > self.held:
             raise ConfigError(
                 f"a batch cannot be of views.together={self.together} buildings where views.held={self.held} are in "
-                "memory: set the second larger"
+                "memory: set views.held larger"
             )
 
 
@@ -80,4 +80,4 @@ RECIPE: Recipe = replace(
     },
 )
 """The network of the recipe `modern` on panoramas in their canonical direction, trained longer, with images of a place
-that lie farther apart, and with what real cameras add to light."""
+that are farther apart, and with the effects of real cameras in addition to light."""

@@ -1,4 +1,4 @@
-"""`ViewDataModule`: batches of places in random buildings, which are rendered while a network learns from others."""
+"""`ViewDataModule`: batches of places in random buildings, rendered while a network learns from others."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from siamloc.simulate.views import Views, camera_of
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 from siamloc.training.place_batches import origins_of
 
-_SEEDS = 1 << 30  # of the buildings to learn from; those of the validation come after them
+_SEEDS = 1 << 30  # of the training buildings; those of the validation follow
 _STEP = 1_000_003
 _VALIDATION_BUILDINGS, _VALIDATION_POSES = 3, 120
 _DESCRIBED_AT_ONCE = 64
 
 
 def building_seed(seed: int, number: int) -> int:
-    """Return the seed of the n-th building that a training of some seed learns from, for `draw_views`."""
+    """Return the seed of the n-th building of a training with the given seed, for `draw_views`."""
     return (seed * _STEP + number) % _SEEDS
 
 
 class BuildingStream:
-    """Random buildings in their order, rendered before they are needed.
+    """Random buildings in order, rendered before they are needed.
 
     Args:
         renderer: renders them.
-        image_size: rows and columns of the pictures.
-        settings: which buildings.
+        image_size: rows and columns of the images.
+        settings: of the buildings.
         seed: of the training.
-        rank: number of this process among those that train together; each has buildings of its own.
-        world_size: how many those are.
+        rank: number of this process among those that train together; each has its own buildings.
+        world_size: number of those processes.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class BuildingStream:
         """Return the buildings up to the newest one, as many as are held; waits for those that are not ready.
 
         Raises:
-            DataError: a process that renders has died.
+            DataError: a rendering process has died.
         """
         numbers = range(max(0, newest + 1 - self._settings.held), newest + 1)
         self._here = {number: here for number, here in self._here.items() if number in numbers}
@@ -83,7 +83,7 @@ class BuildingStream:
 
 
 def frames_of(views: Views, name: str) -> FrameTable:
-    """List the pictures of a building as frames; each light counts as a lighting of its own."""
+    """List the images of a building as frames; each light counts as its own lighting."""
     count = len(views)
     return FrameTable(
         path=np.array([f"{name}, picture {number}" for number in range(count)]),
@@ -92,23 +92,23 @@ def frames_of(views: Views, name: str) -> FrameTable:
         room=np.array([f"room {room}" for room in views.room.tolist()]),
         lighting=np.array([f"light {light}" for light in views.light.tolist()]),
         building=np.full(count, name),
-        theta=np.where(views.wraps, views.heading, np.nan),  # of an ordinary camera columns are no full turn
+        theta=np.where(views.wraps, views.heading, np.nan),  # columns of an ordinary camera are not a full turn
     )
 
 
 class ViewBatches(Dataset[dict[str, Any]]):
-    """The batches of every epoch: item (epoch, i) is a whole batch, as `PlaceBatches` has it.
+    """The batches of every epoch: item (epoch, i) is a whole batch, as in `PlaceBatches`.
 
-    What is in it follows from the seed and its number alone, not from how fast buildings are rendered.
+    Its contents depend only on the seed and its number, not on how fast buildings are rendered.
 
     Args:
         stream: of buildings.
-        views: which buildings.
-        places: which pictures a batch has.
-        augmentation: what happens to them, if anything.
+        views: settings of the buildings.
+        places: how batches are drawn.
+        augmentation: of the images, if any.
         seed: of the training.
         rank: number of this process among those that train together.
-        world_size: how many those are.
+        world_size: number of those processes.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class ViewBatches(Dataset[dict[str, Any]]):
         return self._places.epoch_batches
 
     def drawn(self, epoch: int, batch: int) -> tuple[list[Views], FrameTable, NDArray[np.int64]]:
-        """Return the buildings of a batch, the frames of all their pictures, and the rows of those that are drawn."""
+        """Return the buildings of a batch, the frames of all their images, and the rows of the drawn ones."""
         number = epoch * len(self) + batch
         held = self._stream.held(number // self._views.batches)
         rng = np.random.default_rng([self._seed, number, self._rank, 0xB1D6])
@@ -149,7 +149,7 @@ class ViewBatches(Dataset[dict[str, Any]]):
         pictures = np.stack([views[one].images[row - first[one]] for one, row in zip(which, rows, strict=True)])
         item: dict[str, Any] = {"images": torch.from_numpy(pictures)}
         item |= {name: value[rows] for name, value in origins_of(frames).items()}
-        # The processes that train together number their buildings, rooms and frames apart.
+        # The processes that train together number their buildings, rooms and frames separately.
         for name in ("building", "room", "frame"):
             item[name] = item[name] * self._world_size + self._rank
         if self._augmentation is not None:
@@ -158,23 +158,23 @@ class ViewBatches(Dataset[dict[str, Any]]):
 
 
 class ViewValidation(Dataset[dict[str, Any]]):
-    """Panoramas of drives through buildings that nothing is learned from.
+    """Panoramas of drives through buildings that are not used for training.
 
-    Each is mapped in its first drive under clouds, and asked for places in its second one under every lighting.
+    Each building is mapped with its first drive in cloudy light, and queried with its second drive in every lighting.
 
     Args:
         renderer: renders them.
-        image_size: rows and columns of the pictures.
+        image_size: rows and columns of the images.
     """
 
     def __init__(self, renderer: Renderer, image_size: Sequence[int]) -> None:
-        # Ordinary cameras are left out: nobody asks the head of panoramas for what they see.
+        # Ordinary cameras are left out: the head of panoramas is not used for their images.
         seeds = (_SEEDS + number for number in count() if camera_of(_SEEDS + number, image_size).wraps)
         wanted = [(seed, tuple(image_size), 2, 3, _VALIDATION_POSES) for seed in islice(seeds, _VALIDATION_BUILDINGS)]
         for one in wanted:
             renderer.begin(one)
         views = [renderer.views(one) for one in track(wanted, len(wanted), "rendering buildings to validate with")]
-        # One light of the first drive is the map, and the lights of the second drive are asked.
+        # One light of the first drive is the map, and all lights of the second drive are queries.
         known = [one.light == one.lighting[:3].index("cloudy") for one in views]
         taken = [np.flatnonzero(of_map | (one.light >= 3)) for one, of_map in zip(views, known, strict=True)]
         frames = [
@@ -199,10 +199,10 @@ class ViewDataModule(EpochDataModule):
     """Serve batches of places in random buildings to a `PlaceModule`; see `PlaceDataModule`.
 
     Args:
-        image_size: rows and columns of the pictures.
-        views: which buildings.
-        places: which pictures a batch has; `epoch_batches` is needed.
-        augmentation: what happens to the pictures; nothing if None.
+        image_size: rows and columns of the images.
+        views: settings of the buildings.
+        places: how batches are drawn; `epoch_batches` is required.
+        augmentation: of the images; none if None.
         seed: of buildings and batches.
     """
 
@@ -222,7 +222,7 @@ class ViewDataModule(EpochDataModule):
         self._validation: ViewValidation | None = None
 
     def check_processes(self, processes: int) -> None:
-        """Any number of processes will do: each has buildings of its own."""
+        """Accept any number of processes: each has its own buildings."""
 
     def batches(self) -> ViewBatches:
         """Return the batches of this process."""
@@ -235,22 +235,22 @@ class ViewDataModule(EpochDataModule):
         return self.loader(self.batches(), self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any]:
-        """Make the loader of the validation, which is rendered once."""
+        """Make the loader of the validation images, which are rendered once."""
         if self._validation is None:
             self._validation = ViewValidation(self._renderer, self._size)
         return self.loader(self._validation, None)
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
-        """Name the pictures of a training batch."""
+        """Return the names of the images of a training batch."""
         _, frames, rows = self.batches().drawn(epoch, batch)
         return {"images": frames.path[rows]}
 
     def needed(self) -> list[FrameTable]:
-        """Nothing lies in a library."""
+        """Return no frames, since nothing is in a library."""
         return []
 
     def teardown(self, stage: str) -> None:
-        """End the processes that render."""
+        """End the rendering processes."""
         super().teardown(stage)
         self._renderer.close()
         self._stream = None

@@ -1,6 +1,6 @@
 """Training: `fit` draws pairs of frames, trains a network on them and keeps checkpoints and curves in a run.
 
-Importing this package loads no torch; each name is loaded when it is first used.
+Importing this package loads no torch; each name is loaded on first use.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Batch normalization among processes: each normalizes by the statistics of the images of all of them."""
+"""Batch normalization across processes: each normalizes with the statistics of the images of all processes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from lightning.pytorch.plugins import LayerSync  # noqa: E402
 class OneBatch(LayerSync):
     """Let processes that train together normalize as one process with the whole batch would.
 
-    Layers change their class while they train, and keep their place, their weights and whatever refers to them.
+    Layers change their class during training, and keep their place, their weights and all references to them.
 
     Args:
-        gpu: take torch's own layer, which is fast and knows GPUs only.
+        gpu: use torch's own layer, which is fast and only supports GPUs.
     """
 
     def __init__(self, gpu: bool) -> None:
@@ -28,18 +28,18 @@ class OneBatch(LayerSync):
         self._were: dict[nn.Module, type[nn.Module]] = {}
 
     def apply(self, model: nn.Module) -> nn.Module:
-        """Let the layers of a model normalize by all processes, if there are several."""
+        """Make the layers of a model normalize across all processes, if there are several."""
         if not distributed.is_initialized() or distributed.get_world_size() == 1:
             return model
         for layer in model.modules():
             if type(layer) in self._kinds:
                 self._were[layer] = type(layer)
                 layer.__class__ = self._kinds[type(layer)]
-                layer.process_group = None  # type: ignore[assignment]  # all processes, for the layer of torch
+                layer.process_group = None  # type: ignore[assignment]  # all processes, for the torch layer
         return model
 
     def revert(self, model: nn.Module) -> nn.Module:
-        """Let them be what they were."""
+        """Restore the original layers."""
         for layer, kind in self._were.items():
             layer.__class__ = kind
             del layer.process_group
@@ -51,7 +51,7 @@ class _AmongProcesses(_BatchNorm):
     """Normalize (B, C, ...) by means and variances over all processes; gradients flow back to all of them."""
 
     def forward(self, input: Tensor) -> Tensor:
-        """Normalize a batch; in evaluation as ever."""
+        """Normalize a batch; in evaluation mode as usual."""
         if not self.training:
             return super().forward(input)
         self._check_input_dim(input)
@@ -91,7 +91,7 @@ _AMONG_PROCESSES: dict[type[nn.Module], type[nn.Module]] = {
 
 
 class _Sum(torch.autograd.Function):
-    """Sum over all processes. What each makes of the sum counts, so the gradients are summed, too."""
+    """Sum over all processes. Every process uses the sum, so the gradients are summed, too."""
 
     @staticmethod
     def forward(ctx: Any, value: Tensor) -> Tensor:

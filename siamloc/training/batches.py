@@ -1,4 +1,4 @@
-"""What all batches of a training have in common: their numbers, augmentation, and way to the device."""
+"""Base of all training batches: their numbers, augmentation, and transfer to the device."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from siamloc.training.resident import Resident, room_for
 ensure_torchvision()
 from lightning.pytorch import LightningDataModule  # noqa: E402
 
-_PLACES = 0xA07  # sets the draws for batches of places apart from others
+_PLACES = 0xA07  # separates the draws for batches of places from others
 
 
 @dataclass(frozen=True)
 class BatchAugmentation:
     """Augment training images as their batches are gathered.
 
-    What happens to an image follows from the seed and its number among those that are drawn together: not from the
-    workers that gather, nor from the ranks that train together.
+    The augmentation of an image depends on the seed and its number among those that are drawn together, not on the
+    workers that gather batches or the ranks that train together.
 
     Attributes:
         effect: an effect or a policy of `augment`.
-        where: "cpu", where batches are gathered, or "gpu", after the batch has come to the device.
-        seed: any whole number, not negative.
+        where: "cpu", where batches are gathered, or "gpu", after the batch was transferred to the device.
+        seed: any whole number that is not negative.
 
     Raises:
-        ConfigError: another place.
+        ConfigError: another value of `where`.
     """
 
     effect: Effect
@@ -51,7 +51,7 @@ class BatchAugmentation:
             raise ConfigError(f"augment.where must be cpu or gpu, got {self.where!r}")
 
     def draw(self, stream: Sequence[int], images: int, image_shape: tuple[int, ...], mine: slice) -> dict[str, Tensor]:
-        """Draw the parameters of some of the images that are drawn together; the stream sets them apart from others."""
+        """Draw the parameters for some of the images that are drawn together; `stream` separates them from others."""
         whole = torch.empty((images, *image_shape), dtype=torch.uint8, device="meta")  # for its shape only
         words = np.random.SeedSequence([self.seed, *stream]).generate_state(1, np.uint64)
         drawn = self.effect.draw(torch.Generator().manual_seed(int(words[0] >> np.uint64(1))), whole)
@@ -60,14 +60,14 @@ class BatchAugmentation:
     def add(
         self, item: dict[str, Any], batch: tuple[int, int], image_shape: tuple[int, ...], rank: int, world_size: int
     ) -> None:
-        """Change the images of a batch of places, or add the parameters by which they are changed on the device.
+        """Augment the images of a batch of places, or add the parameters for augmenting them on the device.
 
         Args:
-            item: the batch, of which `frame` has an entry for each image.
+            item: the batch, where `frame` has an entry for each image.
             batch: its epoch and its number.
             image_shape: (3, H, W).
             rank: number of this process among those that draw a batch together.
-            world_size: how many those are.
+            world_size: number of those processes.
         """
         count = len(item["frame"])
         mine = slice(rank * count, (rank + 1) * count)
@@ -83,14 +83,14 @@ class BatchAugmentation:
 class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
     """Number the batches of the current epoch as (epoch, batch).
 
-    The trainer calls `set_epoch` before each epoch. The epoch travels with the number of the batch, so that workers
-    which live through several epochs draw for the right one. Since the batches are those of this process already, it
-    is a `DistributedSampler`: the trainer puts no other one in its place.
+    The trainer calls `set_epoch` before each epoch. The epoch is passed along with the number of the batch, so that
+    workers that live for several epochs draw for the right one. This class is a `DistributedSampler`, so that the
+    trainer does not replace it: the batches are already those of this process.
 
     Args:
-        batches: in an epoch.
-        epoch: to begin with; None for validation, which has the pairs of epoch 0 in every epoch.
-        start: an epoch and the batch that it begins with; all others begin with batch 0.
+        batches: of an epoch.
+        epoch: the first one; None for validation, which has the pairs of epoch 0 in every epoch.
+        start: an epoch and its first batch; all other epochs start with batch 0.
     """
 
     def __init__(self, batches: Sized, epoch: int | None = 0, start: tuple[int, int] = (0, 0)) -> None:
@@ -106,19 +106,19 @@ class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
 
 
 class EpochDataModule(LightningDataModule):
-    """Base of data modules whose batches follow from the number of the epoch; the number travels in the checkpoint.
+    """Base of data modules whose batches depend on the number of the epoch, which is stored in the checkpoint.
 
-    In a checkpoint within an epoch the number of the next batch travels too.
+    A checkpoint within an epoch also stores the number of the next batch.
 
-    A trainer that resumes may ask for the first batches long before it knows which epoch it is in, and keeps them.
+    A trainer that resumes may request the first batches long before it knows which epoch it is in, and keeps them.
 
-    On a GPU with room enough all panoramas lie there, and a batch brings their numbers only, unless its images are
-    changed before; otherwise batches travel there from pinned memory.
+    On a GPU with enough memory, all panoramas are held there, and a batch transfers only their numbers, unless its
+    images are augmented on the CPU; otherwise batches are transferred from pinned memory.
 
     Args:
-        library: decoded panoramas of all frames; None where pictures come from elsewhere.
+        library: decoded panoramas of all frames; None if images come from elsewhere.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: what happens to training images; nothing if None.
+        augmentation: of the training images; none if None.
     """
 
     _first_epoch = 0
@@ -132,13 +132,13 @@ class EpochDataModule(LightningDataModule):
         self._resident: Resident | None = None
 
     def next_epoch(self) -> int:
-        """Return the epoch whose batches are asked for."""
+        """Return the epoch whose batches come next."""
         if self.trainer is None:
             return 0
         return max(self._first_epoch, self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
 
     def state_dict(self) -> dict[str, Any]:
-        """Give the checkpoint the epoch and the batch that come next."""
+        """Return the epoch and the batch that come next, for the checkpoint."""
         batch = 0
         if self.trainer is not None:
             done = self.trainer.fit_loop.epoch_loop.batch_progress.current.processed  # type: ignore[attr-defined]
@@ -146,23 +146,23 @@ class EpochDataModule(LightningDataModule):
         return {"epoch": self.next_epoch(), "batch": batch}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take over the epoch and the batch of a checkpoint."""
+        """Restore the epoch and the batch from a checkpoint."""
         self._first_epoch, self._first_batch = int(state_dict["epoch"]), int(state_dict.get("batch", 0))
 
     def share(self) -> tuple[int, int]:
-        """Return the number of this process among those that train together, and how many those are."""
+        """Return the number of this process among those that train together, and the number of those."""
         return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
 
     def check_processes(self, processes: int) -> None:
-        """Raise ConfigError unless there is something to learn from for each of so many processes."""
+        """Raise ConfigError unless there is enough to learn from for this number of processes."""
         raise NotImplementedError
 
     def notes(self) -> list[str]:
-        """Say what the frames lack of what was asked for, a sentence each."""
+        """Return notes on what the frames lack for the requested batches, a sentence each."""
         return []
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
-        """Return the files of a training batch of this process, by the name that its images have in the batch."""
+        """Return the files of a training batch of this process, by the names of the images in the batch."""
         raise NotImplementedError
 
     def needed(self) -> list[FrameTable]:
@@ -170,9 +170,9 @@ class EpochDataModule(LightningDataModule):
         raise NotImplementedError
 
     def numbers(self, augmentation: BatchAugmentation | None) -> NDArray[np.int64] | None:
-        """Return where the library's rows lie on the device of the trainer; None where images are gathered here.
+        """Return the indices of the library's rows on the device of the trainer; None if images are gathered here.
 
-        The first call brings them there.
+        The first call transfers them.
         """
         changed_here = augmentation is not None and augmentation.where == "cpu"
         if self.trainer is None or self.library is None or changed_here:
@@ -192,13 +192,13 @@ class EpochDataModule(LightningDataModule):
     def transfer_batch_to_device(
         self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
     ) -> dict[str, Any]:
-        """Bring a batch to the device, but for the parameters of its augmentation, which are read in main memory."""
+        """Transfer a batch to the device, except its augmentation parameters, which are read in main memory."""
         rest = {name: value for name, value in batch.items() if name != "change"}
         rest = super().transfer_batch_to_device(rest, device, dataloader_idx)
         return {**rest, "change": batch["change"]} if "change" in batch else rest
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
-        """Gather the images, and change them, where both were put off until the batch is on the device."""
+        """Gather and augment the images, if that is done on the device."""
         if "rows" in batch:
             assert self._resident is not None
             batch = {**self.parts(self._resident.batch(batch.pop("rows"))), **batch}
@@ -218,7 +218,7 @@ class EpochDataModule(LightningDataModule):
         return images
 
     def loader(self, batches: Dataset[Any], epoch: int | None) -> DataLoader[Any]:
-        """Make the loader of whole batches, of which item (epoch, i) is one; see `EpochSampler`."""
+        """Make the loader of whole batches, where item (epoch, i) is one batch; see `EpochSampler`."""
         return DataLoader(
             batches,
             batch_size=None,
@@ -226,5 +226,5 @@ class EpochDataModule(LightningDataModule):
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             pin_memory=self.trainer is not None and self.trainer.strategy.root_device.type == "cuda",
-            generator=torch.Generator().manual_seed(0),  # keeps the loader from drawing on the global generator
+            generator=torch.Generator().manual_seed(0),  # keeps the loader from using the global generator
         )

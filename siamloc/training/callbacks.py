@@ -1,4 +1,4 @@
-"""What a training keeps: checkpoints that are whole or not there, and the curves that travel in them."""
+"""What a training saves: checkpoints that are whole or absent, and the curves stored in them."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ _SAID = (
     *("train/loss", "train/accuracy", "train/active", "train/relative"),
     *("val/loss", "val/accuracy", "val/error", "val/recall", "val/room", "val/refined"),
 )
-_COLLAPSED = 0.01  # spread of descriptors of length 1, below which they tell nothing apart
+_COLLAPSED = 0.01  # spread of descriptors of length 1, below which they distinguish nothing
 _COLLAPSED_PAIRS = 0.0125  # the same of the mean distance of pairs, as a share of the margin; random weights have more
-_ACTIVE = 0.01  # share of pairs or triplets that cost anything, below which hardly anything is learned
+_ACTIVE = 0.01  # share of pairs or triplets with a loss, below which hardly anything is learned
 _PATHS = ("best_model_path", "kth_best_model_path", "last_model_path")
 _SHORT_WRITE = ("inline_container", "unexpected pos", "PytorchStreamWriter failed")
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
-    """Write a checkpoint under a temporary name and rename it, so that a killed run leaves the one before."""
+    """Write a checkpoint under a temporary name and rename it, so that a killed run keeps the previous one."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
         """Save a checkpoint of the trainer.
 
         Raises:
-            StorageError: the disk is full or refuses; the checkpoint before stays as it was.
+            StorageError: the disk is full or refuses; the previous checkpoint stays as it was.
         """
         with atomic_path(path) as temporary:
             try:
                 torch.save(checkpoint, temporary)
             except RuntimeError as error:
-                # torch writes past Python, and reports a short write only by where the file does not end.
+                # torch bypasses Python for writing, and reports a short write only by the position in the file.
                 if not any(sign in str(error) for sign in _SHORT_WRITE):
                     raise
                 raise StorageError(
@@ -60,15 +60,15 @@ class AtomicCheckpoints(TorchCheckpointIO):
 
 
 class _MovableCheckpoint(ModelCheckpoint):
-    """A checkpoint whose best figure is known also after the folder of its run was moved."""
+    """A checkpoint callback that knows its best figure even after the folder of its run was moved."""
 
     @property
     def state_key(self) -> str:
-        """The name of its state in a checkpoint, that of the class of Lightning."""
+        """The name of its state in a checkpoint: that of the Lightning class."""
         return super().state_key.replace(type(self).__qualname__, ModelCheckpoint.__qualname__)
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Go on with the state of a run, with the folder as it is now."""
+        """Continue with the state of a run, in the current folder."""
         folder = Path(str(self.dirpath))
 
         def here(path: str) -> str:
@@ -80,7 +80,7 @@ class _MovableCheckpoint(ModelCheckpoint):
 
 
 def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
-    """Make the callbacks that keep `last.ckpt` after every epoch, and `best.ckpt` by the best of a logged figure."""
+    """Make the callbacks that write `last.ckpt` after every epoch, and `best.ckpt` by the best logged figure."""
     last = _MovableCheckpoint(
         dirpath=folder,
         filename="last",
@@ -106,7 +106,7 @@ def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
 class MovingAverage(WeightAveraging):
     """Keep a moving average of the weights, on the device where they are trained.
 
-    After each step a <- a + (1 - decay) (w - a), in this form because it leaves what does not change exactly as it is:
+    After each step a <- a + (1 - decay) (w - a), in this form because it leaves anything constant exactly as it is:
     frozen stages, and constants among the buffers.
 
     Args:
@@ -122,14 +122,14 @@ class MovingAverage(WeightAveraging):
         self._begun = False
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Choose the device before the weights have moved there."""
+        """Choose the device before the weights are moved there."""
         self._device = trainer.strategy.root_device
         super().setup(trainer, pl_module, stage)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Move the average; after its first step without a look at numbers on the device, which would wait for them."""
+        """Update the average; after the first step without reading numbers from the device, which would block."""
         average = self._average_model
         if trainer.global_step <= self._latest_update_step or average is None:
             return
@@ -155,18 +155,18 @@ def _state(module: torch.nn.Module) -> list[Tensor]:
 
 
 class Curves(Checkpoint):
-    """Write a row per epoch of everything that is logged per epoch into a CSV file, and a line to the screen.
+    """Write a row per epoch with all logged figures to a CSV file, and print a line per epoch.
 
-    They say which epoch is the best, and whether it is time to stop.
+    The rows also determine which epoch is the best, and whether it is time to stop.
 
-    The rows are kept in the checkpoint, so that the file of a resumed run is the file of a run that never stopped. It
-    counts as a checkpoint callback because those come last: after the module has logged its epoch.
+    They are stored in the checkpoint, so that the file of a resumed run equals that of a run that never stopped. This
+    class is a checkpoint callback because those run last: after the module has logged its epoch.
 
     Args:
         run: of the training.
-        monitor: the figure by which the best epoch is chosen; None where nothing is validated.
+        monitor: the figure by which the best epoch is chosen; None if nothing is validated.
         pace: of the training.
-        patience: epochs without a better one after which the training stops; it never does if None.
+        patience: epochs without a better one after which the training stops; never if None.
     """
 
     def __init__(self, run: Run, monitor: str | None, pace: Pace, patience: int | None = None) -> None:
@@ -176,13 +176,13 @@ class Curves(Checkpoint):
         self._events_before = set(run.tensorboard.glob("events.*"))
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Note when and where the training begins, and which file TensorBoard's logger has opened."""
+        """Note when and at which epoch the training begins, and the file opened by the TensorBoard logger."""
         self._start = (time.monotonic(), trainer.current_epoch)
         trainer.should_stop |= self._stale()
         self._record_events(trainer)
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        """Note that file also where the training ends before its first step."""
+        """Note that file, too, if the training ends before its first step."""
         self._record_events(trainer)
 
     def _record_events(self, trainer: Trainer) -> None:
@@ -190,7 +190,7 @@ class Curves(Checkpoint):
             self._run.record_written(set(self._run.tensorboard.glob("events.*")) - self._events_before)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Take down the epoch's figures."""
+        """Record the figures of the epoch."""
         if trainer.sanity_checking:
             return
         values = {key: float(value) for key, value in trainer.callback_metrics.items() if "/" in key}
@@ -202,7 +202,7 @@ class Curves(Checkpoint):
             self._warn(trainer, pl_module, values)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Sum up, unless the training was stopped before its end."""
+        """Print a summary, unless the training was interrupted."""
         early = self._stale() and len(self._rows) < (trainer.max_epochs or 0)
         if not trainer.is_global_zero or not (early or trainer.current_epoch >= (trainer.max_epochs or 0)):
             return
@@ -220,15 +220,15 @@ class Curves(Checkpoint):
         self._tell(trainer, f"checkpoint: {checkpoint}; curves: tensorboard --logdir {self._run.tensorboard}")
 
     def state_dict(self) -> dict[str, Any]:
-        """Give the checkpoint the rows so far."""
+        """Return the rows so far, for the checkpoint."""
         return {"rows": self._rows}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take over the rows of a checkpoint."""
+        """Restore the rows from a checkpoint."""
         self._rows = list(state_dict["rows"])
 
     def _best(self) -> tuple[float, int] | None:
-        """Return the best figure and its epoch, the first of equals, as the checkpoint."""
+        """Return the best figure and its epoch; the first in a tie, as for the checkpoint."""
         name = self._monitor
         if name is None:
             return None
@@ -238,14 +238,14 @@ class Curves(Checkpoint):
         return (max if higher_is_better(name) else min)(found, key=lambda pair: pair[0])
 
     def _figures_of(self, epoch: int) -> str:
-        """Name the best epoch with all its figures of the validation, first the one that it was chosen by."""
+        """Name the best epoch with all its validation figures, starting with the one that it was chosen by."""
         row = next(row for row in self._rows if row["epoch"] == epoch)
         others = sorted(name for name in row if name.startswith("val/") and name != self._monitor)
         listed = f" ({', '.join(f'{name[4:]} {row[name]:.4f}' for name in others)})" if others else ""
         return f"best epoch {epoch + 1} by {self._monitor} {row[str(self._monitor)]:.4f}{listed}"
 
     def _stale(self) -> bool:
-        """Say whether as many epochs as the patience have brought nothing better."""
+        """Whether the last `patience` epochs brought no improvement."""
         best = self._best()
         if self._patience is None or best is None:
             return False
@@ -259,12 +259,12 @@ class Curves(Checkpoint):
         self._tell(trainer, f"epoch {done} of {total}: {figures}, {left:.0f} s left")
 
     def _warn(self, trainer: Trainer, module: LightningModule, values: dict[str, float]) -> None:
-        """Say when a training came to nothing, or has nothing left to learn from."""
+        """Warn if a training collapsed, or has nothing left to learn from."""
         spread = values.get("train/spread", math.inf)
         if isinstance(module, PlaceModule):  # whose descriptors have unit length
             collapsed, where = spread < _COLLAPSED, "places in a batch"
         else:
-            # Without a margin, the widest that the descriptors have been.
+            # Without a margin, the largest distance of the descriptors so far.
             widths = [width for row in self._rows if math.isfinite(width := _apart(row))]
             widest = margin_of(getattr(module, "loss", None)) or max(widths, default=0.0)
             collapsed, where = _apart(values) < _COLLAPSED_PAIRS * widest, "pairs of different places"
@@ -272,15 +272,15 @@ class Curves(Checkpoint):
             self._tell(
                 trainer,
                 f"warning: the network gives nearly every image the same descriptor, train/spread is {spread:.2g}: "
-                f"if that lasts, train with a smaller optimizer.learning_rate, or with more {where}",
+                f"if this persists, train with a smaller optimizer.learning_rate, or with more {where}",
             )
         active = values.get("train/active", math.inf)
         if active < _ACTIVE and not collapsed:
             what = "pairs or triplets" if isinstance(module, PlaceModule) else "pairs of different places"
             self._tell(
                 trainer,
-                f"warning: hardly any {what} cost anything, train/active is {active:.2%}: where the validation is not "
-                "good yet, train with a larger margin, or with more of what is hard to tell apart",
+                f"warning: hardly any {what} contribute to the loss, train/active is {active:.2%}: if the validation "
+                "is not good yet, train with a larger margin, or with more examples that are hard to distinguish",
             )
 
     def _tell(self, trainer: Trainer, text: str) -> None:
@@ -297,6 +297,6 @@ class Curves(Checkpoint):
 
 
 def _apart(figures: Mapping[str, float]) -> float:
-    """Return how far apart the descriptors of pairs were, in the mean; infinity where that is not known."""
+    """Return the mean distance between the descriptors of pairs; infinity if unknown."""
     distances = [figures[name] for name in ("train/distance_same", "train/distance_different") if name in figures]
     return max(distances, default=math.inf)

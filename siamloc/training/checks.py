@@ -1,4 +1,4 @@
-"""What `fit` makes sure of before the first step, and the choices that follow from the frames."""
+"""The checks of `fit` before the first step, and the choices that follow from the frames."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from siamloc.training.lacking import what_is_lacking
 from siamloc.training.place_batches import PlaceDataModule, origins_of, rooms_of
 from siamloc.training.settings import Monitor, Training
 
-_ROOMS = 2  # that have to be told apart at least
-_TRIED = 8  # batches that are looked through for something to learn from
+_ROOMS = 2  # minimum number to distinguish
+_TRIED = 8  # batches to search for something to learn from
 _UNIT_ROUNDING = 1e-2  # of the length of a descriptor in half precision
 
 
 def usable(
     images: PanoramaLibrary, frames: FrameTable, validation: FrameTable | None, settings: Training
 ) -> tuple[FrameTable, FrameTable | None]:
-    """Select the frames whose image can be read; for distance labels those that have a position.
+    """Select the frames with a readable image and, for distance labels, a position.
 
-    Where pairs are labelled by rooms, frames without a room label are left out where others of their building have one:
-    nobody knows which rooms they show.
+    If pairs are labelled by rooms, frames without a room label are left out if others in their building have one, since
+    their room is unknown.
     """
     found: list[FrameTable | None] = []
     pairs = settings.pairs
@@ -83,7 +83,7 @@ def usable(
 
 
 def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
-    """Make sure that a loss takes as many arguments as there will be."""
+    """Make sure that a loss takes this number of arguments."""
     if loss is None or not callable(loss):
         return
     try:
@@ -92,14 +92,14 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
     except TypeError as error:
         raise ConfigError(
             "a loss of batches of places takes (descriptors, origins), one of pairs takes (d0, d1, y): this one, "
-            f"{name_of(loss)}, does not go with these pairs"
+            f"{name_of(loss)}, does not fit these pairs"
         ) from error
     except ValueError:  # functions without a signature
         return
 
 
 def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: FrameTable | None) -> None:
-    """Make sure that frames have the rooms that are learned from, and that the validation asks for those."""
+    """Make sure that the frames have the rooms that the loss needs, and that the validation uses those."""
     if isinstance(loss, CrossEntropyLoss):
         _check_classes(rooms_of(train), None if validated is None else rooms_of(validated))
     if isinstance(loss, SoftContrastiveLoss) and loss.room > 0 and _rooms(train) < _ROOMS:
@@ -130,12 +130,12 @@ def _some(names: list[str], most: int = 5) -> str:
 
 
 def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> None:
-    """Make sure that there is enough for so many processes, and that batches of places have what the loss learns from.
+    """Make sure that there is enough data for the processes, and that batches of places suit the loss.
 
-    Some batches are drawn, and looked at as a loss of siamloc would.
+    Some batches are drawn and checked for what a loss of siamloc needs.
 
     Raises:
-        ConfigError: too little, or a loss that learns nothing from any of these batches.
+        ConfigError: too little data, or a loss that learns nothing from any of these batches.
     """
     data.check_processes(processes)
     if not isinstance(data, PlaceDataModule):
@@ -151,14 +151,14 @@ def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> No
         lacking = what_is_lacking(loss, origins)
         if lacking is None:
             return
-    raise ConfigError(f"these batches teach the loss nothing, {_TRIED} of {_TRIED} drawn have no {lacking}")
+    raise ConfigError(f"the loss learns nothing from these batches, {_TRIED} of {_TRIED} drawn have no {lacking}")
 
 
 def check_headings(network: nn.Module, train: FrameTable, settings: Training) -> None:
-    """Make sure that a network which compares images can learn it from the frames.
+    """Make sure that a network that compares images can learn to do so from the frames.
 
     Raises:
-        ConfigError: pairs, or places by their order, from which it is not learned.
+        ConfigError: pairs, or places by their order, which are not suitable.
         DataError: headings that are missing, or that look like degrees.
     """
     if comparing(network) is None:
@@ -180,27 +180,27 @@ def check_headings(network: nn.Module, train: FrameTable, settings: Training) ->
 
 
 def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, *, unit: bool) -> int:
-    """Describe one image (1, 3, H, W), so that a network of another size is found before anything is written.
+    """Describe one image (1, 3, H, W), to detect a network of another size before anything is written.
 
     Returns:
-        How many numbers a descriptor has.
+        The length of a descriptor.
 
     Raises:
-        ConfigError: a network that wraps around the azimuth for images that do not, or descriptors of another length.
+        ConfigError: a circular network for images that do not wrap around, or descriptors that are not of unit length.
         DataError: a network that does not take the images.
     """
     if getattr(network, "settings", {}).get("circular") and not circular:
         raise ConfigError(
             "the network wraps around the azimuth (model.circular=true, from Python build(circular=True)), and the "
             "columns of these images do not (data.circular=false): set model.circular=false (and model.canonical=false "
-            "where it is true), take the recipe photographs or rooms for pictures of an ordinary camera, or set "
+            "where it is true), use the recipe photographs or rooms for images of an ordinary camera, or set "
             "data.circular=true for panoramas"
         )
     try:
         descriptor = describe(network, image)
     except SiamlocError:
         raise
-    except Exception as error:  # a module of one's own may raise anything
+    except Exception as error:  # a custom module may raise anything
         shape = " x ".join(map(str, image.shape[1:]))
         first_line = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise DataError(f"the network cannot take panoramas of {shape}: {first_line}") from error
@@ -218,11 +218,11 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
 def monitored(
     settings: Training, train: FrameTable, validated: FrameTable | None, network: nn.Module, loss: object = None
 ) -> Monitor | None:
-    """Name the figure by which the checkpoint is chosen, as `Training.monitor` does; None where nothing is validated.
+    """Return the figure that chooses the checkpoint, as in `Training.monitor`; None if nothing is validated.
 
     Raises:
-        DataError: frames without the positions or rooms by which the validation is judged.
-        ConfigError: `patience` where nothing is validated.
+        DataError: frames without the positions or rooms needed for the validation.
+        ConfigError: `patience` although nothing is validated.
     """
     if validated is None:
         if settings.patience is not None:
@@ -278,9 +278,9 @@ def monitored(
 
 
 def _another_drive(train: FrameTable, validated: FrameTable) -> bool:
-    """Say whether the validation is a drive of its own through a building of the training, so that it can be located.
+    """Whether the validation is a separate drive through a building of the training, so that it can be located.
 
-    Frames of the same drive are next to those that are learned from.
+    Frames of the same drive are next to those used for training.
     """
     known, asked = train.take(train.has_position), validated.take(validated.has_position)
     same_drives = set(known.sequence.tolist()) & set(asked.sequence.tolist())

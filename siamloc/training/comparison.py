@@ -1,4 +1,4 @@
-"""Runs side by side: what they were trained with, where that differs, and how well each did."""
+"""Compare runs: their settings where they differ, and the results of each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from siamloc.runs import Run, higher_is_better
 
 _CHOSEN_BY = ("val/error", "val/room", "val/loss")
 _MEASURED = ("epoch", "finished", "run")
-# What only says where things lie, or follows from the rest.
+# Only locations, or what follows from the rest.
 _LEFT_OUT = ("frames", "data.cache", "data.name", "model.image_size")
 
 
@@ -24,11 +24,11 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
 
     Args:
         runs: a folder with runs in it, such as that of a sweep; or the folders of runs.
-        by: the figure of the curves that counts, such as "val/error"; what checkpoints are chosen by if None. Of
-            accuracies, rooms, spreads and distances of two rooms the highest is the best, of all others the lowest.
+        by: the figure of the curves to rank by, such as "val/error"; if None, the one by which checkpoints are chosen.
+            Higher is better for recall, accuracies, rooms, spreads and distances of two rooms; lower for all others.
 
     Raises:
-        ConfigError: no runs, none that has finished an epoch, or no such figure.
+        ConfigError: no runs, no run with a finished epoch, or no such figure.
         FormatError: a run of another version, or an altered one.
 
     Example:
@@ -56,7 +56,7 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
         raise ConfigError(f"{asked}: {hint(by or '', known)}")
     settings = [flat(run.settings, _LEFT_OUT) for run in found]
     names = differing(settings)
-    if all(values.get("model.seed") == values.get("seed") for values in settings):  # as commands have it
+    if all(values.get("model.seed") == values.get("seed") for values in settings):  # as with commands
         names = [key for key in names if key != "model.seed"]
     rows = [
         {**{key: values.get(key) for key in names}, **_measured(run, curves.get(run.folder, {}), by)}

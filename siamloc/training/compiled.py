@@ -1,4 +1,4 @@
-"""`Training.compile`: the network of a training step compiled by torch, while its weights keep their names."""
+"""`Training.compile`: compile the network of a training step with torch, while its weights keep their names."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Wanted = Literal["auto"] | bool
 
 
 def compiles(wanted: Wanted, on_gpu: bool, network: nn.Module | None = None) -> Wanted:
-    """Decide whether the network of a training is compiled: if it is wanted; with "auto" on a GPU alone.
+    """Decide whether to compile the network of a training: if requested; with "auto" only on a GPU.
 
-    A network that learns displacements is not.
+    A network that learns displacements is not compiled.
 
     Raises:
-        ConfigError: it is wanted, and what torch compiles with is missing, or the network learns displacements.
+        ConfigError: compiling is requested, but the compiler is missing or the network learns displacements.
 
     Example:
         >>> compiles("auto", on_gpu=False)
@@ -38,17 +38,17 @@ def compiles(wanted: Wanted, on_gpu: bool, network: nn.Module | None = None) -> 
     if network is not None and comparing_weights(network):
         if wanted != "auto":
             raise ConfigError(
-                "compile=true does not go with model.relative=true (relative=True): leave one of them out"
+                "compile=true does not work with model.relative=true (relative=True): leave one of them out"
             )
         return False
     missing = _missing(on_gpu)
     if missing is not None and wanted != "auto":
-        raise ConfigError(f"compile=true needs {missing}, and there is none: install one, or leave compile out")
+        raise ConfigError(f"compile=true needs {missing}, which is missing: install it, or leave compile out")
     return wanted if missing is None else False
 
 
 def _missing(on_gpu: bool) -> str | None:
-    """Name what torch needs to compile and does not find."""
+    """Name what torch needs to compile but does not find."""
     if on_gpu:
         return None if importlib.util.find_spec("triton") else "triton on a GPU"
     from torch._inductor import cpp_builder, exc
@@ -62,13 +62,13 @@ def _missing(on_gpu: bool) -> str | None:
 
 @contextmanager
 def compiled(module: NetworkModule, wanted: Wanted) -> Iterator[None]:
-    """Let the steps of a training call the compiled network; validations, and whoever comes later, call it as it is.
+    """Let training steps use the compiled network; validation and later calls use the network as it is.
 
-    Batches of each size are compiled for themselves. Names of weights, checkpoints and hooks stay as they are. With
-    "auto" a network that cannot be compiled is noted, and called as it is.
+    Each batch size is compiled separately. Names of weights, checkpoints and hooks stay as they are. With "auto", a
+    network that cannot be compiled is used as it is, and a note is printed.
 
     Raises:
-        ConfigError: the network cannot be compiled; seen in the first step.
+        ConfigError: the network cannot be compiled, which shows in the first step.
     """
     if not wanted:
         yield

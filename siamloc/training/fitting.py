@@ -1,4 +1,4 @@
-"""`fit`: train a network on pairs or batches of frames, from the start or from the last checkpoint of its run."""
+"""`fit`: train a network on pairs or batches of frames, from scratch or from the last checkpoint of its run."""
 
 from __future__ import annotations
 
@@ -85,44 +85,44 @@ def fit(
 ) -> Run:
     """Train a network on pairs of frames, or on batches of places, in place.
 
-    Afterwards it holds the weights that `siamloc.models.load(run)` gives: the best by the validation, as
-    `Training.monitor` says, or the last where nothing is validated. Everything that can be checked is checked before
-    the run's folder is touched. Where several processes train together (`trainer={"devices": 2, "strategy": "ddp"}`,
-    torchrun, SLURM), each calls `fit`, and only the first writes.
+    Afterwards the network holds the same weights as `siamloc.models.load(run)`: the best by the validation, chosen by
+    `Training.monitor`, or the last if nothing is validated. Everything that can be checked is checked before the run's
+    folder is touched. If several processes train together (`trainer={"devices": 2, "strategy": "ddp"}`, torchrun,
+    SLURM), each calls `fit`, and only the first writes.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
         images: decoded panoramas of all frames.
         frames: training frames, among those of the library.
         run: folder of the run, a new or empty one.
-        validation: frames by which the checkpoint is chosen, other ones than `frames`.
-        loss: of pairs, (d0 (B, D), d1 (B, D), y (B,)) -> scalar, the mean over the pairs, `ContrastiveLoss(margin)` if
-            None; of batches of places, (descriptors (N, D), `Origins`) -> scalar, `SoftContrastiveLoss()` if None.
-        augmentation: what happens to the training images: an effect or a policy of `augment`, a policy's name, or
-            plain values as a policy file has them; nothing if None.
+        validation: frames for choosing the checkpoint, different from `frames`.
+        loss: for pairs, (d0 (B, D), d1 (B, D), y (B,)) -> scalar, the mean over the pairs, `ContrastiveLoss(margin)` if
+            None; for batches of places, (descriptors (N, D), `Origins`) -> scalar, `SoftContrastiveLoss()` if None.
+        augmentation: of the training images: an effect or a policy of `augment`, a policy's name, or plain values as in
+            a policy file; none if None.
         trainer: further arguments of `lightning.Trainer`, such as {"accelerator": "gpu"}. Callbacks and plugins are
-            added to those of the training. {"precision": "auto"} is the fastest that the device has: bfloat16 for
-            most of the network where it has instructions for it.
-        resume: go on from the last checkpoint of the run; only `epochs`, `workers` and the place of files may differ.
-        overwrite: replace a run: what siamloc wrote into the folder is removed, all other files stay.
-        protocol: who does what in the data, as plain values for the record; the sequences of the frames if None.
-        debug: look at the training instead, and leave the network as it is: "one_batch" makes a single step, and says
-            what shapes, figures and times it has; "overfit" learns one batch by heart, and says whether the loss goes
-            down as it should; "profile" says where the time of a step goes, and writes a trace into the run. Nothing
-            else is written.
-        settings: the fields of `Training` together, instead of one keyword each: epochs, batch_size, seed, workers,
+            added to those of the training. {"precision": "auto"} is the fastest precision of the device: bfloat16 for
+            most of the network if it has instructions for that.
+        resume: continue from the last checkpoint of the run; only `epochs`, `workers` and file locations may differ.
+        overwrite: replace a run: files that siamloc wrote into the folder are removed, all other files stay.
+        protocol: roles of the data, as plain values, recorded for reference; the sequences of the frames if None.
+        debug: inspect the training instead, and leave the network unchanged: "one_batch" makes a single step, and
+            reports its shapes, figures and times; "overfit" trains on one batch only, and reports whether the loss
+            goes down as it should; "profile" reports where the time of a step goes, and writes a trace into the run.
+            Nothing else is written.
+        settings: all fields of `Training` together, instead of one keyword each: epochs, batch_size, seed, workers,
             pairs, optimizer, and all others.
 
     Returns:
         The run.
 
     Raises:
-        ConfigError: settings that have no meaning or contradict each other, a folder that holds a run or other files,
-            a run of other settings to resume, or a training whose loss or gradient is not finite: its batch is kept in
-            the run as `bad_batch.npz`, see `siamloc.training.guard`.
+        ConfigError: settings that are invalid or contradict each other, a folder that holds a run or other files, a run
+            with other settings to resume, or a training whose loss or gradient is not finite: its batch is kept in the
+            run as `bad_batch.npz`, see `siamloc.training.guard`.
         DataError: frames that give no pairs, or images that the network cannot take.
-        KeyboardInterrupt: the user stopped it. It ended its step and wrote a checkpoint before; a second Ctrl-C stops
-            at once, and leaves the checkpoint that was there.
+        KeyboardInterrupt: the user stopped the training. It finished its step and wrote a checkpoint first; a second
+            Ctrl-C stops at once, and leaves the previous checkpoint.
         StorageError: the disk is full or refuses.
 
     Example:
@@ -211,20 +211,20 @@ def learn(
     overwrite: bool = False,
     note: Callable[[], None] = lambda: None,
 ) -> None:
-    """Train a module, from the start or from the last checkpoint of its run; afterwards it holds the best weights.
+    """Train a module, from scratch or from the last checkpoint of its run; afterwards it holds the best weights.
 
     Args:
         module: with the network.
         data: its batches.
-        run: where checkpoints and curves go.
+        run: for checkpoints and curves.
         used: the settings for the record, as plain values; those of the trainer are added.
         settings: of the training.
         trainer: further arguments of `lightning.Trainer`.
-        monitor: figure of the validation by which the checkpoint is chosen; None where nothing is validated.
-        what: is learned from, in words.
-        resume: go on.
-        overwrite: a run that is there.
-        note: says what the user should know, once everything is checked.
+        monitor: validation figure by which the checkpoint is chosen; None if nothing is validated.
+        what: description of the training data.
+        resume: continue from the last checkpoint.
+        overwrite: replace an existing run.
+        note: prints notes for the user, once everything is checked.
     """
     network, first = module.network, process_rank() == 0
     faster = compiles(settings.compile, on_gpu(trainer), network)
@@ -254,7 +254,7 @@ def learn(
 
 
 def _wake(network: nn.Module) -> None:
-    """Let a network be trained that `load` or an earlier `fit` left in evaluation; parts that alone are so stay."""
+    """Put a network in evaluation mode into training mode; if only some parts are in evaluation, they stay so."""
     if not network.training:
         network.train()
 
@@ -262,14 +262,14 @@ def _wake(network: nn.Module) -> None:
 def _note(
     settings: Training, train: FrameTable, validated: FrameTable | None, loss: object, of_data: list[str]
 ) -> None:
-    """Say what the batches lack, and what several drives mean where only the order of the frames tells what is near."""
+    """Note what the batches lack, and what several drives mean if only the order of the frames shows what is near."""
     for text in of_data:
         print(f"note: {text}", file=sys.stderr)
     unknown = int((train.room == "").sum())
     if getattr(loss, "room", 0) and unknown:
         print(
-            f"note: {unknown} of {len(train)} training frames have no room label: what the loss learns of rooms, it "
-            "learns from the others",
+            f"note: {unknown} of {len(train)} training frames have no room label: the loss learns rooms only "
+            "from the others",
             file=sys.stderr,
         )
     if isinstance(loss, CrossEntropyLoss) and validated is not None:
@@ -278,22 +278,22 @@ def _note(
             frames = int(np.isin(validated.place, others).sum())
             print(
                 f"note: {frames} of {len(validated)} validation frames are in rooms that the training frames lack "
-                f"({', '.join(others)}): they count as named wrong",
+                f"({', '.join(others)}): they count as wrong",
                 file=sys.stderr,
             )
     drives = len(set(train.sequence.tolist()))
     by_order = isinstance(settings.pairs, PlaceSettings) and settings.pairs.by == "sequence"
     if by_order and drives > 1 and not getattr(loss, "room", 0):
         print(
-            f"note: {drives} drives are learned from by the order of their frames alone, so that one place in two of "
-            "them counts as two: if they share places, give positions (pairs.by=position), or learn from rooms, too "
+            f"note: {drives} drives are used by the order of their frames alone, so that a place in two of them counts "
+            "as two: if they share places, give positions (pairs.by=position), or also learn from rooms "
             "(experiment=rooms, or loss.room=0.5)",
             file=sys.stderr,
         )
 
 
 def process_rank() -> int:
-    """Find the number of this process among those that train together; 0 when there is one."""
+    """Return the number of this process among those that train together; 0 if there is only one."""
     for name in ("RANK", "SLURM_PROCID", "LOCAL_RANK"):
         if os.environ.get(name, "").isdigit():
             return int(os.environ[name])
@@ -309,7 +309,7 @@ def _parts(
     augmentation: BatchAugmentation | None,
     settings: Training,
 ) -> tuple[PairDataModule | PlaceDataModule, NetworkModule]:
-    """Make what serves the batches, and what happens with them: pairs, or places with all their pairs."""
+    """Make the data module and the training module: for pairs, or for places with all their pairs."""
     common: dict[str, Any] = {"workers": settings.workers, "augmentation": augmentation, "seed": settings.seed}
     if isinstance(settings.pairs, PlaceSettings):
         check_loss(loss, 2)
@@ -330,7 +330,7 @@ def augmentation_of(
     settings: Training,
     trainer: Mapping[str, Any] | None,
 ) -> tuple[BatchAugmentation | None, dict[str, Any]]:
-    """Make what changes the training images, and where; and describe it in plain values."""
+    """Make the augmentation of the training images; also return its description in plain values."""
     effect, described = effect_of(given, circular)
     where = settings.augment_where if settings.augment_where != "auto" else "gpu" if on_gpu(trainer) else "cpu"
     return None if effect is None else BatchAugmentation(effect, where, settings.seed), described
@@ -339,7 +339,7 @@ def augmentation_of(
 def effect_of(
     given: augment.Effect | Mapping[str, Any] | str | None, circular: bool
 ) -> tuple[augment.Effect | None, dict[str, Any]]:
-    """Make the augmentation, and describe it in plain values; None where nothing happens to the images."""
+    """Make the effect of an augmentation, None if there is none; also return its description in plain values."""
     if given is None or isinstance(given, str):
         given = {"name": "none" if given is None else given}
     if isinstance(given, Mapping):
@@ -359,19 +359,19 @@ def effect_of(
 
 
 def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: Run, start: Path | None) -> None:
-    """Fit; when the user stops it, say how to go on.
+    """Fit; if the user stops the training, print how to continue.
 
     Raises:
-        KeyboardInterrupt: the user stopped it.
+        KeyboardInterrupt: the user stopped the training.
     """
     try:
         steps = next(one for one in trainer.checkpoint_callbacks if isinstance(one, StepCheckpoints))
-        # Among several processes one could stop a step before the others, which would wait for it.
+        # With several processes, one could stop a step before the others, which would then wait for it.
         asking = first_interrupt_asks(steps) if trainer.world_size == 1 else nullcontext()
         with kept_memory(), interrupts_raised(), torch.random.fork_rng(devices=[]), asking:
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
-        if steps.asked:  # in the last epoch, after which nothing was left to stop
-            raise KeyboardInterrupt(f"the training came to its end before it stopped: {run.folder}")
+        if steps.asked:  # in the last epoch, when nothing was left to stop
+            raise KeyboardInterrupt(f"the training finished before it could be stopped: {run.folder}")
     except KeyboardInterrupt as error:
         if not trainer.interrupted:
             raise
@@ -386,12 +386,12 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
             run.discard()  # a loss that fails at once must not block the folder for the next call
         raise
     finally:
-        module.teardown("fit")  # which Lightning leaves out where something fails, as the next one
+        module.teardown("fit")  # Lightning skips this and the next one on failure
         data.teardown("fit")
 
 
 def _protocol(train: FrameTable, validation: FrameTable | None) -> dict[str, Any]:
-    """Say which sequences the frames are of, in the words of a protocol."""
+    """Return the sequences of the frames in the form of a protocol."""
     found = {"train": train, "validation": validation}
     roles = {name: {"sequences": list(table.rows_by("sequence"))} for name, table in found.items() if table is not None}
     return {"kind": "cross_run", **roles}

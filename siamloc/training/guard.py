@@ -1,4 +1,4 @@
-"""`FiniteGuard`: stop a training whose loss or gradient is not finite, and keep the batch that did it."""
+"""`FiniteGuard`: stop a training whose loss or gradient is not finite, and keep the batch that caused it."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ class _Step:
 
 
 def unscaled(trainer: Trainer, loss: Tensor) -> Tensor:
-    """Return a loss as the network has it, where training in half precision has scaled it for the gradient."""
+    """Undo the scaling of a loss that training in half precision applies for the gradient."""
     scaler = getattr(trainer.precision_plugin, "scaler", None)
     return loss.detach() if scaler is None else loss.detach() / scaler.get_scale()
 
 
 class FiniteGuard(Callback):
-    """Stop before weights are updated by what is not finite; the checkpoint before stays as it was.
+    """Stop before weights are updated with non-finite values; the previous checkpoint stays as it was.
 
     The batch is kept in the run as `bad_batch.npz` (of further processes as `bad_batch_1.npz` and so on): the images
-    as the network saw them, what the loss got besides, `epoch` and `batch`, both from 0, `loss`, and the paths of the
-    frames as `first_path` and `second_path`, or `images_path`. `numpy.load` reads it.
+    as the network saw them, the other inputs of the loss, `epoch` and `batch`, both from 0, `loss`, and the paths of
+    the frames as `first_path` and `second_path`, or `images_path`. `numpy.load` reads it.
 
     On a GPU the figures of a step are read during the next one, so that no step waits for them: by then the weights in
-    memory have taken the bad step, those of the checkpoints have not.
+    memory have taken the bad step, but those of the checkpoints have not.
 
     Args:
         run: of the training.
@@ -65,18 +65,18 @@ class FiniteGuard(Callback):
         self._pending: list[_Step] = []
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Take down what is learned from."""
+        """Record the batch."""
         self._batch = batch
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
-        """Take down the loss."""
+        """Record the loss."""
         self._loss = unscaled(trainer, loss)
 
     def on_after_backward(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Look at the loss and at the gradient, of all processes together, so that all of them stop."""
+        """Check the loss and the gradient over all processes, so that all of them stop."""
         grads = [weight.grad for weight in pl_module.parameters() if weight.grad is not None]
         if not grads or getattr(trainer.precision_plugin, "scaler", None) is not None:
-            largest = torch.zeros_like(self._loss)  # in half precision the scaler deals with a gradient too large
+            largest = torch.zeros_like(self._loss)  # in half precision the scaler handles gradients that are too large
         else:
             largest = torch.nn.utils.get_total_norm(grads, norm_type=float("inf"))
         figures = torch.stack([self._loss.reshape(()).float(), largest.float()])
@@ -92,18 +92,18 @@ class FiniteGuard(Callback):
         self.settle(trainer, pl_module, later=0 if arrived is None else 1)
 
     def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Look at what is left before a checkpoint is chosen."""
+        """Check the remaining steps before a checkpoint is chosen."""
         self.settle(trainer, pl_module)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Look at what is left before a checkpoint is written."""
+        """Check the remaining steps before a checkpoint is written."""
         self.settle(trainer, pl_module)
 
     def settle(self, trainer: Trainer, pl_module: LightningModule, later: int = 0) -> None:
-        """Look at all steps but so many of the latest.
+        """Check all steps except the latest `later` ones.
 
         Raises:
-            ConfigError: the loss or the gradient of one is not finite.
+            ConfigError: the loss or the gradient of a step is not finite.
         """
         while len(self._pending) > later:
             step = self._pending.pop(0)
@@ -126,8 +126,8 @@ class FiniteGuard(Callback):
             kept = f"its batch could not be kept: {error}"
         if step.epoch == 0 and step.number == 0:
             return ConfigError(
-                f"{sign}, before anything was learned: look for what the network and the loss make of this batch "
-                f"that is not a number; {kept}"
+                f"{sign}, before anything was learned: find out where the network or the loss turns this batch into "
+                f"numbers that are not finite; {kept}"
             )
         assert isinstance(pl_module, NetworkModule)
         return pl_module.diverged(f"{sign}; {kept}")

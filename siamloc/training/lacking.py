@@ -1,4 +1,4 @@
-"""What a loss over batches finds nothing of in a batch, and cannot learn without."""
+"""Find out what a batch lacks that its loss cannot learn without."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from siamloc.models.origins import Origins
 
 
 def what_is_lacking(loss: object, origins: Origins) -> str | None:
-    """Say in words which images the batch of a loss lacks, and what to do; None where it has them, or nobody knows.
+    """Describe which images a batch lacks for its loss, and what to do; None if nothing is missing or it is unknown.
 
-    Two different frames are looked for, by their numbers among the origins.
+    Two images count only if they are different frames, by their numbers among the origins.
 
     Example:
         >>> from siamloc.models import TripletLoss
@@ -47,7 +47,7 @@ def _without_neighbours(loss: SoftContrastiveLoss, origins: Origins) -> str:
 
 
 def _nearest(origins: Origins, key: str) -> str:
-    """Say how near the frames come to each other, and what to do where that is not enough."""
+    """Describe how near the frames come to each other, and what to do if that is not enough."""
     apart = origins.distances()[origins.frame[:, None] != origins.frame[None]]
     known = apart[torch.isfinite(apart)]
     least = f"the nearest are {float(known.min()):.3g} apart" if len(known) else "no two of a building with positions"

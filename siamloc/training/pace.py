@@ -1,4 +1,4 @@
-"""How fast a training goes, and how much of the time it waits for data."""
+"""The speed of a training, and the share of time that it waits for data."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
 
 def images_in(batch: Mapping[str, Any]) -> int:
-    """Count the images of a batch, those of all its parts."""
+    """Count the images in all parts of a batch."""
     return sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
 
 
 class Pace(Callback):
-    """Measure how fast a training goes, without the first steps of each epoch, which start things up.
+    """Measure the speed of a training, without the first steps of each epoch, which include start-up.
 
-    On a GPU the times are its own: marks are put between its tasks, and read when the epoch has ended, so that no step
-    waits for them.
+    On a GPU, its own times are measured: marks are put between its tasks, and read at the end of the epoch, so that no
+    step waits for them.
 
     Attributes:
-        images_per_second: learned from by all processes, while steps follow each other; validation is not in it.
-        waiting: share of that time in which the next batch was gathered and changed, and nothing was learned.
+        images_per_second: images trained on by all processes, from step to step, without validation.
+        waiting: share of that time spent waiting for the next batch to be gathered and augmented.
     """
 
     _FIRST = 2
@@ -53,11 +53,11 @@ class Pace(Callback):
         return self._waited / self._seconds if self._seconds else math.nan
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Leave out what lies between epochs."""
+        """Leave out the time between epochs."""
         self._ended = None
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Note when the batch has come."""
+        """Note when the batch has arrived."""
         self._begun = _mark(pl_module)
 
     def on_train_batch_end(
@@ -85,7 +85,7 @@ _Mark = float | torch.cuda.Event
 
 
 def _mark(module: LightningModule) -> _Mark:
-    """Return the time; on a GPU a mark after all that it has been given to do."""
+    """Return the time; on a GPU, a mark after all its queued tasks."""
     if module.device.type != "cuda":
         return time.monotonic()
     event = torch.cuda.Event(enable_timing=True)

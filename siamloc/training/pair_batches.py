@@ -22,23 +22,23 @@ from siamloc.training.batches import BatchAugmentation, EpochDataModule
 
 ensure_torchvision()
 
-_STREAM = 0xA06  # sets the draws of the augmentation apart from those of the pairs
+_STREAM = 0xA06  # separates the draws of the augmentation from those of the pairs
 
 
 class PairBatches(Dataset[dict[str, Any]]):
     """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.
 
-    Each item is a dictionary: `first` and `second` (B, 3, H, W) uint8, `label` (B,) float32, `same` (B,) bool. Where
-    the panoramas lie on the device, it has in place of the images their numbers there, those of both: `rows` (2 B,).
+    Each item is a dictionary: `first` and `second` (B, 3, H, W) uint8, `label` (B,) float32, `same` (B,) bool. If the
+    panoramas are on the device, the images are replaced by their numbers there, those of both: `rows` (2 B,).
 
     Args:
         library: decoded panoramas.
         sampler: draws the pairs.
         batch_size: pairs in a batch; the last batch may be smaller.
-        augmentation: what happens to the images, if anything.
+        augmentation: of the images, if any.
         rank: number of this process among those that train together.
-        world_size: how many those are. All get the same number of pairs, and no two the same pair.
-        numbers: those of the library's rows on the device, `Resident.numbers`; None where images are gathered here.
+        world_size: number of those processes. All get the same number of pairs, and no two the same pair.
+        numbers: of the library's rows on the device, `Resident.numbers`; None if images are gathered here.
 
     Raises:
         ConfigError: fewer pairs than processes.
@@ -101,9 +101,9 @@ class PairBatches(Dataset[dict[str, Any]]):
 
 
 def check_pairs_of_each(
-    pairs: int, processes: int, what: str = "pairs", more: str = "ask for more by pairs.epoch_pairs"
+    pairs: int, processes: int, what: str = "pairs", more: str = "request more with pairs.epoch_pairs"
 ) -> None:
-    """Raise ConfigError where there are fewer pairs than processes."""
+    """Raise ConfigError if there are fewer pairs than processes."""
     if pairs < processes:
         raise ConfigError(
             f"{pairs} {what} are fewer than the {processes} processes that train together: {more}, or train with fewer "
@@ -114,21 +114,21 @@ def check_pairs_of_each(
 class PairDataModule(EpochDataModule):
     """Serve pairs of panoramas to a `SiameseModule`.
 
-    The training pairs of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the
-    pairs it would have seen. Under several processes each gets its own share, all of them of one length. It works
-    with any `Trainer` as it is.
+    The training pairs of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the same
+    pairs as an uninterrupted one. With several processes each gets its own share, all of the same length. Works with
+    any `Trainer`.
 
     Args:
         library: decoded panoramas of all frames.
         train: training frames, among those of the library.
         validation: validation frames, or None.
-        pairs: which pairs, for both; the defaults of `PairSettings` if None.
+        pairs: which pairs to draw, for both; the defaults of `PairSettings` if None.
         batch_size: pairs in a batch.
         drive: map frames and queries that are described after the validation pairs, such as a `ValidationDrive`.
-        validation_pairs: how many validation pairs; they are the same in every epoch. As many as there are
+        validation_pairs: number of validation pairs, which are the same in every epoch; as many as there are
             validation frames if None.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: what happens to training images; nothing if None.
+        augmentation: of the training images; none if None.
         seed: of the pairs.
 
     Raises:
@@ -160,7 +160,7 @@ class PairDataModule(EpochDataModule):
         self.sampler = PairSampler(train, pairs, seed=seed)
         self.validation_sampler: PairSampler | None = None
         if validation is not None:
-            # Labels mean the same in both: distances are divided by one scale.
+            # Labels mean the same in both: distances are divided by the same scale.
             scale = self.sampler.scale if self.sampler.label == "distance" else None
             settings = replace(
                 self.sampler.settings, label=self.sampler.label, epoch_pairs=validation_pairs, scale=scale
@@ -173,7 +173,7 @@ class PairDataModule(EpochDataModule):
                 raise type(error)(f"of the validation: {error}") from error
 
     def check_processes(self, processes: int) -> None:
-        """Raise ConfigError where there are fewer pairs than processes."""
+        """Raise ConfigError if there are fewer pairs than processes."""
         check_pairs_of_each(len(self.sampler), processes)
         if self.validation_sampler is not None:
             check_pairs_of_each(len(self.validation_sampler), processes, "validation pairs", "give more frames")
@@ -183,7 +183,7 @@ class PairDataModule(EpochDataModule):
         return self.loader(self._pair_batches(self.sampler, self.augmentation), self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
-        """Make the loader of the validation batches; an empty list where there are no validation frames."""
+        """Make the loader of the validation batches; an empty list if there are no validation frames."""
         if self.validation_sampler is None:
             return []
         pairs = self._pair_batches(self.validation_sampler, None)
@@ -199,7 +199,7 @@ class PairDataModule(EpochDataModule):
         return {"first": files[pairs.first], "second": files[pairs.second]}
 
     def needed(self) -> list[FrameTable]:
-        """Return the training frames and those of the validation."""
+        """Return the training and the validation frames."""
         samplers = (self.sampler, self.validation_sampler)
         return [sampler.frames for sampler in samplers if sampler is not None]
 
@@ -209,7 +209,7 @@ class PairDataModule(EpochDataModule):
         return {"first": first, "second": second}
 
     def whole(self, batch: dict[str, Any]) -> Tensor:
-        """Return the first images and the second ones after them."""
+        """Return the first images, followed by the second ones."""
         return torch.cat([batch["first"], batch["second"]])
 
     def _pair_batches(self, sampler: PairSampler, augmentation: BatchAugmentation | None) -> PairBatches:

@@ -1,4 +1,4 @@
-"""`PlaceDataModule`: batches of places for training, and the frames of a validation drive with those of the map."""
+"""`PlaceDataModule`: batches of places for training, and map frames and queries of a validation drive."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ class PlaceBatches(Dataset[dict[str, Any]]):
     """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.
 
     Each item is a dictionary: `images` (N, 3, H, W) uint8, `xy` (N, 2) float32, `building`, `room` and `frame` (N,).
-    Where the panoramas lie on the device, it has in place of the images their numbers there, `rows` (N,).
+    If the panoramas are on the device, the images are replaced by their numbers there, `rows` (N,).
 
     Args:
         library: decoded panoramas.
         sampler: draws the frames.
-        augmentation: what happens to the images, if anything.
+        augmentation: of the images, if any.
         rank: number of this process among those that train together.
-        world_size: how many those are.
-        numbers: those of the library's rows on the device, `Resident.numbers`; None where images are gathered here.
+        world_size: number of those processes.
+        numbers: of the library's rows on the device, `Resident.numbers`; None if images are gathered here.
 
     Raises:
         ConfigError: more places than frames.
@@ -73,13 +73,13 @@ class PlaceBatches(Dataset[dict[str, Any]]):
 
 
 class ValidationDrive(Dataset[dict[str, Any]]):
-    """Frames of the map, then queries, in batches; every process has all of them.
+    """Map frames, then queries, in batches; every process has all of them.
 
     Args:
         library: decoded panoramas of all frames.
-        known: frames of the map.
-        queries: frames that are looked for in it. Of both at most 500 are taken, evenly.
-        numbers: those of the library's rows on the device, as for `PlaceBatches`.
+        known: map frames.
+        queries: frames to search in the map. At most 500 of both are used, evenly spaced.
+        numbers: of the library's rows on the device, as for `PlaceBatches`.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class ValidationDrive(Dataset[dict[str, Any]]):
 
 
 def _images(library: PanoramaLibrary, rows: NDArray[np.int64], numbers: NDArray[np.int64] | None) -> dict[str, Tensor]:
-    """Return the images, or their numbers where they lie on the device."""
+    """Return the images, or their numbers if they are on the device."""
     if numbers is not None:
         return {"rows": torch.from_numpy(numbers[rows])}
     return {"images": torch.from_numpy(library.batch(rows))}
@@ -115,17 +115,17 @@ def _images(library: PanoramaLibrary, rows: NDArray[np.int64], numbers: NDArray[
 class PlaceDataModule(EpochDataModule):
     """Serve batches of places to a `PlaceModule`.
 
-    The batches of an epoch follow from the seed and the number of the epoch, so that a resumed run sees those it would
-    have seen. It works with any `Trainer` as it is.
+    The batches of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the same ones
+    as an uninterrupted run. Works with any `Trainer`.
 
     Args:
         library: decoded panoramas of all frames.
         train: training frames, among those of the library.
-        validation: frames that are looked for among the training frames after every epoch, or None. Of both at most
-            500 are taken, evenly.
-        places: which images a batch has; the defaults of `PlaceSettings` if None.
+        validation: frames that are searched among the training frames after every epoch, or None. At most 500 of both
+            are used, evenly spaced.
+        places: how batches are drawn; the defaults of `PlaceSettings` if None.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: what happens to training images; nothing if None.
+        augmentation: of the training images; none if None.
         seed: of the batches.
     """
 
@@ -148,11 +148,11 @@ class PlaceDataModule(EpochDataModule):
         self._validation = validation
 
     def check_processes(self, processes: int) -> None:
-        """Raise ConfigError unless so many processes find as many places as they draw together."""
+        """Raise ConfigError unless there are as many places as these processes draw together."""
         self.sampler.check_processes(processes)
 
     def notes(self) -> list[str]:
-        """Say of which frames no batch can be what was asked for."""
+        """Return notes on frames from which batches cannot be drawn as requested."""
         return self.sampler.notes()
 
     def train_dataloader(self) -> DataLoader[Any]:
@@ -162,7 +162,7 @@ class PlaceDataModule(EpochDataModule):
         return self.loader(batches, self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
-        """Make the loader of the validation; an empty list where there are no validation frames."""
+        """Make the loader of the validation; an empty list if there are no validation frames."""
         if self._validation is None:
             return []
         numbers = self.numbers(None)
@@ -174,20 +174,20 @@ class PlaceDataModule(EpochDataModule):
         return {"images": self.sampler.frames.path[rows]}
 
     def needed(self) -> list[FrameTable]:
-        """Return the training frames and those of the validation."""
+        """Return the training and the validation frames."""
         return [self.sampler.frames, *([] if self._validation is None else [self._validation])]
 
 
 def rooms_of(frames: FrameTable) -> list[str]:
-    """Return the rooms of frames by name, those of two buildings different, without the unknown one."""
+    """Return the sorted names of the known rooms of frames, which differ between buildings."""
     return sorted(set(frames.place[frames.room != ""].tolist()))
 
 
 def origins_of(*tables: FrameTable, by: str = "position", rooms: Sequence[str] = ()) -> dict[str, Tensor]:
-    """Return where the frames of tables come from, one after the other, as `siamloc.models.Origins` holds it.
+    """Return the fields of `siamloc.models.Origins` for the frames of tables, one table after the other.
 
-    Where places are drawn by sequence, positions and buildings are those of `siamloc.data.places.places_of`. Rooms are
-    numbered as they are given, and then by name.
+    If places are drawn by sequence, positions and buildings are those of `siamloc.data.places.places_of`. Rooms are
+    numbered in the order given, and then by name.
     """
     frames = concatenate(tables)
     number = {name: row for row, name in enumerate(dict.fromkeys([*rooms, *rooms_of(frames)]))}
@@ -195,7 +195,7 @@ def origins_of(*tables: FrameTable, by: str = "position", rooms: Sequence[str] =
     room = np.array([number.get(place, -1) for place in places], dtype=np.int64)
     xy, building = places_of(frames, by)
     known = np.isfinite(xy).all(axis=1)
-    for one in range(building.max() + 1):  # single precision tells decimetres apart near the origin only
+    for one in range(building.max() + 1):  # single precision resolves decimetres only near the origin
         if (known & (building == one)).any():
             xy[building == one] -= xy[known & (building == one)].mean(axis=0)
     return {

@@ -1,4 +1,4 @@
-"""Recipes: everything that a training is made of, under one name. Loads no torch."""
+"""Recipes: all settings of a training under one name. Loads no torch."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Recipe:
         image_size: rows and columns of the panoramas.
         model: arguments of `siamloc.models.build`.
         loss: name and parameters of a loss over batches of places; None for the contrastive loss of pairs.
-        augmentation: as `siamloc.training.fit` takes it.
+        augmentation: as for `siamloc.training.fit`.
         training: fields of `siamloc.training.Training`.
         trainer: arguments of Lightning's trainer.
 
@@ -42,7 +42,7 @@ class Recipe:
     trainer: Mapping[str, Any] = field(default_factory=dict)
 
     def build(self, image_size: Sequence[int] | None = None, seed: int = 0, **changes: Any) -> Network:
-        """Make the network, for panoramas of another size if one is given; see `siamloc.models.build`."""
+        """Make the network, optionally for panoramas of another size; see `siamloc.models.build`."""
         from siamloc.models import build
 
         return build(**{**self.model, "image_size": image_size or self.image_size, "seed": seed, **changes})
@@ -57,23 +57,23 @@ class Recipe:
         validation: FrameTable | None = None,
         **changes: Any,
     ) -> Run:
-        """Train a network by the recipe; what is given besides takes the place of the recipe's own settings.
+        """Train a network with the recipe; further arguments replace settings of the recipe.
 
-        `pairs`, `optimizer` and `trainer` are changed key by key; `siamloc.training.fit` says what there is, and what
-        it raises.
+        `pairs`, `optimizer` and `trainer` are changed key by key. See `siamloc.training.fit` for the arguments and the
+        exceptions.
         """
         from siamloc.training.fitting import fit
 
-        if images.circular and not self.model.get("circular"):  # easily forgotten; `fit` refuses the contrary
+        if images.circular and not self.model.get("circular"):  # easily forgotten; `fit` refuses the opposite
             raise ConfigError(
-                "this recipe is for pictures whose columns do not wrap around, and the library has circular=True: make "
+                "this recipe is for images whose columns do not wrap around, and the library has circular=True: make "
                 "it with circular=False, or take the recipe modern"
             )
 
         return fit(network, images, frames, run=run, validation=validation, **self.options(changes))
 
     def options(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the arguments of a training by the recipe, with some changes; see `fit`."""
+        """Return the training arguments of the recipe, with some changes; see `fit`."""
         from siamloc.models.batch_losses import make_loss
 
         options = {"augmentation": dict(self.augmentation), "trainer": dict(self.trainer), **self.training}
@@ -91,7 +91,7 @@ _PHOTOGRAPHS = Recipe(
     loss={"name": "soft_contrastive", "sigma": 1.0},
     augmentation={
         "name": "photographs",
-        "all_of": [  # colours are left nearly as they are: walls and doors are told apart by them
+        "all_of": [  # colours are left nearly as they are: they distinguish walls and doors
             {"one_of": [{"effect": "bulb"}, {"effect": "shadow"}], "probability": 0.4},
             {"effect": "exposure", "probability": 0.6},
             {"effect": "gamma", "probability": 0.3},
@@ -144,7 +144,7 @@ RECIPES: dict[str, Recipe] = {
         loss={"name": "soft_contrastive", "sigma": 1.0, "room": 0.8},
         training={
             **_PHOTOGRAPHS.training,
-            # Places from all over: neighbours in the drive are of the same room, and need not be told apart.
+            # Places from everywhere: neighbours in the drive are in the same room, and need not be distinguished.
             "pairs": {**_PHOTOGRAPHS.training["pairs"], "near": 0.0, "epoch_batches": 100},
             "monitor": "room",
         },
@@ -153,18 +153,18 @@ RECIPES: dict[str, Recipe] = {
 """Our recipes, by the names of the files in conf/experiment.
 
 `modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from
-random weights on batches of places, some five minutes on two processor cores.
+random weights on batches of places, about five minutes on two processor cores.
 
-`fine_tuning`: the same from the weights that come with siamloc, with 60 batches instead of 700, the head `magnitudes`
+`fine_tuning`: the same from the weights that ship with siamloc, with 60 batches instead of 700, the head `magnitudes`
 and the canonical direction.
 
-`photographs`: pictures of an ordinary or a fisheye camera, in the order in which the robot took them; neither positions
-nor rooms are needed for one drive, in which no place comes twice. The same network without the wrapping, half as long.
-Where drives share places, give positions and `pairs.by="position"`, or rooms and `loss.room` above 0.
+`photographs`: images of an ordinary or a fisheye camera, in the order in which the robot took them; a single drive that
+visits no place twice needs neither positions nor rooms. The same network without wrapping, trained half as long. If
+drives share places, give positions and `pairs.by="position"`, or rooms and `loss.room` above 0.
 
-`rooms`: such pictures with room labels, of one drive or several, when only the room is wanted. A room looks different
-from every place and in every direction, so the network learns to know it by what hangs and stands in it: most of the
-target comes from the labels (`loss.room`), and the head ignores the direction in which something was seen.
+`rooms`: such images with room labels, of one drive or several, if you only need the room. A room looks different from
+every place and in every direction, so the network learns to recognize it by the things in it: most of the target comes
+from the labels (`loss.room`), and the head ignores the direction in which something was seen.
 """
 
 

@@ -1,4 +1,4 @@
-"""`Resident`: the panoramas of a training in the memory of its device, where batches are gathered without the host."""
+"""`Resident`: the panoramas of a training in device memory, where batches are gathered without the host."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from torch import Tensor
 from siamloc.data.library import PanoramaLibrary
 
 SHARE = 0.25
-"""Of a GPU's free memory that panoramas may take."""
+"""Share of a GPU's free memory that panoramas may take."""
 _COPIED_AT_ONCE = 256
 
 
 class Resident:
-    """Some panoramas of a library on a device, as 8-bit numbers.
+    """Hold some panoramas of a library on a device, as 8-bit numbers.
 
     Args:
         library: decoded panoramas.
-        rows: the library's rows that are needed, in any order, repeated or not.
-        device: where they lie; each process has a copy of its own.
+        rows: the required rows of the library, in any order; repeats are allowed.
+        device: where to hold them; each process has its own copy.
 
     Attributes:
         images: (N, 3, H, W) uint8.
-        numbers: where each row of the library lies among them, (len(library),); -1 for those that are not needed.
+        numbers: index of each row of the library among the images, (len(library),); -1 for rows that are not held.
 
     Example:
         >>> import cv2, tempfile
@@ -50,12 +50,12 @@ class Resident:
             self.images[start : start + len(part)].copy_(part)
 
     def batch(self, numbers: Tensor) -> Tensor:
-        """Return panoramas (B, 3, H, W) by their numbers (B,), which lie on the same device."""
+        """Return panoramas (B, 3, H, W) by their numbers (B,), which must be on the same device."""
         return self.images.index_select(0, numbers)
 
 
 def room_for(device: torch.device) -> int:
-    """Return how many bytes panoramas may take on a device: a quarter of what a GPU has free, nothing elsewhere."""
+    """Return how many bytes panoramas may take on a device: a quarter of a GPU's free memory, 0 elsewhere."""
     if device.type != "cuda":
-        return 0  # the library lies in the same memory
+        return 0  # the library is in the same memory
     return int(SHARE * torch.cuda.mem_get_info(device)[0])

@@ -1,4 +1,4 @@
-"""The folder of a training: who may write into it, and whether a run can go on with other settings."""
+"""The folder of a training: whether to write into it, and whether a run can continue with other settings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from siamloc.settings import defaults_of
 from siamloc.training.seen_frames import differing_frames
 from siamloc.training.settings import Monitor, Training
 
-# What may differ when a run is resumed: where files lie, how fast it goes, how long it trains.
+# What may differ when a run is resumed: file locations, speed, length of the training.
 _FREE = (
     *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
@@ -28,24 +28,24 @@ _LEARNED = ("data", "views", "protocol", "model", "loss", "training", "augment")
 _ROLES = {"train": "training", "validation": "validation"}
 
 KEPT = "bad_batch*.npz"
-"""Files of a run that hold a batch which stopped a training."""
+"""Files of a run with the batch that stopped a training."""
 
 
 PROFILE = "profile.json"
-"""Trace of some steps, which `debug=profile` writes."""
+"""Trace of some steps, written by `debug=profile`."""
 EPOCH_SUMS = "epoch_sums"
-"""Key of a checkpoint within an epoch: what each process has summed up since the epoch began."""
+"""Key in a checkpoint within an epoch: the sums of each process since the epoch began."""
 
 
 def bad_batch(rank: int) -> str:
-    """Name the file that keeps such a batch of a process."""
+    """Return the name of that file for a process."""
     return KEPT.replace("*", f"_{rank}" if rank else "")
 
 
 def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
-    """Refuse to write over a run unless told to, and over anything else in any case."""
+    """Refuse to overwrite a run unless requested, and anything else in any case."""
     if resume and overwrite:
-        raise ConfigError("resume=true goes on with a run, overwrite=true throws it away: choose one")
+        raise ConfigError("resume=true continues a run, overwrite=true removes it: choose one")
     if run.record.is_file():
         if not resume and not overwrite and not _only_profiled(run):
             raise ConfigError(
@@ -71,12 +71,12 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
 
 
 def _others(run: Run) -> list[str]:
-    """Return what lies in a folder, but for what was left by a process that was killed right when it began a run."""
+    """Return the contents of a folder, except leftovers of a process that was killed right at the start of a run."""
     return sorted(path.name for path in run.folder.iterdir() if temporary_of(path) != run.record.name)
 
 
 def check_debug(run: Run, debug: str, resume: bool) -> None:
-    """Refuse to look at a training that is resumed, and to write a profile over anything that is not a run."""
+    """Refuse to debug a resumed training, and to write a profile over anything that is not a run."""
     if resume:
         raise ConfigError(f"debug={debug} looks at a training from its start: leave out resume=true")
     if debug == "profile":
@@ -84,17 +84,17 @@ def check_debug(run: Run, debug: str, resume: bool) -> None:
 
 
 def _only_profiled(run: Run) -> bool:
-    """Say whether all that a run holds is the trace of `debug=profile`."""
+    """Whether a run holds nothing but the trace of `debug=profile`."""
     return set(run.load_record()["written"]) == {PROFILE}
 
 
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
-    """Make sure that a run is resumed with the settings it began with; only the number of epochs may grow."""
+    """Make sure that a run is resumed with its original settings; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     before = {**before, "training": Training.of(before["training"]).plain(), "model": whole_model(before["model"])}
     now = {**now, "model": whole_model(now["model"])}
     before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
-    if before["loss"].get("name") in LOSS_SETTINGS:  # with what older records lack
+    if before["loss"].get("name") in LOSS_SETTINGS:  # with the keys that older records lack
         before["loss"] = {**defaults_of(LOSS_SETTINGS[before["loss"]["name"]]), **before["loss"]}
     planned = before["training"]["epochs"]
     scheduled = {
@@ -107,7 +107,7 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
             f"the {what} of {run.folder} was laid out for {planned} epochs: resume with epochs={planned}, or "
             "train another run"
         )
-    # The same frames may be named in several ways; how is only worth a word where they are others.
+    # The same frames may be named in several ways; report the way only if the frames differ.
     noted = [settings.get("frames", now["frames"]) for settings in (before, now)]
     differing = [differing_frames(noted[0].get(role), noted[1].get(role), words) for role, words in _ROLES.items()]
     same_frames = not any(differing)
@@ -134,12 +134,12 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
 
 
 def same_kind_of_pairs(run: Run, settings: Training) -> bool:
-    """Say whether a run learned from pairs, or from batches of places, as these settings do."""
+    """Whether a run uses the same kind of pairs as these settings: pairs, or batches of places."""
     return ("places" in run.settings["training"].get("pairs", {})) == isinstance(settings.pairs, PlaceSettings)
 
 
 def monitor_of(run: Run) -> Monitor:
-    """Say what the checkpoint of a run is chosen by, as `Training.monitor`; "auto" where nothing has chosen yet."""
+    """Return the figure that chooses the checkpoint of a run, as `Training.monitor`; "auto" if still undecided."""
     training = run.settings["training"]
     if "monitor" in training:
         return Training.of(training).monitor
@@ -150,25 +150,25 @@ def monitor_of(run: Run) -> Monitor:
 
 
 def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any], what: str) -> None:
-    """Make sure that an epoch has as many steps as before: a schedule is laid out for their number."""
+    """Make sure that an epoch has as many steps as before, since a schedule depends on their number."""
     old, new = (settings.get("trainer", {}) for settings in (before, now))
     for key in sorted(old.keys() & new.keys() - {"precision"}):
-        if repr(old[key]) == repr(new[key]) or (  # 1 is a batch, 1.0 are all
+        if repr(old[key]) == repr(new[key]) or (  # 1 is one batch, 1.0 is all
             key == "processes" and "places" in now["training"]["pairs"]
         ):
-            continue  # a batch of places grows with the processes, and there are as many
+            continue  # a batch of places grows with the processes, so the number of batches stays
         if key == "processes":
             used, meant, advice = f"{old[key]} processes", f"{new[key]}", "train with as many (trainer.devices)"
         else:
             used, meant, advice = f"trainer.{key}={old[key]}", f"trainer.{key}={new[key]}", "leave it as it was"
         raise ConfigError(
-            f"the {what} of {run.folder} was laid out for the steps of an epoch with {used}, and there would be others "
-            f"with {meant}: {advice}, or train another run"
+            f"the {what} of {run.folder} was laid out for the steps of an epoch with {used}, and their number would "
+            f"differ with {meant}: {advice}, or train another run"
         )
 
 
 def progress(run: Run) -> tuple[int, int]:
-    """Count the epochs that the last checkpoint holds, and the steps of the epoch after them."""
+    """Return the number of finished epochs in the last checkpoint, and the steps of the epoch after them."""
     last = run.checkpoints / "last.ckpt"
     if not last.is_file():
         return 0, 0
@@ -185,7 +185,7 @@ def _flat(prefix: str, value: Any) -> dict[str, Any]:
 
 
 def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
-    """Make the folder ready: remove what an earlier training left, and write down the settings."""
+    """Prepare the folder: remove the files of an earlier training, and write the record of settings."""
     if resume:
         written = run.load_record()["written"]
         run.start(used, [*written, *(name for name in names_written(validated=validated) if name not in written)])
@@ -200,6 +200,6 @@ def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool
 
 
 def names_written(*, validated: bool) -> list[str]:
-    """Name the files that a training writes, but for TensorBoard's, whose names are not known before."""
+    """Return the files that a training writes, except TensorBoard's, whose names are not known in advance."""
     best = ["checkpoints/best.ckpt"] if validated else []
     return ["metrics.csv", "checkpoints/last.ckpt", *best, "tensorboard/hparams.yaml"]

@@ -1,4 +1,4 @@
-"""What a run notes of the frames it learns from, by which it knows them again wherever their files lie."""
+"""Notes on the frames of a run, for recognizing them wherever their files are."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.files import content_key
 
-_PICTURES = 8  # looked at, spread over the frames
+_PICTURES = 8  # examined, spread over the frames
 _CELLS = (8, 4)  # columns and rows of their thumbnails
-_TOLERANCE = 6  # grey levels in a thumbnail, by which decoders and copies of other quality differ
-# The parts of a note in the order in which they are compared, and what they say in words.
+_TOLERANCE = 6  # grey levels in a thumbnail, by which decoders and copies of different quality differ
+# The parts of a note in the order of comparison, with their messages.
 _WORDS = {
-    "names": "the {role} frames are others (sequences and file names)",
-    "positions": "the positions of the {role} frames are others",
-    "labels": "the labels of the {role} frames are others (room, building or lighting)",
-    "key": "the {role} frames are others (sequences, file names, positions or rooms)",
+    "names": "the {role} frames differ (sequences and file names)",
+    "positions": "the positions of the {role} frames differ",
+    "labels": "the labels of the {role} frames differ (room, building or lighting)",
+    "key": "the {role} frames differ (sequences, file names, positions or rooms)",
 }
 
 
 def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
-    """Count frames, and note what they are: keys of their columns, and thumbnails of some panoramas.
+    """Describe frames for the record: their number, keys of their columns, and thumbnails of some panoramas.
 
     Args:
         images: decoded panoramas of all frames.
         frames: some of them.
 
     Returns:
-        Plain values; `pictures` has the thumbnails as hexadecimal digits.
+        Plain values; `pictures` holds the thumbnails as hexadecimal digits.
     """
     names = [frames.sequence, [Path(path).name for path in frames.path.tolist()]]
     rows = np.unique(np.linspace(0, len(frames) - 1, _PICTURES).round().astype(np.int64))
@@ -50,13 +50,13 @@ def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
 
 
 def differing_frames(before: Mapping[str, Any] | None, now: Mapping[str, Any] | None, role: str) -> str | None:
-    """Say in words how frames differ from those of an earlier note; None where they are the same.
+    """Describe how frames differ from those of an earlier note; None if they are the same.
 
-    What one of the notes lacks, as those of older runs do, is not compared.
+    Parts that one of the notes lacks, such as those of older runs, are not compared.
 
     Args:
-        before: what `note_frames` returned then; None where there were no frames of this role.
-        now: what it returns now.
+        before: earlier result of `note_frames`; None if there were no frames of this role.
+        now: current result of it.
         role: "training" or "validation".
 
     Example:
@@ -73,12 +73,12 @@ def differing_frames(before: Mapping[str, Any] | None, now: Mapping[str, Any] | 
         if part in before and part in now and before[part] != now[part]:
             return words.format(role=role)
     if "pictures" in before and "pictures" in now and not _alike(before["pictures"], now["pictures"]):
-        return f"the pictures of the {role} frames are others (their file names and labels are the same)"
+        return f"the images of the {role} frames differ (their file names and labels are the same)"
     return None
 
 
 def _alike(before: str, now: str) -> bool:
-    """Compare thumbnails, which other decoders change a little."""
+    """Compare thumbnails, which may differ slightly between decoders."""
     if len(before) != len(now):
         return False
     values = [np.frombuffer(bytes.fromhex(text), np.uint8).astype(np.int64) for text in (before, now)]

@@ -1,4 +1,4 @@
-"""The settings of a training, typed once: keywords of `fit` and defaults of the command line. Loads no torch."""
+"""The settings of a training: keywords of `fit` and defaults of the command line. Loads no torch."""
 
 from __future__ import annotations
 
@@ -16,37 +16,36 @@ Monitor = Literal["auto", "error", "recall", "room", "accuracy", "refined", "los
 
 @dataclass(frozen=True)
 class Training(Settings):
-    """How a network is trained.
+    """Settings for training a network.
 
     Attributes:
-        epochs: how often `pairs.epoch_pairs` pairs, or `pairs.epoch_batches` batches of places, are drawn and learned
-            from.
-        batch_size: pairs in a step; batches of places have `pairs.places * pairs.images` images.
-        seed: of the pairs and of their augmentation; that of the first weights belongs to `siamloc.models.build`.
+        epochs: number of epochs, each of `pairs.epoch_pairs` pairs, or `pairs.epoch_batches` batches of places.
+        batch_size: pairs per step; batches of places have `pairs.places * pairs.images` images.
+        seed: of the pairs and their augmentation; that of the initial weights is set in `siamloc.models.build`.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        pairs: which pairs of frames, with which labels: `PairSettings`; or batches of places, all of whose pairs are
-            learned from: `PlaceSettings`.
+        pairs: which pairs of frames with which labels (`PairSettings`), or which batches of places, where all pairs in
+            a batch are used (`PlaceSettings`).
         optimizer: how the weights are updated.
-        margin: of the contrastive loss; a loss of your own has its own.
-        clip: length that the gradient is cut to; not cut if None.
-        average: decay of the moving average of the weights, which is what is kept; no average if None.
-        monitor: figure of the validation by which the checkpoint is chosen: "error", the mean error of localization;
-            "recall", the share of queries found within `recall_radius`; "room", the share whose room is found;
-            "accuracy", the share whose room `CrossEntropyLoss` names, with which it is the choice of "auto";
-            "refined", the mean error of poses by comparison, of a network with relative=True; "loss", that of pairs, as
-            published. "auto" is the refined error for such a network, and the error for others, where both sides have
-            positions (with pairs, where they are of different drives, too); otherwise the loss with pairs, and the
-            rooms with batches of places.
-        recall_radius: a query is found if the map frame with the nearest descriptor lies this near, in the unit of the
+        margin: of the contrastive loss; a custom loss has its own.
+        clip: length to which the gradient is clipped; no clipping if None.
+        average: decay of the moving average of the weights, which is then the result; no average if None.
+        monitor: validation figure by which the checkpoint is chosen: "error", the mean localization error; "recall",
+            the share of queries found within `recall_radius`; "room", the share whose room is found; "accuracy", the
+            share whose room `CrossEntropyLoss` names correctly, the choice of "auto" with that loss; "refined", the
+            mean error of poses by comparison, for a network with relative=True; "loss", that of pairs, as published.
+            "auto" is the refined error for such a network, and the error for others, if both sides have positions
+            (and, with pairs, come from different drives); otherwise the loss with pairs, and the rooms with batches
+            of places.
+        recall_radius: a query is found if the map frame with the nearest descriptor is this near, in the unit of the
             positions.
-        patience: epochs without a better validation after which the training stops early; it never does if None. A
-            one-cycle schedule ends with the last epoch, so that a training which stops before it has hardly settled.
-        checkpoint_every: steps after which the last checkpoint is written within an epoch as well; at the end of each
-            epoch, and when the training is stopped, if None.
-        augment_where: "cpu": pictures are changed where batches are gathered; "gpu": after they have come to the
-            device; "auto": the second on a GPU. The draws are the same, the pictures up to rounding.
-        compile: let torch compile the network for training steps, which takes a while at the start; "auto" on a GPU
-            only. Results differ by rounding, and by what dropout draws.
+        patience: epochs without a better validation after which the training stops early; never if None. A one-cycle
+            schedule ends with the last epoch, so a training that stops earlier has hardly settled.
+        checkpoint_every: number of steps after which the last checkpoint is also written within an epoch; if None, only
+            at the end of each epoch, and when the training is stopped.
+        augment_where: "cpu": images are augmented where batches are gathered; "gpu": after transfer to the device;
+            "auto": the latter on a GPU. The random draws are the same, the images equal up to rounding.
+        compile: let torch compile the network for training steps, which takes a while at the start; "auto" does so
+            only on a GPU. Results differ by rounding, and by the draws of dropout.
 
     Example:
         >>> Training(epochs=2, optimizer={"name": "adam"}).optimizer.name

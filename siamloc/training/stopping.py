@@ -1,4 +1,4 @@
-"""`StepCheckpoints`: checkpoints within an epoch, from which a training goes on with the very next batch."""
+"""`StepCheckpoints`: checkpoints within an epoch, from which a training continues with the very next batch."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ _USUAL = (signal.default_int_handler, stop_once)
 
 
 class StepCheckpoints(Checkpoint):
-    """Write the last checkpoint every so many steps, and when the training is to stop.
+    """Write the last checkpoint every few steps, and when the training is asked to stop.
 
-    A training that goes on from there ends with the same weights, curves and chosen checkpoint, bit by bit, as one
+    A training that continues from there ends with the same weights, curves and chosen checkpoint, bit by bit, as one
     that never stopped: batches, their augmentation and dropout follow from the numbers of the epoch and the batch, and
-    the checkpoint holds what was summed up since the epoch began. At the end of an epoch nothing is written here, since
-    the checkpoint of the epoch follows.
+    the checkpoint holds the sums since the epoch began. At the end of an epoch nothing is written here, since the
+    checkpoint of the epoch follows.
 
     Args:
         path: of the checkpoint.
-        every: so many steps of the optimizer; only when the training is to stop if None.
-        guard: has its say before anything is written.
+        every: number of optimizer steps between checkpoints; only when the training is asked to stop if None.
+        guard: checks the latest steps before anything is written.
 
     Attributes:
-        asked: whether the training is to stop, at the end of a step.
+        asked: whether the training is asked to stop at the end of a step.
     """
 
     def __init__(self, path: Path, every: int | None, guard: FiniteGuard) -> None:
@@ -54,7 +54,7 @@ class StepCheckpoints(Checkpoint):
         self._sums: dict[str, Tensor] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Go on with the sums of the epoch."""
+        """Continue with the sums of the epoch."""
         self._step = trainer.global_step
         if self._sums and isinstance(pl_module, NetworkModule):
             pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
@@ -62,19 +62,19 @@ class StepCheckpoints(Checkpoint):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Write the checkpoint where it is due.
+        """Write the checkpoint if it is due.
 
         Raises:
             KeyboardInterrupt: the training was asked to stop.
         """
-        if trainer.global_step != self._step:  # else gradients are still gathered
+        if trainer.global_step != self._step:  # otherwise gradients are still accumulating
             self._step = trainer.global_step
             self._due |= self._every is not None and self._step % self._every == 0
         self._heed_sigterm(trainer)
         loop = trainer.fit_loop.epoch_loop
         fetcher = trainer.fit_loop._data_fetcher
         assert fetcher is not None
-        # In the middle of other things the trainer cannot begin again.
+        # The trainer cannot resume in the middle of these.
         busy = loop._num_ready_batches_reached() or loop._should_accumulate() or loop._should_check_val_fx(fetcher)
         if busy or not (self._due or self.asked):
             return
@@ -88,17 +88,17 @@ class StepCheckpoints(Checkpoint):
             raise KeyboardInterrupt
 
     def on_validation_batch_end(self, trainer: Trainer, *_: Any) -> None:
-        """Let a validation come to its end, and the checkpoint of the epoch after it."""
+        """Let a validation finish, and then the checkpoint of the epoch."""
         self._heed_sigterm(trainer)
 
     def _heed_sigterm(self, trainer: Trainer) -> None:
-        """Take SIGTERM for Ctrl-C, before Lightning ends the training wherever it is."""
+        """Treat SIGTERM like Ctrl-C, before Lightning ends the training wherever it is."""
         if trainer.received_sigterm and trainer.world_size == 1:
             trainer._signal_connector.received_sigterm = False
             self.asked = True
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Stop after the checkpoint of the epoch, if the training was asked to and goes on otherwise.
+        """Stop after the checkpoint of the epoch, if requested and the training would continue.
 
         Raises:
             KeyboardInterrupt: the training was asked to stop.
@@ -108,7 +108,7 @@ class StepCheckpoints(Checkpoint):
             raise KeyboardInterrupt
 
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
-        """Give a checkpoint within an epoch what each process has summed up."""
+        """Add the sums of each process to a checkpoint within an epoch."""
         if not self._saving or not isinstance(pl_module, NetworkModule):
             return
         mine = {name: value.cpu() for name, value in pl_module.epoch_sums().items()}
@@ -119,17 +119,17 @@ class StepCheckpoints(Checkpoint):
         checkpoint[EPOCH_SUMS] = sums
 
     def on_load_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
-        """Take over the sums of this process.
+        """Restore the sums of this process.
 
         Raises:
-            ConfigError: so many processes cannot go on in the middle of this epoch.
+            ConfigError: this number of processes cannot continue in the middle of this epoch.
         """
         sums = checkpoint.get(EPOCH_SUMS)
         if sums is None:
             return
         if len(sums) != trainer.world_size:
             raise ConfigError(
-                f"the last checkpoint lies within an epoch of {len(sums)} processes, whose batches are others than "
+                f"the last checkpoint is within an epoch of {len(sums)} processes, whose batches differ from "
                 f"those of {trainer.world_size}: resume with trainer.devices={len(sums)}"
             )
         self._sums = sums[trainer.global_rank]
@@ -137,7 +137,7 @@ class StepCheckpoints(Checkpoint):
 
 @contextmanager
 def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
-    """Let the first Ctrl-C end the training after its step, with a checkpoint, and a second one at once."""
+    """Let the first Ctrl-C stop the training after its step, with a checkpoint, and a second one at once."""
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before not in _USUAL:
         yield
@@ -146,11 +146,11 @@ def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
     owner = os.getpid()
 
     def ask(*_: object) -> None:
-        if os.getpid() != owner:  # a worker, which is told as well
+        if os.getpid() != owner:  # a worker, which gets the signal, too
             return
         signal.signal(signal.SIGINT, before)
         checkpoints.asked = True
-        with suppress(RuntimeError):  # the signal came while something was printed
+        with suppress(RuntimeError):  # the signal arrived during printing
             print("stopping at the next checkpoint; Ctrl-C again stops at once", file=sys.stderr, flush=True)
 
     signal.signal(signal.SIGINT, ask)
@@ -162,9 +162,9 @@ def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
 
 @contextmanager
 def interrupts_raised() -> Iterator[None]:
-    """Raise KeyboardInterrupt where Lightning answers Ctrl-C or SIGTERM by leaving the interpreter.
+    """Raise KeyboardInterrupt where Lightning responds to Ctrl-C or SIGTERM by exiting the interpreter.
 
-    After Ctrl-C it ignores further ones: they are heard again. A `sys.exit` of the user's own goes through.
+    Lightning ignores Ctrl-C after the first; this restores it. A `sys.exit` in user code passes through.
     """
     before = signal.getsignal(signal.SIGINT)
     try:

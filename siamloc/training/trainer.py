@@ -1,4 +1,4 @@
-"""The trainers of Lightning: that of a run, with its checkpoints and curves, and one that keeps nothing."""
+"""Lightning trainers: one for a run, with checkpoints and curves, and one for debugging that saves nothing."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 from lightning.pytorch.plugins import LayerSync  # noqa: E402
 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
-"""Arguments of `lightning.Trainer` that `fit` begins with."""
+"""Default arguments of `lightning.Trainer` in `fit`."""
 _LAUNCHED = {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID", "TORCHELASTIC_RUN_ID", "OMPI_COMM_WORLD_SIZE"}
-"""Variables by which the launchers of several machines make themselves known."""
+"""Environment variables set by the launchers of several machines."""
 OF_STEPS = ("accumulate_grad_batches", "limit_train_batches", "max_steps")
 
 
 def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, monitor: str | None) -> Trainer:
-    """Make the trainer of a run: checkpoints, curves and TensorBoard lie in the run's folder.
+    """Make the trainer of a run: checkpoints, curves and TensorBoard files go to the run's folder.
 
     Raises:
-        ConfigError: arguments that Lightning refuses, or that are set here.
+        ConfigError: arguments that Lightning refuses, or that siamloc sets itself.
     """
     options = dict(further or {})
     pace = Pace()
@@ -74,12 +74,12 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
 
 
 def steps_of(trainer: Trainer) -> dict[str, Any]:
-    """Return what the number of steps of an epoch depends on, besides the batches there are."""
+    """Return what the number of steps per epoch depends on, apart from the number of batches."""
     return {"processes": trainer.world_size, **{key: getattr(trainer, key) for key in OF_STEPS}}
 
 
 def debug_trainer(further: Mapping[str, Any] | None, **own: Any) -> Trainer:
-    """Make a trainer on the device of the training that keeps nothing, with callbacks of its own only."""
+    """Make a trainer on the device of the training that saves nothing, with only the given callbacks."""
     quiet = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
     own = {**dict.fromkeys(quiet, False), "num_sanity_val_steps": 0, **own}
     return _made({name: value for name, value in (further or {}).items() if name not in own}, own)
@@ -107,16 +107,16 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
         options["precision"] = _fast_precision(on_gpu(options))
     try:
         return Trainer(**options, **own)
-    except Exception as error:  # Lightning, and what it asks for a device, may raise anything
+    except Exception as error:  # Lightning and the device backends may raise anything
         first_line = next(iter(str(error).strip().splitlines()), type(error).__name__)
         raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
 
 
 def _check_processes(options: Mapping[str, Any]) -> None:
-    """Make sure that nobody waits for processes that nobody can start.
+    """Make sure that the training does not wait for processes that nobody starts.
 
     Raises:
-        ConfigError: more processes than processors without a GPU, or machines that no launcher has told of.
+        ConfigError: far more processes than processors without a GPU, or several machines without a launcher.
     """
     devices, nodes = options.get("devices", 1), options.get("num_nodes", 1)
     processors = os.cpu_count() or 1
@@ -128,19 +128,19 @@ def _check_processes(options: Mapping[str, Any]) -> None:
     if isinstance(nodes, int) and nodes > 1 and not _LAUNCHED & set(os.environ):
         raise ConfigError(
             f"trainer.num_nodes={nodes} waits for processes on other machines, and no launcher has started any "
-            f"(none of {', '.join(sorted(_LAUNCHED))} is set): start it by torchrun or a cluster's launcher, or leave "
-            "trainer.num_nodes out"
+            f"(none of {', '.join(sorted(_LAUNCHED))} is set): start it with torchrun or a cluster's launcher, or "
+            "leave trainer.num_nodes out"
         )
 
 
 def on_gpu(options: Mapping[str, Any] | None) -> bool:
-    """Say whether a trainer with these arguments of `lightning.Trainer` works on a GPU of CUDA."""
+    """Whether a trainer with these arguments of `lightning.Trainer` uses a CUDA GPU."""
     accelerator = str({**TRAINER, **(options or {})}["accelerator"])
     return accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
 
 
 def _fast_precision(gpu: bool) -> str:
-    """Return bfloat16 for most of the network where the device has instructions for it, else full precision."""
+    """Return bfloat16 for most of the network if the device has instructions for it, else full precision."""
     if gpu:
         fast = torch.cuda.is_bf16_supported(including_emulation=False)
     else:
@@ -150,9 +150,9 @@ def _fast_precision(gpu: bool) -> str:
 
 @contextmanager
 def fast_layout(network: nn.Module, wanted: bool) -> Iterator[None]:
-    """Let the channels of a pixel lie together, with which convolutions are faster, in a network of `build`.
+    """Store the channels of a pixel together, which makes convolutions faster, for a network of `build`.
 
-    A module of one's own may rely on its layout.
+    Custom modules stay as they are, since they may rely on their layout.
     """
     if not (wanted and isinstance(network, Network)):
         yield
@@ -166,7 +166,7 @@ def fast_layout(network: nn.Module, wanted: bool) -> Iterator[None]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep what Lightning says about itself off the screen; warnings that concern the user stay."""
+    """Hide what Lightning prints about itself; warnings that concern the user stay."""
     loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
     levels = [logger.level for logger in loggers]
     unfounded = (
@@ -189,13 +189,13 @@ def quiet() -> Iterator[None]:
 
 
 class _Seeds(Callback):
-    """Seed the random generator that layers such as dropout draw from, by the seed, the epoch and the batch."""
+    """Seed the random generator of layers such as dropout from the seed, the epoch and the batch."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Seed it."""
+        """Seed the generator."""
         key = content_key([self._seed, trainer.current_epoch, batch_idx, trainer.global_rank], 15)
         torch.manual_seed(int(key, 16))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def short_way(column, centre, width):
-    """How far a column lies from another one, the shorter way round."""
+    """How far a column is from another one, the shorter way around."""
     steps = [column - centre + turn * width for turn in (-2, -1, 0, 1, 2)]
     return min(steps, key=abs)
 

@@ -26,7 +26,7 @@ def isotonic(values, weights) -> list[float]:
 
 
 def lost(predicted, error, threshold: float) -> tuple[int, int, int]:
-    """Return how many were called lost, how many were, and how many both."""
+    """Return how many were called lost, how many were lost, and how many both."""
     called = [value > threshold for value in predicted]
     truly = [value > threshold for value in error]
     return sum(called), sum(truly), sum(a and b for a, b in zip(called, truly, strict=True))

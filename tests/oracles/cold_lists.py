@@ -1,4 +1,4 @@
-"""Reading a list of rooms by hand: the oracle of `siamloc.data.cold`."""
+"""Read a list of rooms by hand: the oracle of `siamloc.data.cold`."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def search(query, descriptors, labels, nodes, k: int, distance: str) -> tuple[li
 
 
 def search_along(query, descriptors, labels, nodes, k, distance, drives, along) -> tuple[list[int], list[float], int]:
-    """As `search`, and then beside the nearest frame, where other nodes hold the frames."""
+    """Like `search`, and then next to the nearest frame, where other nodes hold the frames."""
     inside = {frame for frame, node in enumerate(labels) if node == -1 or node in nodes}
     nearest = search(query, descriptors, labels, nodes, 1, distance)[0][0]
     for frame in range(nearest - along, nearest + along + 1):

@@ -1,4 +1,4 @@
-"""The incremental mapper, with everything computed anew from all frames of a node whenever it is needed.
+"""The incremental mapper, with everything recomputed from all frames of a node whenever it is needed.
 
 Only maps of one mode per node. Covariances are scikit-learn's, inverses are numpy's, prominence is a walk.
 """

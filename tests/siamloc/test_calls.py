@@ -108,7 +108,7 @@ def test_what_cannot_be_told_is_left_alone():
 
 
 def test_public_calls_refuse_nonsense():
-    """Every 11th case: with 21 strange values and arguments of all kinds, each has its turn."""
+    """Every 11th case: with 21 strange values and arguments of all kinds, each is covered."""
     wrong = [
         f"{name}: {outcome}"
         for name, case, nonsense in itertools.islice(call_cases(STRANGE), 0, None, 11)

@@ -75,7 +75,7 @@ def test_json_makes_numpy_plain_and_refuses_nothing(tmp_path):
 @pytest.mark.parametrize("content", ["", "{", '{"a": ', "\xff"])
 def test_json_cut_short_is_said_to_be(tmp_path, content):
     (tmp_path / "v.json").write_bytes(content.encode("latin-1"))
-    with pytest.raises(FormatError, match="not whole JSON"):
+    with pytest.raises(FormatError, match="incomplete or invalid JSON"):
         read_json(tmp_path / "v.json")
     with pytest.raises(FormatError, match="does not exist"):
         read_json(tmp_path / "w.json")

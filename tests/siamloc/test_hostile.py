@@ -88,7 +88,7 @@ def test_a_checkpoint_that_is_no_file_is_not_passed_over(tmp_path):
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "checkpoints" / "last.ckpt").write_bytes(b"x")
     os.mkfifo(tmp_path / "checkpoints" / "best.ckpt")
-    with pytest.raises(FormatError, match=r"best.ckpt is no regular file"):
+    with pytest.raises(FormatError, match=r"best.ckpt is not a regular file"):
         Run(tmp_path).checkpoint("best")
 
 
@@ -96,9 +96,9 @@ def test_pipes_and_endless_devices_are_not_waited_for(tmp_path):
     pipe = tmp_path / "pipe.yaml"
     os.mkfifo(pipe)
     for path in (pipe, "/dev/zero"):
-        with pytest.raises(DataError, match="it is no regular file"):
+        with pytest.raises(DataError, match="it is not a regular file"):
             read_building_file(type(pipe)(path), 0)
-        with pytest.raises(DataError, match="it is no regular file"):
+        with pytest.raises(DataError, match="it is not a regular file"):
             listed(None, type(pipe)(path))
 
 

@@ -7,7 +7,7 @@ from siamloc.memory import _glibc, kept_memory
 
 
 def faults_of_a_large_array() -> int:
-    """Count how many pages the system hands out for an array of 64 MB."""
+    """Count the pages that the system allocates for an array of 64 MB."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     np.full(2**26, 1, dtype=np.uint8)
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before

@@ -99,7 +99,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     path = write_results(tmp_path, RESULTS, ROWS)
     whole = path.read_text()
     for text, message in (
-        (whole[:50], "not whole JSON"),
+        (whole[:50], "incomplete or invalid JSON"),
         ("[1]", "not a siamloc result file"),
         (json.dumps({"schema": {"name": "other", "version": 1}}), "not a siamloc result file"),
         (whole.replace('"version": 1', '"version": 2'), "has version 2 .* reads up to 1: update siamloc"),

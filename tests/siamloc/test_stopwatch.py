@@ -1,4 +1,4 @@
-"""What a step takes for one image."""
+"""The time that a step takes for one image."""
 
 from __future__ import annotations
 

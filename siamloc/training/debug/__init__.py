@@ -1,4 +1,4 @@
-"""`fit(debug=...)`: look at a training before it is started: one batch, one learned by heart, where the time goes."""
+"""`fit(debug=...)`: inspect a training before starting it: one batch, overfitting one batch, where the time goes."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ def debug_training(
     used: Mapping[str, Any],
     make_trainer: Callable[..., Trainer],
 ) -> None:
-    """Do one of these, say what came out, and leave the weights as they were.
+    """Inspect a training, print the results, and leave the weights as they were.
 
-    - "one_batch": a training step, and a batch of the validation: shapes, figures and times. Nothing is written.
+    - "one_batch": a training step and a validation batch: shapes, figures and times. Nothing is written.
     - "overfit": the first batch over and over, without augmentation: whether the loss goes down as it should. Nothing
       is written.
-    - "profile": some steps, of which the parts are timed, then some under torch's profiler, whose trace is written
-      into the run as `profile.json`.
+    - "profile": some steps with the time of each part, then some under torch's profiler, whose trace is written into
+      the run as `profile.json`.
 
     Args:
-        debug: which.
-        module: what happens in a step.
-        data: serves the batches.
-        run: gets the trace.
+        debug: which of these.
+        module: the training module.
+        data: the batches.
+        run: for the trace.
         used: the settings of the training, for the record of a run that has none yet.
         make_trainer: makes a trainer on the device of the training, with arguments of `lightning.Trainer`.
 
@@ -58,8 +58,8 @@ def debug_training(
             else:
                 (one_batch if debug == "one_batch" else overfit)(module, data, make_trainer)
     finally:
-        module.teardown("fit")  # which Lightning leaves out where something fails
+        module.teardown("fit")  # Lightning skips this on failure
         module.load_state_dict(before)
         module.zero_grad(set_to_none=True)
-        if sigma is not None:  # which may have been on its way
+        if sigma is not None:  # which may have changed
             module.loss.sigma = sigma

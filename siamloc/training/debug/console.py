@@ -1,4 +1,4 @@
-"""Printing and timing for the ways of looking at a training."""
+"""Printing and timing for debugging a training."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def milliseconds(seconds: float) -> str:
 
 @dataclass
 class Clock:
-    """The time, once the device has done its work."""
+    """Clock that waits for the device before reading the time."""
 
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
 

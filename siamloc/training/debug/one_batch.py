@@ -1,4 +1,4 @@
-"""`fit(debug="one_batch")`: a training step and a batch of the validation: shapes, figures and times."""
+"""`fit(debug="one_batch")`: a training step and a validation batch: shapes, figures and times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
 
 class _Look(Callback):
-    """Take down what a single batch gives."""
+    """Record the figures and times of a single batch."""
 
     def __init__(self) -> None:
         self.batches: dict[str, Mapping[str, Any]] = {}
@@ -64,7 +64,7 @@ class _Look(Callback):
 
 
 def one_batch(module: NetworkModule, data: EpochDataModule, make_trainer: Callable[..., Trainer]) -> None:
-    """Do a training step and look at a batch of the validation, and say what they were made of."""
+    """Run a training step and a validation batch, and print their shapes, figures and times."""
     look, shapes = _Look(), []
     handle = module.network.register_forward_hook(lambda *given: shapes.append(tuple(given[2].shape)))
     validated = bool(data.val_dataloader())
@@ -81,7 +81,7 @@ def one_batch(module: NetworkModule, data: EpochDataModule, make_trainer: Callab
     weights = sum(weight.numel() for weight in module.network.parameters())
     trained = sum(weight.numel() for weight in module.parameters() if weight.requires_grad)
     device = look._clock.device
-    say("one batch, of which nothing is kept:")
+    say("one batch, nothing is kept:")
     say(f"  network      {weights:,} weights, {trained:,} trained, on {device} in {trainer.precision}")
     for stage, batch in look.batches.items():
         say(f"  {stage:12} {_shapes(batch)}")
@@ -96,7 +96,7 @@ def one_batch(module: NetworkModule, data: EpochDataModule, make_trainer: Callab
         say(f"               {listed} (of this batch only)")
     if device.type == "cuda":
         say(f"  memory       {torch.cuda.max_memory_allocated(device) / 2**30:.2f} GiB at most")
-    say(f"  an epoch has {steps} such steps; the first one takes longer than those that follow")
+    say(f"  an epoch has {steps} such steps; the first one takes longer than the others")
 
 
 def _shape(shape: tuple[int, ...]) -> str:

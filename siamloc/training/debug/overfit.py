@@ -24,14 +24,17 @@ ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
 _STEPS = 100
-LEARNED, SLOW = 0.5, 0.05  # of what may go away of a loss: it learns from the first, not at all below the second
+LEARNED, SLOW = (
+    0.5,
+    0.05,
+)  # of the possible decrease of the loss: learns above the first, not at all below the second
 _LINES = 10
-_AT_THE_END = 5  # steps whose mean loss is the last
-_ENOUGH = 0.95  # of the way to the lowest loss: no further steps
+_AT_THE_END = 5  # steps whose mean loss counts as the last
+_ENOUGH = 0.95  # of the way to the lowest loss: then stop
 
 
 class _Same(Dataset[dict[str, Any]]):
-    """One batch, so many times."""
+    """The same batch, several times."""
 
     def __init__(self, batch: dict[str, Any], times: int) -> None:
         self._batch, self._times = batch, times
@@ -44,7 +47,7 @@ class _Same(Dataset[dict[str, Any]]):
 
 
 class _Losses(Callback):
-    """Take down the loss of each step, and end the training where nearly nothing is left of it."""
+    """Record the loss of each step, and stop the training when almost nothing is left of it."""
 
     def __init__(self, lowest: float) -> None:
         self.lowest = lowest
@@ -64,7 +67,7 @@ class _Losses(Callback):
 
 
 def overfit(module: NetworkModule, data: EpochDataModule, make_trainer: Callable[..., Trainer]) -> None:
-    """Learn the first batch by heart, and say whether the loss went down as it should."""
+    """Train on the first batch only, and print whether the loss went down as it should."""
     data.augmentation = None
     batch = next(iter(data.train_dataloader()))
     losses = _Losses(_lowest(module, batch))
@@ -74,7 +77,7 @@ def overfit(module: NetworkModule, data: EpochDataModule, make_trainer: Callable
     loader = DataLoader(_Same(batch, _STEPS), batch_size=None, generator=torch.Generator().manual_seed(0))
     try:
         trainer.fit(module, train_dataloaders=loader, val_dataloaders=[])
-    except ConfigError:  # the module's, at the end of an epoch
+    except ConfigError:  # from the module, at the end of an epoch
         if math.isfinite(sum(losses.losses)):
             raise
     if trainer.is_global_zero:
@@ -82,7 +85,7 @@ def overfit(module: NetworkModule, data: EpochDataModule, make_trainer: Callable
 
 
 def _lowest(module: NetworkModule, batch: Mapping[str, Any]) -> float:
-    """Return the smallest loss that the batch can have, where the loss knows it."""
+    """Return the smallest loss possible for the batch, if the loss can compute it."""
     lowest = getattr(module.loss, "lowest", None)
     if lowest is None or not isinstance(module, PlaceModule):
         return 0.0
@@ -90,11 +93,11 @@ def _lowest(module: NetworkModule, batch: Mapping[str, Any]) -> float:
 
 
 def verdict(losses: list[float], lowest: float, learning_rate: float) -> str:
-    """Say in a sentence whether the loss of a batch that is learned over and over goes down as it should.
+    """Return a sentence that says whether the loss goes down as it should when one batch is trained repeatedly.
 
     Args:
         losses: of the steps.
-        lowest: that the batch can have.
+        lowest: smallest loss possible for the batch.
         learning_rate: of the optimizer.
 
     Example:
@@ -110,7 +113,7 @@ def verdict(losses: list[float], lowest: float, learning_rate: float) -> str:
             if bad > 1
             else "the loss is not finite from the start: look at what the network and the loss make of the batch"
         )
-    if min(losses) < lowest - 1e-3 * max(1.0, abs(first)):  # a loss of one's own, which may go below 0
+    if min(losses) < lowest - 1e-3 * max(1.0, abs(first)):  # a custom loss, which may go below 0
         return f"the loss went from {first:.4g} to {last:.4g} in {steps} steps; what it should reach is not known"
     lowest = min(lowest, *losses)
     room = first - lowest

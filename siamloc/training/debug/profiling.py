@@ -1,4 +1,4 @@
-"""`fit(debug="profile")`: some steps, of which the parts are timed, then some under torch's profiler."""
+"""`fit(debug="profile")`: time the parts of some steps, then run some under torch's profiler."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PHASES = ("waiting for data", "augmentation", "forward", "backward", "optimizer
 
 
 class _TimedEffect:
-    """An effect whose time is added up."""
+    """An effect that sums up its time."""
 
     def __init__(self, effect: Effect, clock: Clock) -> None:
         self._effect, self._clock = effect, clock
@@ -82,7 +82,7 @@ class _Phases(Callback):
         self._clock.device = pl_module.device
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        self._since = None  # what lies between epochs is no part of a step
+        self._since = None  # the time between epochs is not part of a step
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         self.images = images_in(batch)
@@ -148,7 +148,7 @@ def profile_steps(
     if not trainer.is_global_zero:
         return
     if phases.profiler is None or not phases.images:
-        say("an epoch has a single step, which cannot be told from what starts it up: use a smaller batch")
+        say("an epoch has a single step, which cannot be separated from its start-up: use a smaller batch")
         return
     parts = {name: mean(values) for name, values in phases.seconds.items()}
     whole = sum(parts.values())
@@ -156,7 +156,7 @@ def profile_steps(
     for name, seconds in parts.items():
         shown = f"{milliseconds(seconds):>12} {100 * seconds / whole:5.0f} %"
         if name == "augmentation" and in_workers:
-            shown = f"{'':12} in the {data.workers} workers, beside the steps"
+            shown = f"{'':12} in the {data.workers} workers, in parallel with the steps"
         say(f"  {name:18}{shown}")
     say(f"  {'together':18}{milliseconds(whole):>12}   100 %   {phases.images / whole:.0f} images/s")
     _say_operators(phases.profiler, clock.device)
@@ -166,13 +166,13 @@ def profile_steps(
     path = run.folder / PROFILE
     with atomic_path(path) as temporary:
         phases.profiler.export_chrome_trace(str(temporary))
-    say(f"trace of {_TRACED} steps: {path}, to be opened in https://ui.perfetto.dev")
+    say(f"trace of {_TRACED} steps: {path}, open it in https://ui.perfetto.dev")
 
 
 def _say_operators(profiler: profile, device: torch.device) -> None:
-    """Name the operators that take most of the time by themselves."""
+    """Print the operators that take most of the time themselves."""
     kind = "self_device_time_total" if device.type == "cuda" else "self_cpu_time_total"
-    own = [*_PHASES, "ProfilerStep", "Optimizer."]  # spans that hold operators, and no operators themselves
+    own = [*_PHASES, "ProfilerStep", "Optimizer."]  # spans that contain operators, not operators themselves
     found = [event for event in profiler.key_averages() if not any(event.key.startswith(name) for name in own)]
     total = sum(getattr(event, kind) for event in found) or 1.0
     say(f"operators that take most of it, under the profiler, of {_TRACED} more steps:")

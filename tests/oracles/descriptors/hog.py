@@ -22,7 +22,7 @@ def bin_of(dx, dy, bins):
 
 
 def undecided(grey, bins, circular=True):
-    """Return the sum of the magnitudes whose direction is so near the edge of a bin that float32 may tell otherwise."""
+    """Return the sum of the magnitudes whose direction is so near a bin's edge that float32 may decide otherwise."""
     total = 0.0
     for i in range(grey.shape[0]):
         for j in range(grey.shape[1]):

@@ -38,7 +38,7 @@ def homomorphic(grey, cutoff=4.0, low=0.5, high=1.0, circular=True, clip=True):
 
 
 def homomorphic_colour(image, circular=True, **params):
-    """Return a colour image (3, H, W) in [0, 1], each channel of a pixel with the gain of the pixel's luma."""
+    """Return a colour image (3, H, W) in [0, 1], each channel of a pixel scaled by the gain of the pixel's luma."""
     luma = grey(image)
     gain = (homomorphic(luma, circular=circular, clip=False, **params) + 1 / 255) / (luma + 1 / 255)
     return ((image + 1 / 255) * gain - 1 / 255).clip(0, 1)

@@ -1,4 +1,4 @@
-"""The Radon transform point by point of each line, and what its two descriptors make of it."""
+"""The Radon transform, point by point along each line, and the two descriptors based on it."""
 
 from __future__ import annotations
 

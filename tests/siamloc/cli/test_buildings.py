@@ -1,4 +1,4 @@
-"""`siamloc evaluate task=buildings`, on two drawn flats that stand for two buildings."""
+"""`siamloc evaluate task=buildings`, on two drawn flats that stand in for two buildings."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def test_compose_raises_what_the_command_line_prints():
 
 def test_other_arguments_of_the_trainer_are_added_with_a_plus():
     words = ["experiment=modern", "data.manifest=x", "trainer.limit_train_batches=3"]
-    with pytest.raises(ConfigError, match=r"added with a plus: \+trainer\.limit_train_batches="):
+    with pytest.raises(ConfigError, match=r"Trainer with a plus: \+trainer\.limit_train_batches="):
         composed("train", words)
     config = composed("train", [*words[:2], f"+{words[2]}"])
     assert config.trainer.limit_train_batches == 3

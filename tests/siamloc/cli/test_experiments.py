@@ -1,5 +1,5 @@
 """One step of every file in conf/experiment, on a few small drawn pictures: its own network, loss, batches, optimizer,
-augmentation and protocol. A new file is tested without a word here."""
+augmentation and protocol. A new file is tested without any change here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What commands once did to maps, runs and other people's files, and must not do again."""
+"""Damage that commands once did to maps, runs and other people's files, and must not do again."""
 
 import json
 import os
@@ -183,7 +183,7 @@ def test_a_training_is_looked_at_by_a_key_and_stops_by_one(manifest, tmp_path, c
     given = ["train", *words(manifest), *TRAIN, f"run={tmp_path / 'run'}"]
     assert main([*given, "debug=one_batch"]) == 0
     said = capsys.readouterr()
-    assert "one batch, of which nothing is kept" in said.err
+    assert "one batch, nothing is kept" in said.err
     assert "checkpoint" not in said.out
     assert not (tmp_path / "run").exists()
     assert main([*given, "debug=on"]) == 2

@@ -95,4 +95,4 @@ def test_training_starts_from_it(capsys):
         config = composed("train", [f"experiment={experiment}", "data.manifest=x", "model.branch.weights=siamloc"])
         started = siamloc.models.build(**network_of(config), image_size=(64, 256)).state_dict()
         assert all((started[name] == value).all() for name, value in ready.items())
-        assert f"the {what} starts from the weights that come with siamloc" in capsys.readouterr().err
+        assert f"the {what} starts from the weights that ship with siamloc" in capsys.readouterr().err

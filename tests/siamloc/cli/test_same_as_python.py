@@ -1,4 +1,4 @@
-"""Each command gives what the Python call gives, and what either makes works in the other."""
+"""Each command gives the same as the Python call, and the output of either works in the other."""
 
 import json
 from pathlib import Path
@@ -72,7 +72,7 @@ def searched(known, images, folder):
 
 
 def mapped(known, images, folder):
-    # The time that the nodes took stands in the layer, which is read again here.
+    # The time that the nodes took is stored in the layer, which is read again here.
     layer = siamloc.maps.group(known, "spectral", nodes=4, folder=folder / "layers" / "hog-spectral")
     return siamloc.evaluation.mapping(known, layer, closure_gap=5, name="spectral over hog")
 

@@ -1,4 +1,4 @@
-"""Sweeps through the command line: every job has its own folder, folders of sweeps are taken, and the best is named."""
+"""Sweeps through the command line: jobs have their own folders, folders of sweeps are accepted, the best is named."""
 
 import csv
 import json
@@ -38,7 +38,7 @@ def words(data, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def swept(data, tmp_path_factory):
-    """Evaluate one descriptor with several parameters and distances once; the tests look at what it left."""
+    """Evaluate one descriptor with several parameters and distances once; the tests inspect the output."""
     run = tmp_path_factory.mktemp("swept") / "run"
     roles = ["protocol.map.sequences=[day]", "protocol.query.sequences=[again,dark]"]
     given = [*data, *roles, "descriptor=hog", "task.plots=false", "task.baselines=[]", f"run={run}"]

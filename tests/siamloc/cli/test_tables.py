@@ -1,4 +1,4 @@
-"""What is printed after an evaluation."""
+"""The tables printed after an evaluation."""
 
 from siamloc.evaluation.tables import text_of
 

@@ -12,7 +12,7 @@ from tests.siamloc.report.pages import notes, read_page, rows_of
 
 
 def without(manifest, name, *fields):
-    """Write a manifest beside another in which the queries lack some fields."""
+    """Write a manifest next to another in which the queries lack some fields."""
     return altered(manifest, name, lambda row: dict.fromkeys(fields, "") if row["sequence"] == "second" else {})
 
 
@@ -57,7 +57,7 @@ def test_neither_poses_nor_rooms(manifest, tmp_path, capsys, given, name):
     assert read_results(folder)["measures"] == {}
     page = page_of(tmp_path)
     assert notes(page) == (
-        f"No query has a true position to compare with: {queries} queries were located, in located.csv, and none is "
+        f"No query has a true position to compare with: {queries} queries were located (see located.csv), and none is "
         "scored."
     )
     assert [section.attributes["class"] for section in page.all("section")] == ["configuration"]

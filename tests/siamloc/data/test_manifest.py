@@ -148,7 +148,7 @@ def test_only_a_regular_file_is_a_manifest(tmp_path, name):
     """A pipe would keep the reader waiting, an endless device reading for ever."""
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(DataError, match=rf"the manifest .*{name} is no regular file: give a CSV table"):
+    with pytest.raises(DataError, match=rf"the manifest .*{name} is not a regular file: give a CSV table"):
         siamloc.data.read("manifest", manifest=tmp_path / name)
 
 

@@ -17,7 +17,7 @@ from siamloc.models.origins import Origins
 from tests.oracles import mined_losses
 from tests.oracles.soft_contrastive import soft_contrastive_loss
 
-OF_PLACES = [name for name in LOSSES if name != "cross_entropy"]  # which looks at rooms alone, image by image
+OF_PLACES = [name for name in LOSSES if name != "cross_entropy"]  # which considers rooms only, image by image
 
 
 def origins(xy, building=None, room=None):
@@ -56,7 +56,7 @@ def test_agrees_with_a_loop_over_pairs(images, dimensions, temperature, sigma, k
 def test_rooms_agree_with_a_loop_over_pairs(images, share, seed):
     descriptors, xy, building = draw(images, 5, seed)
     room = torch.randint(-1, 3, (images,), generator=torch.Generator().manual_seed(seed))
-    xy[0] = math.nan  # taken nobody knows where
+    xy[0] = math.nan  # at unknown positions
     loss = SoftContrastiveLoss(room=share)(descriptors, origins(xy, building, room))
     expected = soft_contrastive_loss(
         descriptors.tolist(), xy.tolist(), building.tolist(), 0.07, 0.4, rooms=room.tolist(), room_share=share

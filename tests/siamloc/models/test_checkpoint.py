@@ -1,4 +1,4 @@
-"""Checkpoints come back as they were, run nothing, and are refused in one sentence when damaged."""
+"""Checkpoints load unchanged, execute nothing, and are refused with one sentence when damaged."""
 
 from __future__ import annotations
 
@@ -167,9 +167,9 @@ def test_damaged_files_are_refused_in_one_sentence(trained, tmp_path, monkeypatc
 def test_other_files_of_torch_are_no_checkpoints(trained, tmp_path):
     module, path = trained
     torch.save(module.network.state_dict(), tmp_path / "weights.pth")
-    with pytest.raises(FormatError, match="no checkpoint of a siamese network"):
+    with pytest.raises(FormatError, match="not a checkpoint of a siamese network"):
         load(tmp_path / "weights.pth")
-    with pytest.raises(FormatError, match="no checkpoint of a siamese network"):
+    with pytest.raises(FormatError, match="not a checkpoint of a siamese network"):
         load(altered(path, tmp_path / "a.ckpt", siamloc=None))
 
 

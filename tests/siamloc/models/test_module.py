@@ -37,7 +37,7 @@ def draw_pairs(count=4, seed=0):
 
 
 def rates(steps, network=None, epochs=1, loss=None, **options):
-    """Train so many steps, and return the learning rates of each."""
+    """Train this many steps, and return the learning rates of each."""
     network = build("simple1", "fc500_500_5", SIZE) if network is None else network
     noted = Rates()
     trainer = Trainer(

@@ -78,7 +78,7 @@ def test_frozen_stages_keep_weights_and_statistics_and_are_thawed(branch):
 
 
 class Own(nn.Module):
-    """A network of one's own that can say its stages."""
+    """A custom network that names its stages."""
 
     def __init__(self, *said):
         super().__init__()

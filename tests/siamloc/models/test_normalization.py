@@ -1,4 +1,4 @@
-"""What happens to panoramas before a network looks at them."""
+"""Normalization of panoramas before a network processes them."""
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_light_that_varies_over_the_image_matters_little():
     before, after = (by_surroundings(images, circular=True) for images in (panorama, panorama * gain))
     reach = 2 * round(SURROUNDINGS * 40) + 1
     inside = slice(reach, 100 - reach)
-    # Only the least contrast, 0.03 beside a third of 0.29, tells them apart.
+    # Only the least contrast, 0.03 compared with a third of 0.29, distinguishes them.
     torch.testing.assert_close(after[..., inside], before[..., inside] * 0.86, atol=0.1, rtol=0.1)
     by_whole = by_image(panorama * gain)[..., inside]
     assert (by_whole - by_image(panorama)[..., inside]).abs().mean() > 0.5

@@ -1,4 +1,4 @@
-"""Headings by a network itself: turns come back, and only from networks that wrap around."""
+"""Headings found by a network itself: turns are recovered, but only by networks that wrap around."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Weights in a file: whole, cut, edited; and the network that comes with siamloc."""
+"""Weights in a file: whole, cut, edited; and the network that ships with siamloc."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def no_record(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (cut, "it is cut short or no safetensors file, get it again"),
+        (cut, "it is cut short or not a safetensors file, get it again"),
         (edited, "was altered since it was written"),
         (another_head, "was altered since it was written"),
         (no_record, "was altered since it was written"),

@@ -112,7 +112,7 @@ def test_images_are_compared_with_near_ones_and_with_other_places_that_look_alik
 
 
 def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int) -> Tensor:
-    """Return what 16 directions show of a textured wall at 3 m: (N, 16, 64)."""
+    """Return the view of a textured wall at 3 m in 16 directions: (N, 16, 64)."""
     rng = torch.Generator().manual_seed(seed)
     waves = torch.randint(1, 6, (VALUES,), generator=rng)
     phase = 2 * math.pi * torch.rand(VALUES, generator=rng)
@@ -279,7 +279,7 @@ def test_weights_that_compare_travel_where_they_fit(network, tmp_path, capsys):
 def test_what_does_not_go_with_it_is_refused(network):
     with pytest.raises(ConfigError, match="learned from batches of places, and these are pairs"):
         siamloc.models.SiameseModule(network)
-    with pytest.raises(ConfigError, match=r"compile=true does not go with model\.relative=true"):
+    with pytest.raises(ConfigError, match=r"compile=true does not work with model\.relative=true"):
         compiles(True, False, network)
     batch = {"images": torch.rand(4, 3, *SIZE)}
     where = origins(4)
@@ -298,7 +298,7 @@ def test_branches_learn_at_the_rates_that_they_have_without_it():
 
 
 def test_the_validation_tells_how_far_off_the_refined_poses_are():
-    """What compares is told the truth by the parts themselves: displacement along the map frame's own axes."""
+    """The comparing part gets the truth from the parts themselves: displacement along the map frame's own axes."""
 
     class Told(RelativePose):
         def forward(self, query, known, steps=None):

@@ -1,4 +1,4 @@
-"""Weights from torchvision and from files: what is taken, and what is refused in which words."""
+"""Weights from torchvision and from files: what is accepted, and what is refused with which message."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HEAD = "fc500_100_10"
 
 
 def torchvision_state(branch, seed=9):
-    """Names and shapes of the features as torchvision's published files have them, with values of our own."""
+    """Names and shapes of the features as in torchvision's published files, with our own values."""
     features = build(branch, HEAD, (64, 64), seed=seed).branch.features.state_dict()
     state = {f"features.{name}": tensor for name, tensor in features.items()}
     return state | {"classifier.6.weight": torch.zeros(2, 2)}
@@ -85,7 +85,7 @@ OLD = ("norm1", "norm2", "conv1", "conv2")
 
 @pytest.fixture
 def hub(tmp_path):
-    """A torch hub folder of the test's own, so that a file in it stands for a finished download."""
+    """A torch hub folder for the test only, so that a file in it stands for a finished download."""
     before = torch.hub.get_dir()
     torch.hub.set_dir(tmp_path)
     (tmp_path / "checkpoints").mkdir()

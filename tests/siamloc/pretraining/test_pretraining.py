@@ -1,4 +1,4 @@
-"""Learning from random buildings: what is in a batch follows from the seed, not from how fast buildings come."""
+"""Learning from random buildings: what is in a batch depends on the seed, not on how fast buildings arrive."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ SIZE = (16, 64)
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
-    """Two drives along one line; the stripes of a picture say where it was taken."""
+    """Two drives along one line; the stripes of an image show where it was taken."""
     folder, rows = tmp_path_factory.mktemp("images"), []
     columns = np.arange(SIZE[1])
     for drive, light in (("monday", 1.0), ("tuesday", 0.6)):

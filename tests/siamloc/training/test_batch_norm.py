@@ -1,4 +1,4 @@
-"""Batch normalization among processes against that of torch; two processes that train are in test_fitting.py."""
+"""Batch normalization across processes against that of torch; two training processes are in test_fitting.py."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ ROOM = PairSettings(label="room")
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
-    """Images whose grey level tells which one they are; one of them is not readable."""
+    """Images identified by their grey level; one of them is not readable."""
     folder = tmp_path_factory.mktemp("images")
     rows = []
     for number in range(12):
@@ -67,7 +67,7 @@ def test_batches_hold_the_pairs_of_the_epoch(library):
 
 def test_fewer_pairs_than_processes_are_refused(library):
     with pytest.raises(
-        ConfigError, match=r"3 pairs are fewer than the 4 processes .* ask for more by pairs\.epoch_pairs"
+        ConfigError, match=r"3 pairs are fewer than the 4 processes .* request more with pairs\.epoch_pairs"
     ):
         PairBatches(library, sampled(library.frames, epoch_pairs=3), batch_size=1, world_size=4)
     train, validation = library.frames.take(slice(0, 8)), library.frames.take(slice(8, None))

@@ -119,7 +119,7 @@ def test_a_training_without_progress_stops_early_and_says_so(images, drives, tmp
     assert fit(patience=2).curves()["epoch"].tolist() == [0, 1, 2]
     said = capfd.readouterr().err
     assert "stopped early after epoch 3 of 9, none of the last 2 was better, best epoch 1 by val/error" in said
-    # It has said its last word, unless it is given more time.
+    # It has finished, unless it is given more time.
     assert len(fit(patience=2, resume=True).curves()["epoch"]) == 3
     assert len(fit(patience=4, resume=True).curves()["epoch"]) == 5
     assert "stopped early after epoch 5 of 9" in capfd.readouterr().err
@@ -178,7 +178,7 @@ def test_pairs_that_have_nothing_left_to_teach_are_said(images, drives, tmp_path
     )
     said = capfd.readouterr().err
     assert "train/active 0.0000" in said
-    assert "warning: hardly any pairs of different places cost anything, train/active is 0.00%: where the" in said
+    assert "warning: hardly any pairs of different places contribute to the loss, train/active is 0.00%: if the" in said
 
 
 def test_patience_needs_a_validation(images, drives, tmp_path):
@@ -209,7 +209,7 @@ def test_an_average_follows_its_formula_step_by_step(images, drives, tmp_path):
 
 
 def test_an_average_leaves_what_does_not_change_exactly_as_it_is(images, drives, tmp_path):
-    """Frozen stages stay as they were, to the last bit, also where the weights that are kept are an average."""
+    """Frozen stages stay as they were, to the last bit, even if the weights that are kept are an average."""
     settings = {**SETTINGS, "optimizer": {"name": "adamw", "learning_rate": 0.01, "frozen_stages": 1}}
     net = siamloc.models.build("simple1", "flat", (16, 64), outputs=16, seed=0)
     before = {name: value.clone() for name, value in net.state_dict().items()}

@@ -1,4 +1,4 @@
-"""Looking at a training before it is started: what is said, and that nothing is left behind."""
+"""Checking a training before it is started: what is reported, and that nothing is left behind."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAIRS = {"batch_size": 4, "optimizer": {"name": "adamw", "learning_rate": 0.01}}
 
 @pytest.fixture
 def look(images, drives, tmp_path, capfd):
-    """A training that is looked at: what it says. Whatever it does, the network and the folder stay as they were."""
+    """A training that is checked, and its report. Whatever it does, the network and the folder stay as they were."""
 
     def call(debug, **options):
         net = network()

@@ -1,4 +1,4 @@
-"""What a training does for its device: panoramas that lie there, a compiled network, and steps that never wait."""
+"""What a training does for its device: panoramas stored there, a compiled network, and steps that never wait."""
 
 from __future__ import annotations
 

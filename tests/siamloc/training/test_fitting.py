@@ -1,4 +1,4 @@
-"""`fit`: what it leaves in a run, what it refuses, how it goes on, and networks and losses of one's own."""
+"""`fit`: what it writes into a run, what it refuses, how it resumes, and custom networks and losses."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_a_network_that_compares_is_judged_by_its_poses_where_headings_tell_them
 
 
 def test_a_run_goes_on_with_what_its_checkpoint_was_chosen_by(train, frames):
-    """Also where that was not written down yet."""
+    """Even if that was not written down yet."""
     night = frames.select(sequence="night1")
     run = train(validation=night, epochs=1, monitor="loss")
     record = read_json(run.record)
@@ -244,10 +244,10 @@ def test_other_frames_are_not_resumed_and_fewer_epochs_neither(train, day):
 @pytest.mark.parametrize(
     ("columns", "says"),
     [
-        ({"lighting": ["sunny"] * 12}, r"the labels of the training frames are others \(room, building or lighting\)"),
-        ({"room": ["hall"] * 12}, "the labels of the training frames are others"),
-        ({"building": ["annex"] * 12}, "the labels of the training frames are others"),
-        ({"x": np.arange(12.0)}, "the positions of the training frames are others"),
+        ({"lighting": ["sunny"] * 12}, r"the labels of the training frames differ \(room, building or lighting\)"),
+        ({"room": ["hall"] * 12}, "the labels of the training frames differ"),
+        ({"building": ["annex"] * 12}, "the labels of the training frames differ"),
+        ({"x": np.arange(12.0)}, "the positions of the training frames differ"),
     ],
 )
 def test_frames_of_other_columns_are_not_resumed(train, trained, day, columns, says):
@@ -276,7 +276,7 @@ def test_data_may_move_but_not_become_others(train, day, tmp_path):
         return cv2.imdecode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1], cv2.IMREAD_COLOR)
 
     run = train(epochs=1)
-    with pytest.raises(ConfigError, match="the pictures of the training frames are others"):
+    with pytest.raises(ConfigError, match="the images of the training frames differ"):
         again("mirrored", lambda picture: picture[:, ::-1])
     assert len(curve(run)) == 1
     assert len(curve(again("saved", saved))) == 2
@@ -307,7 +307,7 @@ def test_a_schedule_goes_on_with_the_steps_that_it_was_laid_out_for(train):
     record = read_json(run.record)
     record["settings"]["trainer"]["processes"] = 2
     write_json(run.record, record)
-    with pytest.raises(ConfigError, match=r"with 2 processes, and there would be others with 1: train with as many"):
+    with pytest.raises(ConfigError, match=r"with 2 processes, and their number would differ with 1: train"):
         train("laid out", resume=True, **options)
 
 
@@ -387,7 +387,7 @@ def test_a_file_in_the_way_is_not_replaced(train, tmp_path):
 
 
 class Small(nn.Module):
-    """A network of one's own, with dropout."""
+    """A custom network with dropout."""
 
     def __init__(self):
         super().__init__()
@@ -399,7 +399,7 @@ class Small(nn.Module):
 
 
 class Squared(nn.Module):
-    """A loss of one's own, with a weight that is learned."""
+    """A custom loss with a learned weight."""
 
     def __init__(self):
         super().__init__()
@@ -507,7 +507,7 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
         ({"network": build("simple1", "fc500_500_5", (32, 64))}, DataError, r"\(B, 3, 32, 64\), got \(1, 3, 32, 128"),
         ({"network": nn.Linear(5, 2)}, DataError, "cannot take panoramas of 3 x 32 x 128: mat1 and mat2"),
         ({"network": nn.Identity()}, DataError, r"descriptors of shape \(B, D\), got \(1, 3, 32, 128\) for one image"),
-        ({"frames": FrameTable(path=["a.png"])}, DataError, "make the library of all frames"),
+        ({"frames": FrameTable(path=["a.png"])}, DataError, "make the library from all needed frames"),
     ],
 )
 @pytest.mark.parametrize("start", ["empty", "overwrite"])
@@ -590,7 +590,7 @@ LONG = {"epochs": EPOCHS, "batch_size": 8, "pairs": {"epoch_pairs": 200}}
 
 @pytest.fixture
 def script(flat, tmp_path):
-    """A way to run `fit` in a process of its own."""
+    """A way to run `fit` in a separate process."""
     (tmp_path / "own.py").write_text(FIT)
 
     def start(name, **options):

@@ -17,7 +17,7 @@ PAIRS = {"batch_size": 4, "optimizer": {"name": "adamw"}}
 
 
 class Bad(torch.autograd.Function):
-    """Hands a value on, with a gradient that is no number."""
+    """Passes a value on, with a gradient that is not a number."""
 
     @staticmethod
     def forward(ctx, value):

@@ -215,14 +215,14 @@ def test_views_of_one_image_are_enough_where_they_are_asked_for(images, drives):
     check_batches(data, siamloc.models.TripletLoss(near=0.1))
     alone = siamloc.training.PlaceDataModule(images, drives[0], places=PlaceSettings(places=2, images=1))
     check_batches(alone, siamloc.models.SoftContrastiveLoss(sigma=0.4))
-    check_batches(alone, lambda descriptors, origins: descriptors.sum())  # nobody knows what it learns from
+    check_batches(alone, lambda descriptors, origins: descriptors.sum())  # what it learns from is unknown
 
 
 def test_frames_of_unknown_rooms_are_said(images, drives, tmp_path, capfd):
     monday = drives[0].with_columns(room=["", "", *drives[0].room[2:].tolist()])
     loss = siamloc.models.SoftContrastiveLoss(room=0.5)
     siamloc.training.fit(network(), images, monday, run=tmp_path / "run", epochs=1, loss=loss, **SETTINGS)
-    assert "note: 2 of 16 training frames have no room label: what the loss learns of" in capfd.readouterr().err
+    assert "note: 2 of 16 training frames have no room label: the loss learns rooms only from" in capfd.readouterr().err
 
 
 def test_places_with_too_few_images_are_said(images, drives, tmp_path, capfd):
@@ -242,13 +242,13 @@ def test_a_network_that_wraps_around_is_not_trained_on_what_does_not(images, dri
             ConfigError, match=r"the network wraps around .* \(data\.circular=false\): set model\.circular"
         ):
             call()
-    with pytest.raises(ConfigError, match="this recipe is for pictures whose columns do not wrap around"):
+    with pytest.raises(ConfigError, match="this recipe is for images whose columns do not wrap around"):
         siamloc.training.recipe("rooms").fit(network(), images, drives[0], run=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
 def test_rooms_and_the_order_of_the_frames_are_enough(images, drives, tmp_path):
-    """The same drives as photographs whose positions nobody knows."""
+    """The same drives as photographs at unknown positions."""
     unplaced = [FrameTable(path=d.path, sequence=d.sequence, lighting=d.lighting, room=d.room) for d in drives]
     settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1, "reach": 3}}
     loss = siamloc.models.SoftContrastiveLoss(sigma=1, room=0.5)
@@ -278,7 +278,7 @@ def test_rooms_that_the_data_lack_are_refused(images, drives, tmp_path):
 
 
 def test_what_the_checkpoint_is_chosen_by_must_be_known_of_both_sides(images, drives, tmp_path):
-    """The map has rooms and the queries positions, or the other way round: nothing can be judged."""
+    """The map has rooms and the queries positions, or vice versa: nothing can be judged."""
     monday, tuesday = drives
     placed = FrameTable(path=tuesday.path, sequence=tuesday.sequence, x=tuesday.x, y=tuesday.y)
     labelled = FrameTable(path=monday.path, sequence=monday.sequence, room=monday.room)
@@ -344,8 +344,8 @@ def test_several_drives_by_their_order_alone_are_said(images, frames, tmp_path, 
     }
     siamloc.training.fit(network(), images, frames, run=tmp_path / "run", **settings)
     said = capfd.readouterr().err
-    assert "note: 2 drives are learned from by the order of their frames alone" in said
-    assert "or learn from rooms, too (experiment=rooms" in said
+    assert "note: 2 drives are used by the order of their frames alone" in said
+    assert "or also learn from rooms (experiment=rooms" in said
 
 
 def test_the_pace_counts_images_and_the_time_without_work(monkeypatch):
@@ -388,7 +388,7 @@ def test_the_best_epoch_of_the_summary_is_that_of_the_checkpoint(images, drives,
 
 
 def test_pairs_are_judged_by_a_margin_that_the_map_teaches(images, drives, tmp_path):
-    """The margin of a triplet is none of pairs."""
+    """The margin of a triplet is not a margin of pairs."""
     loss = siamloc.models.TripletLoss(near=0.6, far=1.0)
     run = siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
     assert 0 < run.curves()["train/active"][0] <= 1

@@ -1,4 +1,4 @@
-"""A training that is stopped within an epoch ends as one that never was, bit by bit."""
+"""A training that is stopped within an epoch and resumed ends like one that was never stopped, bit by bit."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def test_a_signal_during_the_validation_leaves_the_checkpoint_of_the_epoch(train
             train("cut", "pairs", StopValidation(1, sent))
         assert progress(siamloc.training.Run(tmp_path / "cut")) == (2, 0)
         same(whole, train("cut", "pairs", resume=True))
-        with pytest.raises(KeyboardInterrupt, match="came to its end before it stopped"):
+        with pytest.raises(KeyboardInterrupt, match="finished before it could be stopped"):
             train("last", "pairs", StopValidation(2, sent))
         same(whole, siamloc.training.Run(tmp_path / "last"))
     finally:

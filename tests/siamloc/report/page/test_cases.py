@@ -259,7 +259,7 @@ def write(path: Path, text: str) -> None:
         (lambda run: (run / "evaluation/network/results.json").unlink(), ConfigError, "`siamloc evaluate run="),
         (lambda run: write(run / "metrics.csv", "epoch\nx\n"), FormatError, "training curves"),
         (lambda run: write(run / "evaluation/network/queries.csv", "x\n1\n"), FormatError, "evaluate again"),
-        (lambda run: write(run / "evaluation/network/results.json", "{"), FormatError, "not whole JSON"),
+        (lambda run: write(run / "evaluation/network/results.json", "{"), FormatError, "incomplete or invalid JSON"),
     ],
     ids=["no evaluation", "damaged curves", "damaged table", "damaged results"],
 )
