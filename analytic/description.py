@@ -17,6 +17,8 @@ from analytic.errors import AnalyticError
 
 T = TypeVar("T")
 
+_VALUES = 1 << 20  # transformed at a time: 4 MiB
+
 
 @dataclass(frozen=True)
 class Description:
@@ -144,9 +146,17 @@ class Match:
 
 
 def spectrum(columns: NDArray[Any]) -> NDArray[np.complex64]:
-    """Return the Fourier transform (K // 2 + 1, B, F) of real values (B, K, F) along the turn, frequency first."""
-    transformed = fft().rfft(np.asarray(columns, dtype=np.float32), axis=1)
-    return np.ascontiguousarray(transformed.transpose(1, 0, 2)).astype(np.complex64, copy=False)
+    """Return the Fourier transform (K // 2 + 1, B, F) of real values (B, K, F) along the turn, frequency first.
+
+    Each row has its own transform, so a few are transformed at a time: a large map needs memory for the result only.
+    """
+    rows, steps, features = columns.shape
+    made = np.empty((steps // 2 + 1, rows, features), dtype=np.complex64)
+    few = max(1, _VALUES // max(steps * features, 1))
+    for start in range(0, rows, few):
+        part = np.asarray(columns[start : start + few], dtype=np.float32)
+        made[:, start : start + few] = fft().rfft(part, axis=1).transpose(1, 0, 2)
+    return made
 
 
 def fft() -> ModuleType:
