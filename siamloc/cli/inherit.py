@@ -53,6 +53,8 @@ def with_settings_of_the_run(
     network = config.get("descriptor", {}).get("run")
     trained = Run(Path(network)) if network is not None else run
     needed = required and by_network(config)
+    if needed and not trained.record.is_file():
+        _hint_at_maps(trained.folder)
     record = trained.settings if needed or trained.record.is_file() else {}
     made = None if resumed else _map_made(run, config)
     kept = _kept(record, made, resumed=resumed, replaces_map=replaces_map)
@@ -72,6 +74,20 @@ def with_settings_of_the_run(
         for key, value in said.items():
             OmegaConf.update(result, key, value, merge=False)
     return result
+
+
+def _hint_at_maps(folder: Path) -> None:
+    """Refuse a folder without a trained network that has maps of other descriptors, naming one of them.
+
+    Raises:
+        ConfigError: it has.
+    """
+    made = sorted(file.parent.name for file in folder.glob("evaluation/*/map.npz"))
+    if made:
+        raise ConfigError(
+            f"{folder} holds no trained network, only maps by {', '.join(made)}: choose the descriptor, such as "
+            f"descriptor={made[0].partition('-')[0]}, or train with `siamloc train run={folder}`"
+        )
 
 
 def _check_literal(stored: Any, run: Run) -> None:

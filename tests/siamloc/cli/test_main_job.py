@@ -201,6 +201,16 @@ def test_analytic_descriptors_need_no_run(flat, tmp_path, monkeypatch):
     assert "margin" in results["skipped"]["room_pairs"]
 
 
+def test_a_folder_with_maps_but_no_network_says_which_descriptor_to_choose(flat, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    data = [f"data.manifest={flat}", f"data.cache={flat.parent / 'cache'}", "data.image_size=[32,128]"]
+    siamloc("map", "run=robot", "descriptor=hsv", "protocol.map.sequences=[cloudy1]", *data)
+    assert main(["evaluate", "run=robot", "protocol.query.sequences=[cloudy2]", *data]) == 2
+    assert "robot holds no trained network, only maps by hsv: choose the descriptor, such as descriptor=hsv" in (
+        capsys.readouterr().err
+    )
+
+
 def test_a_trained_run_describes_for_another_folder(finished, tmp_path):
     siamloc("evaluate", f"run={finished}", f"descriptor={finished}", "protocol.query.sequences=[cloudy2]")
     words = ["protocol.map.sequences=[cloudy1]", "protocol.query.sequences=[cloudy2]", "task.baselines=[]"]
