@@ -152,10 +152,10 @@ def spectrum(columns: NDArray[Any]) -> NDArray[np.complex64]:
     """
     rows, steps, features = columns.shape
     made = np.empty((steps // 2 + 1, rows, features), dtype=np.complex64)
-    few = max(1, _VALUES // max(steps * features, 1))
+    few, rfft = max(1, _VALUES // max(steps * features, 1)), fft().rfft
     for start in range(0, rows, few):
         part = np.asarray(columns[start : start + few], dtype=np.float32)
-        made[:, start : start + few] = fft().rfft(part, axis=1).transpose(1, 0, 2)
+        made[:, start : start + few] = rfft(part, axis=1).transpose(1, 0, 2)
     return made
 
 

@@ -115,17 +115,22 @@ def fresh_start(bundle: Bundle, image: Path) -> tuple[float, float, float, float
     return seconds, memory, held, most - before
 
 
-def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | None) -> dict[str, Any]:
-    """Measure a bundle with an image, but only its memory if former figures of its times are given."""
-    starts = [fresh_start(bundle, image) for _ in range(max(3, repeats // 20))]
-    start, memory, held, own = (statistics.median(values) for values in zip(*starts, strict=True))
-    needs = {
+def starts(bundle: Bundle, image: Path, repeats: int) -> tuple[float, dict[str, float]]:
+    """Return the median seconds to the first answer over several fresh starts, and the sizes of bundle and memory."""
+    measured = [fresh_start(bundle, image) for _ in range(repeats)]
+    seconds, memory, held, own = (statistics.median(values) for values in zip(*measured, strict=True))
+    return seconds, {
         "bundle_mb": bundle.bytes / 1e6,
         "memory_mb": memory / 1e6,
         "held_mb": held / 1e6,
         "own_mb": own / 1e6,
         "own_over_bundle": own / bundle.bytes,
     }
+
+
+def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | None) -> dict[str, Any]:
+    """Measure a bundle with an image, but only its memory if former figures of its times are given."""
+    start, needs = starts(bundle, image, max(3, repeats // 20))
     if former is not None:
         return {**former, **needs}
     localizer, pixels = Localizer(bundle.path, threads=1), np.load(image)
@@ -228,15 +233,7 @@ def second_table(data: Path) -> dict[str, Any]:
                     refinement=learned.refinement,
                 )
                 np.save(folder / "image.npy", next(iter(images.batches(drives["cloudy2"])))[0].transpose(1, 2, 0))
-                starts = [fresh_start(bundle, folder / "image.npy") for _ in range(3)]
-                _, memory, _, own = (statistics.median(values) for values in zip(*starts, strict=True))
-                needs = {
-                    "bundle_mb": bundle.bytes / 1e6,
-                    "memory_mb": memory / 1e6,
-                    "own_mb": own / 1e6,
-                    "own_over_bundle": own / bundle.bytes,
-                }
-                row = {**needs, **errors(bundle, images, drives)}
+                row = {**starts(bundle, folder / "image.npy", 3)[1], **errors(bundle, images, drives)}
                 rows[f"{name}, {precision}"] = row
                 print(name, precision, json.dumps({key: round(value, 3) for key, value in row.items()}), flush=True)
             shutil.rmtree(folder / "bundle")

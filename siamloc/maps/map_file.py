@@ -76,8 +76,8 @@ def write_map(
                 np.lib.format.write_array(member, array, allow_pickle=False)
 
 
-def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> dict[str, Any]:
-    """Read a file that `write_map` wrote and return the fields of a `VisualMap` by name.
+def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> tuple[dict[str, Any], tuple[Any, Any]]:
+    """Read what `write_map` wrote: the fields of a `VisualMap` by name, and the frames and width that it announces.
 
     Args:
         content: the path, or a seekable file open for reading.
@@ -102,9 +102,8 @@ def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> dict[st
     }
     columns.pop("index", None)  # of maps by version 0.1
     try:
-        descriptors = arrays["descriptors"]
         fields = {
-            "descriptors": descriptors,
+            "descriptors": arrays["descriptors"],
             "frames": FrameTable(**columns, unit=header["unit"]),
             "identity": header["identity"],
             "distance": header["distance"],
@@ -115,13 +114,7 @@ def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> dict[st
         }
     except (KeyError, TypeError, ValueError) as error:
         raise not_whole(path, error) from error
-    announced = (header.get("frames"), header.get("width"))
-    if descriptors.ndim == 2 and descriptors.shape != announced:
-        raise FormatError(
-            f"{path} announces {announced[0]} descriptors of {announced[1]} values and holds {descriptors.shape[0]} of "
-            f"{descriptors.shape[1]}: build it again"
-        )
-    return fields
+    return fields, (header.get("frames"), header.get("width"))
 
 
 def not_whole(path: str | Path, error: Exception) -> FormatError:

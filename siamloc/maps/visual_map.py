@@ -360,11 +360,17 @@ class VisualMap:
 
     @classmethod
     def _read(cls, content: Path | BinaryIO, path: str | Path, short: bool = False) -> VisualMap:
-        fields = read_map(content, path, short)
+        fields, announced = read_map(content, path, short)
         try:
-            return cls(**fields)
+            loaded = cls(**fields)
         except (TypeError, ValueError) as error:
             raise not_whole(path, error) from error
+        if (len(loaded), loaded.width) != announced:
+            raise FormatError(
+                f"{path} announces {announced[0]} descriptors of {announced[1]} values and holds {len(loaded)} of "
+                f"{loaded.width}: build it again"
+            )
+        return loaded
 
 
 _ABSENT = object()

@@ -232,11 +232,6 @@ def data_named(name: str) -> Mapping[str, Any]:
     return found
 
 
-def data_names() -> tuple[str, ...]:
-    """Return the names of the data sets that recipes run on."""
-    return tuple(_contents()["data"])
-
-
 def check_scale_and_data(scale: str, data: str) -> None:
     """Check that recipes know a scale and a data set.
 

@@ -2,9 +2,12 @@
 
 import csv
 import json
+import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +115,27 @@ def test_one_seed_gives_one_loss_curve(train_words, tmp_path):
     siamloc(*train_words, f"run={tmp_path / 'c'}", "epochs=2", "seed=1")
     assert curve(tmp_path / "a") == curve(tmp_path / "b")
     assert curve(tmp_path / "a") != curve(tmp_path / "c")
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_where_its_last_checkpoint_was(train_words, tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    words = [*train_words, "epochs=6", "pairs.epoch_pairs=200"]
+    siamloc(*words, f"run={whole}")
+    command = [sys.executable, "-m", "siamloc", *words, f"run={killed}"]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=os.environ)
+    last = killed / "checkpoints" / "last.ckpt"
+    deadline = time.monotonic() + 120
+    while not (killed / "metrics.csv").is_file() or len(curve(killed)) < 2 or not last.is_file():
+        assert process.poll() is None, "the run ended before it could be killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    done = len(curve(killed))
+    assert 2 <= done < 6
+    siamloc(*words, f"run={killed}", "resume=true")
+    assert curve(killed) == curve(whole)
 
 
 def test_a_run_is_not_written_over_by_accident(train_words, tmp_path, capsys):
