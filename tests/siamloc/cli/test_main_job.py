@@ -31,8 +31,11 @@ def curve(run):
 
 @pytest.fixture(scope="module")
 def flat(tmp_path_factory):
+    """Return a manifest whose images are decoded already: which test comes first must not matter."""
     folder = tmp_path_factory.mktemp("flat")
-    return write_manifest(folder, {"cloudy1": "cloudy", "cloudy2": "cloudy", "night1": "night"}, frames_per_room=8)
+    made = write_manifest(folder, {"cloudy1": "cloudy", "cloudy2": "cloudy", "night1": "night"}, frames_per_room=8)
+    siamloc("prepare", "data=manifest", f"data.manifest={made}", f"data.cache={folder / 'cache'}", MODEL[-1])
+    return made
 
 
 @pytest.fixture
@@ -57,7 +60,6 @@ def finished(flat, tmp_path_factory):
     folder = tmp_path_factory.mktemp("job")
     run = folder / "run"
     data = ["data=manifest", f"data.manifest={flat}", f"data.cache={flat.parent / 'cache'}"]
-    siamloc("prepare", *data, "data.image_size=[32,128]")
     siamloc(
         *["train", *data, *MODEL, "pairs=room", f"run={run}", "epochs=8", "batch_size=8", "trainer.accelerator=cpu"],
         *["protocol.train.sequences=[cloudy1]", "protocol.validation.sequences=[night1]"],
