@@ -313,9 +313,13 @@ class AlignedDescriptor(ImageDescriptor):
 
     The position part of a description holds the values of the orientation part in a different order; every distance
     of `analytic.DISTANCES` compares whole vectors, so the order does not matter.
+
+    Attributes:
+        whole: whether values are whole numbers; correlations are then rounded to whole numbers, so that ties are exact.
     """
 
     aligned: ClassVar[bool] = True
+    whole: ClassVar[bool] = False
 
     def pairwise(
         self, queries: Description, references: Description, distance: str | None = None
@@ -353,6 +357,9 @@ class AlignedDescriptor(ImageDescriptor):
         index = apart.argmin(axis=1)
         rows = np.arange(len(queries))
         return Match(index, apart[rows, index], heading(turns.step[rows, index], steps))
+
+    def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
+        return best_turns(queries.spectrum, references.spectrum, steps, whole=self.whole)
 
     def _distance(self, name: str | None) -> str:
         name = self.default_distance if name is None else name

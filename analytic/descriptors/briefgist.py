@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.alignment import Turns, best_turns
+from analytic.alignment import Turns
 from analytic.description import Description
 from analytic.descriptors.base import AlignedDescriptor, Part, divisors_near
 from analytic.errors import AnalyticError
@@ -61,6 +61,7 @@ class BriefGist(AlignedDescriptor):
 
     name = "briefgist"
     default_distance = "manhattan"
+    whole = True
 
     rows: int = 64
     columns: int = 16
@@ -111,9 +112,6 @@ class BriefGist(AlignedDescriptor):
 
     def _distance(self, name: str | None) -> str:
         return super()._distance("manhattan" if name == "hamming" else name)
-
-    def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
-        return best_turns(queries.spectrum, references.spectrum, steps, whole=True)
 
     def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> NDArray[np.float64]:
         if name != "manhattan":

@@ -17,7 +17,7 @@ from analytic import Description
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
-from siamloc.maps.matching import match, nearest_in_rows
+from siamloc.maps.matching import match
 from siamloc.maps.ranking import (
     NodeRanking,
     check_candidates,
@@ -38,7 +38,6 @@ Ranking = Literal["representatives", "vote", "classifier"]
 """How nodes are ranked for a query: by their representatives ([C] 4), by the votes of the nearest map frames, or, if
 the nodes are rooms, by the classifier that a network was trained with to name them ([T] 5.4.3)."""
 
-_ALIGNED_PAIRS = 1 << 17  # distances at the best turn, in memory at once
 _FOUND = 1 << 21  # neighbours gathered before they are sorted
 
 _BY_QUERY = ("node", "tried", "frames_compared", "nodes_compared")
@@ -189,7 +188,6 @@ class HierarchicalSearch:
         # Block b holds node b - 1; frames in no node come first.
         self._bounds = np.searchsorted(layer.labels[self._order], np.arange(UNASSIGNED, len(layer) + 1))
         self._representatives: VectorIndex | None = None
-        self._aligned_parts: dict[int, Description] = {}
 
     def __len__(self) -> int:
         return len(self.known)
@@ -277,9 +275,7 @@ class HierarchicalSearch:
             if not len(rows):
                 continue
             everyone = np.arange(len(nodes)) if node == UNASSIGNED else np.flatnonzero((nodes == node).any(axis=1))
-            if self.known.aligned and node not in self._aligned_parts:  # kept, with its spectrum, for later queries
-                self._aligned_parts[node] = self.known.description.take(rows)
-            found = self._inside(rows, self._aligned_parts.get(node), queries.take(everyone), k)
+            found = self._inside(rows, queries.take(everyone), k)
             hits.append((np.repeat(everyone, found.indices.shape[1]), found.indices.ravel(), found.distances.ravel()))
         query, frame, apart = (np.concatenate(column) for column in zip(*hits, strict=True))
         order = np.lexsort((frame, apart, query))
@@ -302,26 +298,18 @@ class HierarchicalSearch:
         k = best.indices.shape[1]
         for row in np.flatnonzero(further.any(axis=1)).tolist():
             rows = beside[row][further[row]]
-            part = self.known.description.take(rows) if self.known.aligned else None
-            found = self._inside(rows, part, queries.take(slice(row, row + 1)), min(k, len(rows)))
+            found = self._inside(rows, queries.take(slice(row, row + 1)), min(k, len(rows)))
             frame = np.concatenate([best.indices[row], found.indices[0]])
             apart = np.concatenate([best.distances[row], found.distances[0]])
             order = np.lexsort((frame, apart))[:k]
             best.indices[row], best.distances[row] = frame[order], apart[order]
         return further.sum(axis=1)
 
-    def _inside(self, rows: NDArray[np.int64], part: Description | None, queries: Description, k: int) -> Retrieval:
-        """Return the nearest of some rows of the map, described by `part` if descriptors are aligned."""
-        if part is None:
-            return self.known.index.search(queries.position, k, within=rows)
-        step = max(1, _ALIGNED_PAIRS // len(rows))
-        parts = []
-        for start in range(0, len(queries), step):
-            some = queries.take(slice(start, start + step))
-            apart = self.known.descriptor.pairwise(some, part, self.known.distance)
-            parts.append(nearest_in_rows(apart, k))
-        found = Retrieval.concatenate(parts)
-        return Retrieval(rows[found.indices], found.distances)
+    def _inside(self, rows: NDArray[np.int64], queries: Description, k: int) -> Retrieval:
+        """Return the nearest of some rows of the map."""
+        if self.known.aligned:
+            return self.known.aligned_index.search(queries, k, within=rows)
+        return self.known.index.search(queries.position, k, within=rows)
 
 
 def _not_naming(known: VisualMap, layer: CoarseLayer) -> str:

@@ -6,18 +6,18 @@ import json
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import AnalyticError
+from analytic import AnalyticError, Descriptor
 from analytic.arrays_file import DAMAGE, read_arrays
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
 from siamloc.files import atomic_path, parsed_json
 from siamloc.maps.heading import HeadingPart, descriptor_of, is_analytic, without_images
-from siamloc.maps.packing import Packed, Precision, packed, unpacked
+from siamloc.maps.packing import Packed, Precision, packed
 
 _FORMAT = "siamloc-map"
 _VERSION = 2
@@ -124,37 +124,36 @@ def not_whole(path: str | Path, error: Exception) -> FormatError:
 
 def _unpack(header: dict[str, Any], arrays: dict[str, Any], short: bool) -> None:
     """Convert arrays of lower precision to float32 unless they may stay packed; make all of them read-only."""
-    if short and "orientation_scale" in arrays and _turned_alone(header):
+    made = _analytic(header) if short else None
+    if made is not None and "orientation_scale" in arrays and made.tells_heading and not made.aligned:
         # A heading is the turn with the largest correlation, and no scale changes that.
         header["heading"] = without_images(header["identity"])
         arrays["heading"] = arrays.pop("orientation")
         del header["orientation"], arrays["orientation_scale"]
-    if "orientation_scale" in arrays:
-        arrays["orientation"] = unpacked(arrays["orientation"], arrays.pop("orientation_scale"))
-    # Descriptors that are compared at every turn are needed as float32.
-    stays = short and header.get("orientation") is None and "orientation" not in arrays
-    if "descriptors_scale" in arrays:
-        held = Packed(arrays["descriptors"], arrays.pop("descriptors_scale"))
-        arrays["descriptors"] = cast("NDArray[np.float32]", held) if stays else held[:]
+    turned = header.get("orientation") is not None or "orientation" in arrays
+    stays = short and (not turned or (made is not None and made.aligned))
+    for name in ("descriptors", "orientation"):
+        if f"{name}_scale" in arrays:
+            held = Packed(arrays[name], arrays.pop(f"{name}_scale"))
+            arrays[name] = held if stays else held[:]
     for name in {"descriptors", "orientation", "heading"} & set(arrays):
         found = arrays[name]
         for array in (found.values, found.scale) if isinstance(found, Packed) else (found,):
             array.flags.writeable = False  # nothing else refers to them
 
 
-def _turned_alone(header: Mapping[str, Any]) -> bool:
-    """Whether orientation parts are used only for headings, so that descriptors are compared without turning them."""
+def _analytic(header: Mapping[str, Any]) -> Descriptor | None:
+    """Return the analytic descriptor of a map whose headings come from it alone; None if there is no such."""
     identity = header.get("identity")
     if "heading" in header or not isinstance(identity, dict) or not is_analytic(identity):
-        return False
+        return None
     try:
-        made = descriptor_of(identity)
+        return descriptor_of(identity)
     except (AnalyticError, TypeError):
-        return False  # describing images reports the error
-    return made.tells_heading and not made.aligned
+        return None  # describing images reports the error
 
 
-def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> NDArray | None:
+def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> NDArray | Packed | None:
     if "orientation" in arrays or header.get("orientation") is None:
         return arrays.get("orientation")
     return arrays["descriptors"].reshape(header["orientation"])

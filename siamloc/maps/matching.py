@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,10 +9,9 @@ from analytic import Description
 from analytic.distances import distance as distance_named
 from siamloc.calls import typed
 from siamloc.maps.packing import Packed
-from siamloc.maps.search import Retrieval, check_excluded, check_neighbours
+from siamloc.maps.search import Retrieval, slices
 from siamloc.maps.visual_map import VisualMap
 
-_PAIRS = 1 << 17  # aligned distances held at once
 _ROWS = 512  # of a packed map, converted to float32 at once
 
 
@@ -46,13 +43,7 @@ def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: Array
     """
     if not known.aligned:
         return known.search(queries.position, k, excluded=excluded)
-    k, m = min(check_neighbours(k), len(known)), len(known)
-    mask = None if excluded is None else check_excluded(excluded, (len(queries), m), k)
-    parts = [Retrieval(np.zeros((0, k), dtype=np.int64), np.zeros((0, k)))]
-    for part in _parts(len(queries), _PAIRS // m):
-        apart = known.descriptor.pairwise(queries.take(part), known.description, known.distance)
-        parts.append(nearest_in_rows(apart if mask is None else np.where(mask[part], np.inf, apart), k))
-    return Retrieval.concatenate(parts)
+    return known.aligned_index.search(queries, k, excluded=excluded)
 
 
 @typed
@@ -88,24 +79,10 @@ def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float6
     Raises:
         AnalyticError: descriptions that cannot be compared.
     """
-    if not known.aligned:
-        apart = distance_named(known.distance)
-        if not isinstance(known.descriptors, Packed):
-            return apart(queries.position, known.descriptors)
-        blocks = (known.descriptors[part] for part in _parts(len(known), _ROWS))
-        return np.concatenate([apart(queries.position, block) for block in blocks], axis=1)
-    parts = [np.empty((0, len(known)))]
-    for part in _parts(len(queries), _PAIRS // len(known)):
-        parts.append(known.descriptor.pairwise(queries.take(part), known.description, known.distance))
-    return np.concatenate(parts)
-
-
-def nearest_in_rows(apart: NDArray[np.float64], k: int) -> Retrieval:
-    """Return the k smallest distances of each row (n, m); of equal ones the first comes first."""
-    order = np.argsort(apart, axis=1, kind="stable")[:, :k]
-    return Retrieval(order, np.take_along_axis(apart, order, axis=1))
-
-
-def _parts(count: int, step: int) -> Iterator[slice]:
-    step = max(step, 1)
-    return (slice(start, start + step) for start in range(0, count, step))
+    if known.aligned:
+        return known.aligned_index.distances(queries)
+    apart = distance_named(known.distance)
+    if not isinstance(known.descriptors, Packed):
+        return apart(queries.position, known.descriptors)
+    blocks = (known.descriptors[part] for part in slices(len(known), _ROWS))
+    return np.concatenate([apart(queries.position, block) for block in blocks], axis=1)

@@ -131,11 +131,11 @@ class VectorIndex:
         k = min(k, m)
         mask = None if excluded is None else check_excluded(excluded, (len(q), len(self)), k)
         found = Retrieval(np.zeros((len(q), k), dtype=np.int64), np.zeros((len(q), k)))
-        for block in _slices(len(q), memory // 3 // (4 * m)):
+        for block in slices(len(q), memory // 3 // (4 * m)):
             sight = self._look(q[block], within)
             if mask is not None:
                 sight.scores[mask[block]] = -np.inf
-            for part in _slices(len(sight.scores), memory // 2 // (_BYTES_PER_PAIR * m)):
+            for part in slices(len(sight.scores), memory // 2 // (_BYTES_PER_PAIR * m)):
                 row, column = _candidates(sight.scores[part], sight.slack[part], k)
                 rows = column if within is None else within[column]
                 if self.distance == "manhattan":
@@ -151,7 +151,7 @@ class VectorIndex:
         if self.distance == "manhattan":
             references = self._references if within is None else self._references[within]
             scores = np.empty((len(queries), len(references)))
-            for columns in _slices(len(references), _REFERENCES_PER_BLOCK):
+            for columns in slices(len(references), _REFERENCES_PER_BLOCK):
                 scores[:, columns] = -DISTANCES["manhattan"](queries, references[columns])
             return _Sight(queries, scores, np.zeros(len(queries)))
         embedded = self._embed(queries, is_query=True)
@@ -167,7 +167,7 @@ class VectorIndex:
     ) -> NDArray[np.float64]:
         """Return the distances of pairs (p,), from float64 differences of the vectors."""
         squared = np.empty(len(row))
-        for part in _slices(len(row), _VALUES_PER_SLICE // queries.shape[1]):
+        for part in slices(len(row), _VALUES_PER_SLICE // queries.shape[1]):
             difference = self._embed(self._references[column[part]], is_query=False)
             difference -= queries[row[part]]
             # One dot product per pair: its bits do not depend on what else is in the slice.
@@ -184,12 +184,12 @@ class VectorIndex:
         self._scale = float(np.exp2(-np.ceil(np.log2(largest)))) if largest > 1e-290 else 1.0
         # Any centre gives the right result, so a sample of a large map is enough.
         step, rows = -(-m // _SAMPLE), max(1, _VALUES_PER_BLOCK // self._references.shape[1])
-        sample = (self._references[part.start : part.stop : step] for part in _slices(m, step * rows))
+        sample = (self._references[part.start : part.stop : step] for part in slices(m, step * rows))
         sums = [self._embed(vectors, is_query=False).sum(axis=0) for vectors in sample]
         self._centre = np.sum(sums, axis=0) / -(-m // step)
         self._product = np.empty((m, len(self._centre) + 1), dtype=np.float32)
         squares = np.empty(m)
-        for part in _slices(m, rows):
+        for part in slices(m, rows):
             product = self._product[part, :-1]
             product[:] = (self._embed(self._references[part], is_query=False) - self._centre) * self._scale
             squares[part] = np.einsum("ij,ij->i", product, product, dtype=np.float64)
@@ -275,7 +275,8 @@ def _nearest(
     return column[chosen], apart[chosen]
 
 
-def _slices(count: int, step: int) -> Iterator[slice]:
+def slices(count: int, step: int) -> Iterator[slice]:
+    """Yield slices of up to `step` rows, at least one, that cover `count` rows in order."""
     step = max(step, 1)
     return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
@@ -301,7 +302,7 @@ def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArr
 def _largest(values: NDArray) -> float:
     """Return the largest absolute value of an array (n, D), in blocks of rows; NaN if it contains a NaN."""
     largest = 0.0
-    for part in _slices(len(values), _VALUES_PER_BLOCK // max(1, values.shape[1])):
+    for part in slices(len(values), _VALUES_PER_BLOCK // max(1, values.shape[1])):
         block = values[part]
         if block.size:
             largest = float(np.maximum(np.maximum(largest, block.max()), -block.min()))  # these propagate NaN

@@ -19,9 +19,10 @@ from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import plain
+from siamloc.maps.aligned import AlignedIndex
 from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic, without_images
 from siamloc.maps.map_file import not_whole, read_map, write_map
-from siamloc.maps.packing import Packed, Precision, all_finite
+from siamloc.maps.packing import Packed, Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
 
 
@@ -38,7 +39,8 @@ class VisualMap:
         distance: how descriptors are compared: a name in `analytic.DISTANCES`.
         unit: unit of x and y; the frames' unit if None.
         made: what the frames were read from, as plain values; for reference only.
-        orientation: (n, K, F) orientation parts that give the headings, read-only; None for a descriptor without them.
+        orientation: (n, K, F) orientation parts that give the headings, read-only; None for a descriptor without them;
+            a `Packed` array with packed descriptors.
         heading: what gives the headings if the descriptors do not: the network's own heading part or that of another
             descriptor; None if there is neither.
         describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which creates an analytic one
@@ -89,10 +91,7 @@ class VisualMap:
         if self.unit is None:
             object.__setattr__(self, "unit", self.frames.unit)
         if self.orientation is not None:
-            orientation = _checked_orientation(self.orientation, len(self.frames))
-            if not isinstance(descriptors, Packed) and _in_one_line(orientation, descriptors):
-                orientation = descriptors.reshape(orientation.shape)
-            object.__setattr__(self, "orientation", orientation)
+            object.__setattr__(self, "orientation", _checked_orientation(self.orientation, descriptors))
         if self.heading is not None and len(self.heading) != len(self.frames):
             raise DataError(
                 f"a map needs one heading part per frame, got {len(self.heading)} for {len(self.frames)} frames"
@@ -158,6 +157,11 @@ class VisualMap:
         return VectorIndex(self.descriptors, self.distance)
 
     @cached_property
+    def aligned_index(self) -> AlignedIndex:
+        """The frames, prepared once for comparison at every turn, where `aligned`."""
+        return AlignedIndex(self.descriptor, self.description, self.distance)
+
+    @cached_property
     def digest(self) -> str:
         """A hash of the descriptors, the way they are compared, the frames and the identity, not of the headings."""
         digest = hashlib.sha256(json.dumps([self.identity, self.distance], sort_keys=True).encode())
@@ -169,12 +173,16 @@ class VisualMap:
     def take(self, rows: ArrayLike) -> VisualMap:
         """Return the map of some rows, given by index or by a mask."""
         key: Any = np.atleast_1d(rows)
-        held = self.descriptors
+        descriptors, orientation = _rows(self.descriptors, key), self.orientation
+        if orientation is not None and shares_values(orientation, self.descriptors):
+            orientation = descriptors.reshape((len(descriptors), *orientation.shape[1:]))
+        elif orientation is not None:
+            orientation = _rows(orientation, key)
         return replace(
             self,
-            descriptors=held.rows(key) if isinstance(held, Packed) else held[key],
+            descriptors=descriptors,
             frames=self.frames.take(key),
-            orientation=None if self.orientation is None else self.orientation[key],
+            orientation=orientation,
             heading=None if self.heading is None else self.heading.take(key),
         )
 
@@ -320,8 +328,12 @@ class VisualMap:
             StorageError: the disk is full or cannot be written to.
         """
         about = {"identity": self.identity, "distance": self.distance, "unit": self.unit, "made": plain(self.made)}
-        descriptors = np.asarray(self.descriptors)
-        write_map(path, descriptors, self.frames, about, self.orientation, self.heading, precision)
+        descriptors, orientation = np.asarray(self.descriptors), self.orientation
+        if orientation is not None and shares_values(orientation, self.descriptors):
+            orientation = descriptors.reshape(orientation.shape)
+        elif orientation is not None:
+            orientation = np.asarray(orientation)
+        write_map(path, descriptors, self.frames, about, orientation, self.heading, precision)
 
     @classmethod
     @typed
@@ -346,8 +358,8 @@ class VisualMap:
     def read(cls, file: BinaryIO, source: str) -> VisualMap:
         """Read a map for a robot from an open file that `save` wrote.
 
-        Descriptors of lower precision stay packed, as `siamloc.maps.packing.Packed`. So do orientation parts that are
-        used only for headings, as `heading`.
+        Descriptors of lower precision stay packed, as `siamloc.maps.packing.Packed`. So do the orientation parts of
+        descriptors that are compared at every turn; those that are used only for headings become `heading`.
 
         Args:
             file: open for reading, seekable.
@@ -382,22 +394,33 @@ def _own(array: NDArray, given: Any) -> NDArray:
     return array.copy() if shared and array.flags.writeable else array
 
 
-def _in_one_line(orientation: NDArray, descriptors: NDArray) -> bool:
-    """Whether the orientation parts are the descriptors in another shape, so that one copy is enough."""
-    same = orientation.dtype == descriptors.dtype and orientation.size == descriptors.size
-    return same and np.array_equal(orientation.reshape(descriptors.shape), descriptors)
+def _rows(array: NDArray | Packed, rows: Any) -> Any:
+    return array.rows(rows) if isinstance(array, Packed) else array[rows]
 
 
-def _checked_orientation(orientation: NDArray, frames: int) -> NDArray:
-    array = _own(np.asarray(orientation), orientation)
+def _checked_orientation(orientation: NDArray | Packed, descriptors: NDArray | Packed) -> NDArray | Packed:
+    """Return valid orientation parts, as the descriptors in another shape if both are the same values."""
+    array = orientation if isinstance(orientation, Packed) else _own(np.asarray(orientation), orientation)
+    frames = len(descriptors)
     if array.ndim != 3 or len(array) != frames or 0 in array.shape or array.dtype.kind not in "fcu":
         raise DataError(
             f"a map's orientation parts must be numbers of shape ({frames}, K, F), got {array.dtype} {array.shape}"
         )
+    if _in_one_line(array, descriptors):
+        return descriptors.reshape(array.shape)
     if not all_finite(array):
         raise DataError("a map's orientation parts hold values that are not finite: look at the images")
-    array.flags.writeable = False
+    if not isinstance(array, Packed):
+        array.flags.writeable = False
     return array
+
+
+def _in_one_line(orientation: NDArray | Packed, descriptors: NDArray | Packed) -> bool:
+    """Whether the orientation parts are the descriptors in another shape, so that one copy is enough."""
+    if isinstance(orientation, Packed) or isinstance(descriptors, Packed):
+        return shares_values(orientation, descriptors)
+    same = orientation.dtype == descriptors.dtype and orientation.size == descriptors.size
+    return same and np.array_equal(orientation.reshape(descriptors.shape), descriptors)
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

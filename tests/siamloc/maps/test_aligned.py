@@ -1,0 +1,131 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analytic
+from siamloc.data.frames import FrameTable
+from siamloc.maps import CoarseLayer, HierarchicalSearch, NodeRanking, VisualMap, frame_distances, headings, match
+from siamloc.maps import aligned as module
+from siamloc.maps.packing import Packed, packed, unpacked
+
+IMAGES = np.random.default_rng(5).integers(0, 256, (9, 32, 64), dtype=np.uint8)
+NOISY = np.clip(IMAGES[:4] + np.random.default_rng(6).normal(0, 40, (4, 32, 64)), 0, 255).astype(np.uint8)
+DESCRIPTORS = [
+    analytic.descriptor("wisurf", rows=2, windows=32),
+    analytic.descriptor("wisurf", rows=2, windows=32, circular=False),
+    analytic.descriptor("briefgist", rows=8, columns=16),
+    analytic.descriptor("radon_poc", step=9.0, size=32),
+]
+EVERY = pytest.mark.parametrize("by", DESCRIPTORS, ids=lambda by: by.name if by.circular else f"ordinary {by.name}")
+SHORT = pytest.mark.parametrize("precision", ["float16", "int8"])
+
+
+def map_of(by: analytic.Descriptor) -> VisualMap:
+    seen, n = by.describe(IMAGES), len(IMAGES)
+    frames = FrameTable(path=[f"{i}.png" for i in range(n)], x=np.arange(n), y=np.zeros(n), theta=np.linspace(-3, 3, n))
+    return VisualMap(
+        seen.position, frames, by.identity, by.default_distance, orientation=seen.orientation, describes=by
+    )
+
+
+def asked(by: analytic.Descriptor) -> analytic.Description:
+    """Describe the first four images once more: noisy, and turned if the columns wrap around."""
+    return by.describe(np.roll(NOISY, 8, axis=2) if by.circular else NOISY)
+
+
+def saved(by: analytic.Descriptor, precision: str, folder: Path) -> tuple[VisualMap, VisualMap]:
+    """Return a map of lower precision as it is read in the laboratory, and on a robot."""
+    map_of(by).save(folder / "map.npz", precision)
+    with (folder / "map.npz").open("rb") as file:
+        return VisualMap.load(folder / "map.npz"), VisualMap.read(file, "map.npz")
+
+
+@EVERY
+@SHORT
+def test_a_packed_map_finds_what_its_values_find(by, precision, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_VALUES", 5000)  # several blocks
+    whole, short = saved(by, precision, tmp_path)
+    assert isinstance(short.descriptors, Packed)
+    assert isinstance(short.orientation, Packed)
+    queries = asked(by)
+    expected, found = match(whole, queries), match(short, queries)
+    assert found.indices[:, 0].tolist() == expected.indices[:, 0].tolist() == [0, 1, 2, 3]
+    # The turn of the nearest frame stays, so that only a distance from a rounded correlation is off; the correlation of
+    # noise with noise has many turns that are nearly as good as the best.
+    np.testing.assert_allclose(found.distances, expected.distances, rtol=5e-3)
+    np.testing.assert_allclose(frame_distances(short, queries), frame_distances(whole, queries), rtol=5e-2)
+    assert np.array_equal(headings(short, queries, found), headings(whole, queries, found), equal_nan=True)
+    alone = [match(short, queries.take([row])) for row in range(4)]
+    assert np.array_equal(np.concatenate([one.indices for one in alone]), found.indices)
+
+
+@SHORT
+def test_whole_numbers_are_compared_exactly(precision, tmp_path):
+    by = DESCRIPTORS[2]
+    whole, short = saved(by, precision, tmp_path)
+    queries = asked(by)
+    assert np.array_equal(frame_distances(short, queries), frame_distances(whole, queries))
+    assert np.array_equal(frame_distances(short, queries), frame_distances(map_of(by), queries))
+
+
+@EVERY
+@SHORT
+def test_some_frames_of_a_packed_map_stay_packed(by, precision, tmp_path):
+    whole, short = saved(by, precision, tmp_path)
+    part, expected = short.take([1, 4, 5]), whole.take([1, 4, 5])
+    assert isinstance(part.orientation, Packed)
+    together = np.shares_memory(part.orientation.values, part.descriptors.values)
+    assert together == np.shares_memory(short.orientation.values, short.descriptors.values)
+    assert np.array_equal(part.orientation[:], expected.orientation)
+    assert np.array_equal(part.descriptors[:], expected.descriptors)
+    assert match(part, asked(by).take([1])).indices.tolist() == [[0]]
+    short.save(tmp_path / "again.npz", precision)
+    again = VisualMap.load(tmp_path / "again.npz")
+    np.testing.assert_allclose(again.orientation, whole.orientation, atol=1e-6)
+    assert again.digest == VisualMap.load(tmp_path / "again.npz").digest
+
+
+@EVERY
+@pytest.mark.parametrize("precision", ["float32", "float16", "int8"])
+def test_only_the_frames_of_the_candidates_are_searched(by, precision, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_VALUES", 5000)
+    whole, short = saved(by, precision, tmp_path)
+    layer = CoarseLayer.of_labels(whole, [0, 1, 0, 0, 1, 1, -1, 1, 0])
+    queries = asked(by)
+    ranking = NodeRanking(np.array([[0], [1], [1], [0]]), np.full(4, 2))
+    found = HierarchicalSearch(short, layer, by="vote").search(queries, ranking, 3).found
+    searched = (layer.labels == ranking.nodes) | (layer.labels == -1)
+    apart = np.where(searched, frame_distances(short, queries), np.inf)
+    expected = np.argsort(apart, axis=1, kind="stable")[:, :3]
+    assert np.array_equal(found.indices, expected)
+    # A sum over a few frames at a time may differ in its last bits from that over all.
+    np.testing.assert_allclose(found.distances, np.take_along_axis(apart, expected, axis=1), rtol=1e-4)
+
+
+def test_a_packed_map_holds_its_values_once_and_its_spectra_in_one_byte_a_number(tmp_path):
+    by = DESCRIPTORS[0]
+    _, short = saved(by, "float16", tmp_path)
+    assert np.shares_memory(short.orientation.values, short.descriptors.values)
+    match(short, by.describe(IMAGES[:1]))
+    values, scale = short.aligned_index._packed_spectra
+    assert values.dtype == np.int8
+    assert values.nbytes + scale.nbytes < 0.6 * short.orientation.nbytes
+
+
+def test_every_half_becomes_the_same_float32():
+    every = np.arange(1 << 16, dtype=np.uint16).view(np.float16)[None]
+    one = np.ones(1, dtype=np.float32)
+    assert np.array_equal(unpacked(every, one), every.astype(np.float32), equal_nan=True)
+    finite = every[np.isfinite(every)][None]
+    assert np.array_equal(unpacked(finite, one).view(np.int32), finite.astype(np.float32).view(np.int32))
+    assert unpacked(every[:, :0], one).shape == (1, 0)
+    rows = finite[0, : finite.size // 2 * 2].reshape(-1, 2)[:, ::-1]  # not contiguous
+    assert np.array_equal(unpacked(rows, np.ones(len(rows), dtype=np.float32)), rows.astype(np.float32))
+
+
+def test_maps_with_values_that_are_not_finite_are_still_noticed():
+    held = packed("a", np.ones((3, 4)), "float16")
+    held["a"][1, 2] = np.inf
+    with pytest.raises(ValueError, match="not finite"):
+        VisualMap(Packed(held["a"], held["a_scale"]), FrameTable(path=["a.png", "b.png", "c.png"]))
