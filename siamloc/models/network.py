@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Sequence
 from itertools import pairwise
 from os import PathLike, fspath
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from augment.torchvision_compat import ensure_torchvision
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.models.branch import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    Branch,
+    feature_shape,
+    finer_features,
+    layer_shapes,
+    layers_by_stage,
+)
 from siamloc.models.canonical import Canonical
-from siamloc.models.circular import circular as around
 from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, Spectrum, make_head
-from siamloc.models.normalization import by_image, by_surroundings
 from siamloc.models.orientation import VALUES, Orientation
-from siamloc.models.panoresnet import ResidualBlock, residual_features
+from siamloc.models.panoresnet import ResidualBlock
 from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
 from siamloc.models.relative import RelativePose
 from siamloc.models.room_classifier import RoomClassifier
@@ -27,9 +32,6 @@ from siamloc.models.weights import fill, find_weights
 from siamloc.models.weights_file import state_hash
 from siamloc.runs import Run
 
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
-SIMPLE_GRID = (4, 16)
 _BY_FREQUENCY = (
     Fourier,
     Magnitudes,
@@ -192,7 +194,7 @@ class Network(nn.Module):
     def stages(self) -> list[list[nn.Module]]:
         """The parts with weights: the layers of the branch by resolution, then the head if it has weights."""
         layers = iter(self.branch.features)
-        counts = _layers_by_stage(self.branch.name, self.branch.circular)
+        counts = layers_by_stage(self.branch.name, self.branch.circular)
         above: list[nn.Module] = [part for part in (self.head, self.orientation, self.relative) if part is not None]
         last = [part for part in above if next(part.parameters(), None) is not None]
         head = [last] if last else []
@@ -258,117 +260,6 @@ class Network(nn.Module):
             raise DataError(f"the network needs floating point in [0, 1], got {panorama.dtype}: divide by 255 first")
 
 
-class Branch(nn.Module):
-    """A feature extractor: (B, 3, H, W) in [0, 1] -> (B, C, h, w).
-
-    The images are normalized first. "channels" uses the mean and standard deviation of ImageNet unless the loaded
-    weights say otherwise; branches without ImageNet weights use the same numbers, which bring indoor images close to
-    zero mean and unit variance, as He initialization assumes. "image" normalizes each image by its own mean and
-    deviation, so that neither exposure nor contrast matters, and the other two the surroundings of each pixel, see
-    `siamloc.models.normalization`.
-
-    The torchvision networks keep their own stride: their output is not pooled or scaled to a fixed grid. At 128 x 512
-    VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU, as in its paper. The simple branches keep
-    the full resolution through three 3 x 3 convolutions and then average it to 4 x 16. If the columns wrap around,
-    AlexNet gives 3 x 16.
-
-    Args:
-        name: a name in `BRANCHES`.
-        circular: whether convolutions and pools wrap around the azimuth.
-        normalize: a name in `NORMALIZATIONS`.
-
-    Raises:
-        ConfigError: an unknown name.
-    """
-
-    mean: Tensor
-    std: Tensor
-
-    def __init__(self, name: str, circular: bool = False, normalize: str = "channels") -> None:
-        super().__init__()
-        self.name = name
-        self.circular = circular
-        self.normalize = normalize
-        self.features: nn.Sequential = _features(name, circular)
-        self.register_buffer("mean", torch.empty(1, 3, 1, 1))
-        self.register_buffer("std", torch.empty(1, 3, 1, 1))
-        self.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
-
-    def normalize_with(self, mean: Sequence[float], std: Sequence[float]) -> None:
-        """Set the normalization of the red, green and blue channels, in units of [0, 1]."""
-        for buffer, values in ((self.mean, mean), (self.std, std)):
-            with torch.no_grad():
-                buffer.copy_(torch.tensor(list(values), dtype=buffer.dtype, device="cpu").view(1, 3, 1, 1))
-
-    def forward(self, panorama: Tensor) -> Tensor:
-        """Return the features of panoramas (B, 3, H, W) in [0, 1]."""
-        return self.features(self.normalized(panorama))
-
-    def both(self, panorama: Tensor, level: int) -> tuple[Tensor, Tensor]:
-        """Return the output of the first `level` layers and the features, in one pass."""
-        first = self.features[:level](self.normalized(panorama))
-        return first, self.features[level:](first)
-
-    def normalized(self, panorama: Tensor) -> Tensor:
-        """Return panoramas (B, 3, H, W) in [0, 1], normalized for the first layer."""
-        if self.normalize == "channels":
-            return (panorama - self.mean) / self.std
-        if self.normalize == "image":
-            return by_image(panorama)
-        return by_surroundings(panorama, self.circular, colours=self.normalize == "local")
-
-
-@lru_cache(maxsize=256)
-def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False) -> tuple[int, int, int]:
-    """Return channels, rows and columns of the features at an image size (H, W); only shapes are computed.
-
-    Raises:
-        ConfigError: an unknown branch, or an image too small for it.
-    """
-    shape = _shape_or_none(name, *image_size, circular)
-    if shape is None:
-        rows, columns = smallest_size(name, circular)
-        raise ConfigError(
-            f"an image of {image_size[0]} x {image_size[1]} pixels is too small for the branch {name!r}: "
-            f"it needs at least {rows} x {columns}"
-        )
-    return shape
-
-
-@lru_cache(maxsize=64)
-def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[int, int, int]] | None:
-    """Return where a circular branch has features with at least twice as many columns as its output.
-
-    Returns:
-        The number of layers up to the last such features, 0 for the image itself; and their channels, rows and columns.
-        None if not even the image has so many columns.
-    """
-    found = [(3, *image_size), *_shapes(name, image_size)]
-    finer = [number for number, one in enumerate(found) if one[2] >= 2 * found[-1][2]]
-    return (finer[-1], found[finer[-1]]) if finer else None
-
-
-@lru_cache(maxsize=64)
-def _shapes(name: str, image_size: tuple[int, int]) -> list[tuple[int, int, int]]:
-    """Return channels, rows and columns after each layer of a circular branch."""
-    found, features = [], torch.empty(1, 3, *image_size, device="meta")
-    with torch.no_grad():
-        for layer in _weightless(name, True):
-            features = layer(features)
-            channels, rows, columns = features.shape[1:]
-            found.append((channels, rows, columns))
-    return found
-
-
-@lru_cache(maxsize=64)
-def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
-    """Return the smallest image (H, W) that the branch can take; each side alone may be that small."""
-    if branch_spec(name).kind == "simple":
-        return SIMPLE_GRID
-    rows = _first(lambda side: _shape_or_none(name, side, 256, circular) is not None, enough=256)
-    return rows, _first(lambda side: _shape_or_none(name, 256, side, circular) is not None, enough=256)
-
-
 def checked_image_size(image_size: Sequence[int]) -> tuple[int, int]:
     """Return (H, W) as plain integers.
 
@@ -393,7 +284,7 @@ def _canonical(branch: str, head: Head, image_size: tuple[int, int], circular: b
             f"far the robot has turned, fourier, magnitudes, gem or bands: here circular={circular}, and the head is "
             f"{head.name}; set model.canonical=false"
         )
-    widths = [image_size[1], *(columns for _, _, columns in _shapes(branch, image_size))]
+    widths = [image_size[1], *(columns for _, _, columns in layer_shapes(branch, image_size))]
     if any(wide % narrow for wide, narrow in pairwise(widths)):
         raise ConfigError(
             "model.canonical=true (from Python canonical=True) needs columns that all layers divide evenly, and the "
@@ -426,73 +317,3 @@ def _initialize(network: Network, seed: int) -> None:
     for module in network.modules():  # each block starts as little more than its shortcut
         if isinstance(module, ResidualBlock):
             nn.init.constant_(module.second[1].weight, RESIDUAL)  # type: ignore[arg-type]
-
-
-def _features(name: str, circular: bool = False) -> nn.Sequential:
-    spec = branch_spec(name)
-    if spec.kind == "residual":
-        features: nn.Sequential = residual_features(spec.widths)
-    elif spec.kind == "simple":
-        layers: list[nn.Module] = []
-        for inputs, outputs in zip((3, *spec.widths), spec.widths, strict=False):
-            layers += [nn.Conv2d(inputs, outputs, kernel_size=3, padding=1), nn.ReLU(inplace=True)]
-        features = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(SIMPLE_GRID))
-    else:
-        features = _torchvision_features(name)
-    return cast(nn.Sequential, around(features)) if circular else features
-
-
-def _torchvision_features(name: str) -> nn.Sequential:
-    ensure_torchvision()
-    from torchvision import models
-
-    # The classifier, most of such a network, is discarded: on the meta device it is never allocated.
-    with torch.device("meta"):
-        features = models.get_model(name, weights=None).features
-    device = torch.empty(0).device
-    features = features.to_empty(device=device)
-    if name.startswith("densenet"):
-        features.append(nn.ReLU(inplace=True))
-    return features
-
-
-@lru_cache(maxsize=32)
-def _layers_by_stage(name: str, circular: bool) -> list[int]:
-    """Count the layers of a branch at each resolution; those without weights count with the weights before them."""
-    features, counts, before = torch.empty(1, 3, 256, 256, device="meta"), [0], None
-    with torch.no_grad():
-        for layer in _weightless(name, circular):
-            features = layer(features)
-            if next(layer.parameters(), None) is not None:
-                resolution = features.shape[2:]
-                if before is not None and resolution != before:
-                    counts.append(0)
-                before = resolution
-            counts[-1] += 1
-    return counts
-
-
-@lru_cache(maxsize=32)
-def _weightless(name: str, circular: bool) -> nn.Sequential:
-    with torch.device("meta"):
-        return _features(name, circular).eval()
-
-
-def _shape_or_none(name: str, rows: int, columns: int, circular: bool) -> tuple[int, int, int] | None:
-    if branch_spec(name).kind == "simple" and (rows < SIMPLE_GRID[0] or columns < SIMPLE_GRID[1]):
-        return None
-    try:
-        with torch.no_grad():
-            features = _weightless(name, circular)(torch.empty(1, 3, rows, columns, device="meta"))
-            channels, height, width = features.shape[1:]
-    except RuntimeError:
-        return None
-    return (channels, height, width) if height > 0 and width > 0 else None
-
-
-def _first(holds: Callable[[int], bool], enough: int) -> int:
-    below = 0
-    while enough - below > 1:
-        middle = (below + enough) // 2
-        below, enough = (below, middle) if holds(middle) else (middle, enough)
-    return enough
