@@ -129,10 +129,13 @@ def starts(bundle: Bundle, image: Path, repeats: int) -> tuple[float, dict[str, 
 
 
 def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | None) -> dict[str, Any]:
-    """Measure a bundle with an image, but only its memory if former figures of its times are given."""
-    start, needs = starts(bundle, image, max(3, repeats // 20))
+    """Measure a bundle with an image, but only its memory if former figures of its times are given.
+
+    Images are timed in several rounds with a fresh start between them, so that a few slow seconds change no median.
+    """
+    rounds = max(3, repeats // 20)
     if former is not None:
-        return {**former, **needs}
+        return {**former, **starts(bundle, image, rounds)[1]}
     localizer, pixels = Localizer(bundle.path, threads=1), np.load(image)
     session, inside = localizer._describer._session, list[float]()
 
@@ -145,18 +148,23 @@ def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | No
 
     if session is not None:
         localizer._describer._session = Timed()
-    whole = []
-    for _ in range(repeats + 5):
-        begin = time.perf_counter()
-        localizer.locate(pixels)
-        whole.append(time.perf_counter() - begin)
-    runs = inside[5:] or [0.0] * repeats
+    measured, whole, runs = [], list[float](), list[float]()
+    for _ in range(rounds):
+        measured.append(starts(bundle, image, 1))
+        for _ in range(5):  # to warm up
+            localizer.locate(pixels)
+        inside.clear()
+        for _ in range(repeats // rounds):
+            begin = time.perf_counter()
+            localizer.locate(pixels)
+            whole.append(time.perf_counter() - begin)
+        runs += inside or [0.0] * (repeats // rounds)
     return {
-        **needs,
-        "ms": 1000 * statistics.median(whole[5:]),
+        **{key: statistics.median(needs[key] for _, needs in measured) for key in measured[0][1]},
+        "ms": 1000 * statistics.median(whole),
         "run_ms": 1000 * statistics.median(runs),
-        "beside_ms": 1000 * statistics.median(all_ - run for all_, run in zip(whole[5:], runs, strict=True)),
-        "start_seconds": start,
+        "beside_ms": 1000 * statistics.median(all_ - run for all_, run in zip(whole, runs, strict=True)),
+        "start_seconds": statistics.median(seconds for seconds, _ in measured),
     }
 
 
@@ -255,7 +263,7 @@ def errors(bundle: Bundle, images: PanoramaLibrary, drives: dict[str, FrameTable
 def main() -> None:
     """Measure each bundle, print its row, and write the file."""
     arguments = parser(__doc__)
-    arguments.add_argument("--repeats", type=int, default=60)
+    arguments.add_argument("--repeats", type=int, default=100)
     arguments.add_argument("--data", type=Path, help="folder of a rendered building")
     arguments.add_argument("--memory", action="store_true", help="measure only memory, and keep the file's times")
     arguments.add_argument("--errors", action="store_true", help="make only the second table, and keep the first")

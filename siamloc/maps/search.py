@@ -88,7 +88,7 @@ class VectorIndex:
         if distance not in DISTANCES:
             raise ConfigError(f"unknown distance {distance!r}: {hint(distance, DISTANCES)}")
         self.distance = distance
-        self._references = _checked(references, "map")
+        self._references, self._largest = _checked(references, "map")
         if 0 in self._references.shape:
             raise DataError("the map holds no descriptors: there is nothing to search in")
         if distance != "manhattan":
@@ -179,7 +179,7 @@ class VectorIndex:
     def _prepare(self) -> None:
         """Centre and scale the references, and add a column with the constant term of the score."""
         m, angular = len(self), self.distance in ("cosine", "correlation")
-        largest = 1.0 if angular else _largest(self._references)
+        largest = 1.0 if angular else self._largest
         # A power of two, so that scaling is exact.
         self._scale = float(np.exp2(-np.ceil(np.log2(largest)))) if largest > 1e-290 else 1.0
         # Any centre gives the right result, so a sample of a large map is enough.
@@ -220,13 +220,13 @@ class VectorIndex:
         return unit
 
     def _checked_queries(self, queries: ArrayLike) -> NDArray:
-        q, width = _checked(queries, "query"), self._references.shape[1]
+        (q, largest), width = _checked(queries, "query"), self._references.shape[1]
         if q.shape[1] != width:
             raise DataError(
                 f"queries have {q.shape[1]} values each, the map's descriptors {width}: describe both with one model"
             )
         plain = self.distance in ("euclidean", "minkowski")
-        if plain and _largest(q) * self._scale > _LARGEST:
+        if plain and largest * self._scale > _LARGEST:
             raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
         return q
 
@@ -309,7 +309,8 @@ def _largest(values: NDArray) -> float:
     return largest
 
 
-def _checked(array: ArrayLike, what: str) -> NDArray:
+def _checked(array: ArrayLike, what: str) -> tuple[NDArray, float]:
+    """Return descriptors (n, D) and their largest absolute value."""
     values = cast("NDArray", array) if isinstance(array, Packed) else np.asarray(array)
     if values.dtype.kind not in "biuf":
         raise DataError(f"a search needs {what} descriptors of real numbers, got {values.dtype}")
@@ -317,10 +318,11 @@ def _checked(array: ArrayLike, what: str) -> NDArray:
         values = values.astype(np.float64)
     if values.ndim != 2:
         raise DataError(f"a search needs {what} descriptors of shape (n, D), got shape {values.shape}")
-    if not np.isfinite(_largest(values)):
+    largest = _largest(values)
+    if not np.isfinite(largest):
         bad = int((~np.isfinite(np.asarray(values))).any(axis=1).sum())
         raise DataError(
             f"{bad} of {len(values)} {what} descriptors hold values that are not finite: "
             "look at the model and at these images"
         )
-    return values
+    return values, largest
