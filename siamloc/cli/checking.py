@@ -1,7 +1,7 @@
 """Check every value of a configuration before a command does anything: its name, type and range.
 
-The settings classes of the library (`siamloc.settings`) and of `siamloc.cli.keys` define the valid values. This module
-assigns a class to each part of a configuration.
+The settings classes define the valid values: those of the library (`siamloc.settings`) and those of the command line
+alone (`siamloc.cli.settings`). This module assigns a class to each part of a configuration.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
-from siamloc.cli.keys import OWN, Model, TrainerKeys
 from siamloc.cli.schema import OF_TRAINING, config_folder
+from siamloc.cli.settings import OWN, Model, TrainerKeys
 from siamloc.errors import ConfigError, hint
 from siamloc.settings import Settings, Share, Size, Text, checked, fields_of
 from siamloc.training.settings import Training

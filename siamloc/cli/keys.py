@@ -1,192 +1,88 @@
-"""The keys that only the command line has, and their valid values; those of calls stand beside the calls."""
+"""The text of `siamloc <command> --help`: the main keys of a command, then every key of its configuration."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from pathlib import Path
+from textwrap import dedent, fill, indent
+from typing import Any
 
-from siamloc.files import PICTURES, is_picture
-from siamloc.models.registry import Outputs
-from siamloc.settings import (
-    Count,
-    Natural,
-    Rule,
-    Seed,
-    Settings,
-    Size,
-    Text,
-    Thousand,
-    Workers,
-)
-
-Folder = Annotated[str, Rule("the name of a folder", lambda value: bool(value.strip()))]
-Device = Annotated[str, Rule("auto, cpu or cuda", lambda value: re.fullmatch(r"auto|cpu|cuda(:\d+)?", value))]
-Images = tuple[Text, ...] | Text | None
-Listed = Annotated[str, Rule("numbers between commas", lambda value: bool(re.fullmatch(r"\d+(,\d+)*,?", value)))]
-Depth = Annotated[int, Rule("a whole number from 1 to 10,000", lambda value: 1 <= value <= 10_000)]
-Picture = Annotated[str, Rule(f"a picture's name, ending {' '.join(PICTURES)}", is_picture)]
-Several = Annotated[tuple[Text, ...], Rule("a list of one name or more", lambda value: len(value) > 0)]
-Devices = Annotated[tuple[Natural, ...], Rule("a list of one number or more", lambda value: len(value) > 0)]
+from siamloc.cli.help import COMMANDS
 
 
-@dataclass(frozen=True)
-class Loader(Settings):
-    """How images are loaded."""
+def command_help(name: str) -> str:
+    """Return the text of `siamloc <command> --help`: the main keys with an explanation of each, then all keys."""
+    command = COMMANDS[name]
+    groups = []
+    if command.config is None:
+        from siamloc.cli.robot import keys as keys_of_robot
 
-    WHERE = "loader"
-
-    workers: Workers = 0
-
-
-@dataclass(frozen=True)
-class Branch(Settings):
-    """The branch of a network."""
-
-    WHERE = "model.branch"
-
-    name: Text
-    weights: Text | None = None
-
-
-@dataclass(frozen=True)
-class Head(Settings):
-    """The head of a network."""
-
-    WHERE = "model.head"
-
-    name: Text
-    outputs: Outputs | None = None
+        every, more = {"keys": keys_of_robot(name)}, ""
+    else:
+        every, more = keys_of(command.config), " (`--cfg job` shows their values)"
+    for group, keys in every.items():
+        listed = fill(" ".join(keys), 110, initial_indent="      ", subsequent_indent="      ", break_on_hyphens=False)
+        groups.append(f"  {group}\n{listed}" if keys else f"  {group}")
+    return (
+        f"siamloc {name}: {command.summary}\n\n{indent(dedent(command.details).strip(), '  ')}\n\n"
+        f"example:\n  {command.example}\n\n"
+        f"all keys, by group{more}:\n" + "\n".join(groups)
+    )
 
 
-@dataclass(frozen=True)
-class Model(Settings):
-    """A network."""
+def keys_of(name: str) -> dict[str, list[str]]:
+    """Return all keys of a configuration by group: "data=cold|folder|..." and "other keys".
 
-    WHERE = "model"
+    They are read from the configuration files and the settings classes, so the list is always complete.
+    """
+    from siamloc.cli.compose import composed_defaults, folder_of
+    from siamloc.cli.schema import config_folder, nodes_of_config, nodes_of_data
 
-    branch: Branch
-    head: Head
-    circular: bool = False
-    normalize: Text | None = None
-    canonical: bool = False
-    relative: bool = False
-
-
-@dataclass(frozen=True)
-class TrainerKeys(Settings):
-    """The keys of `conf/trainer`; Lightning checks other arguments of its Trainer itself."""
-
-    WHERE = "trainer"
-
-    accelerator: Text = "auto"
-    devices: Count | Literal["auto", -1] | Devices | Listed = 1
-    num_nodes: Count = 1
-    strategy: Text | None = "auto"
-    precision: Text | Literal[16, 32, 64] | None = "32-true"
-    log_every_n_steps: Natural = 10
+    nodes = nodes_of_config() if name == "config" else nodes_of_data()
+    config = composed_defaults(name)
+    found: dict[str, list[str]] = {}
+    chosen = [*_groups_of(folder_of(name) / f"{name}.yaml"), *(["experiment"] if name == "config" else [])]
+    for group in chosen:
+        section, options = group.replace("/", "."), sorted((config_folder() / group).glob("*.yaml"))
+        keys = set(_flat(config, section))
+        for file in options if group != "experiment" else []:
+            for key, value in _loaded(file, nodes).items():
+                keys |= set(_flat(value, f"{section}.{key}"))
+        found[f"{group}={'|'.join(file.stem for file in options)}"] = sorted(keys)
+    inside = {key for keys in found.values() for key in keys}
+    others = [key for key in _flat(config, "") if key not in inside and key != "experiment"]
+    return {**found, "other keys": sorted(others)} if found else {"keys": sorted(others)}
 
 
-@dataclass(frozen=True)
-class Main(Settings):
-    """The keys of `conf/config.yaml` that belong to no group."""
+def _groups_of(file: Path) -> list[str]:
+    """Return the groups that a configuration file chooses from, such as "data" and "model/branch"."""
+    from omegaconf import OmegaConf
 
-    run: Folder | None = None
-    resume: bool = False
-    overwrite: bool = False
-    debug: Literal["overfit", "one_batch", "profile"] | None = None
-    checkpoint: Literal["best", "last"] = "best"
-    device: Device = "auto"
-    distance: Literal["manhattan", "euclidean", "correlation", "cosine"] | None = None
-    projector: bool = False
-    bundle: Folder | None = None
-    precision: Literal["float32", "float16", "int8", "auto"] = "float32"
-    thumbnails: bool = False
-    loader: Loader = field(default_factory=Loader)
+    held: Any = OmegaConf.to_container(OmegaConf.load(file))
+    defaults = held.get("defaults", [])
+    return [str(key) for entry in defaults if not isinstance(entry, str) for key in entry if "@" not in str(key)]
 
 
-@dataclass(frozen=True)
-class Pretrain(Settings):
-    """The keys of `conf/pretrain.yaml` that belong to no group."""
+def _loaded(file: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the contents of a file of a group, including those of the settings classes that it names."""
+    from omegaconf import OmegaConf
 
-    run: Folder = "runs/pretrained"
-    resume: bool = False
-    overwrite: bool = False
-    image_size: Size = (64, 256)
-    loader: Loader = field(default_factory=Loader)
-
-
-@dataclass(frozen=True)
-class Report(Settings):
-    """The keys of `conf/report.yaml`."""
-
-    run: Text | None = None
-    runs: tuple[Text, ...] | Text | None = ()
-    out: Text | None = None
+    held: Any = OmegaConf.to_container(OmegaConf.load(file))
+    named = [entry for entry in held.pop("defaults", []) if isinstance(entry, dict)]
+    pairs = [(key.removesuffix("@_here_").strip("/"), node) for entry in named for key, node in entry.items()]
+    return {key: value for group, node in pairs for key, value in nodes.get(group, {}).get(node, {}).items()} | held
 
 
-@dataclass(frozen=True)
-class Compare(Settings):
-    """The keys of `conf/compare.yaml`."""
+def _flat(value: Any, prefix: str) -> list[str]:
+    """Return the keys inside a section, with dots."""
+    from omegaconf import DictConfig, OmegaConf
 
-    runs: Several | Text
-    by: Text | None = None
-    out: Text | None = None
-
-
-@dataclass(frozen=True)
-class Reproduce(Settings):
-    """The keys of `conf/reproduce/reproduce.yaml`."""
-
-    id: Text | None = None
-    list: bool = False
-    data: Literal["cold", "freiburg_sim", "mini"] = "freiburg_sim"
-    root: Text | None = None
-    scale: Literal["smoke", "short", "full"] = "short"
-    out: Folder = "reproduced"
-    page: Text | None = None
-    measure: bool = True
-
-
-@dataclass(frozen=True)
-class Expand(Settings):
-    """The keys of `conf/expand.yaml` that belong to no group."""
-
-    out: Folder
-    depth: Depth = 16
-    sequences: tuple[Text, ...] | Text | None = ()
-    seed: Seed = 0
-    workers: Thousand = 2
-    resume: bool = False
-
-
-@dataclass(frozen=True)
-class Preview(Settings):
-    """The keys of `conf/preview.yaml` that belong to no group."""
-
-    out: Picture = "augmentation.png"
-    images: Images = ()
-    count: Thousand = 6
-
-
-@dataclass(frozen=True)
-class Demo(Settings):
-    """The keys of `conf/demo/demo.yaml`."""
-
-    run: Folder = "runs/demo"
-    data: Text = "data"
-    seed: Seed = 0
-    overwrite: bool = False
-
-
-OWN: dict[str, type[Settings]] = {
-    "config": Main,
-    "pretrain": Pretrain,
-    "report": Report,
-    "compare": Compare,
-    "reproduce": Reproduce,
-    "expand": Expand,
-    "preview": Preview,
-    "demo": Demo,
-}
-"""Keys of each main configuration file that belong to no group."""
+    if isinstance(value, DictConfig):
+        inside = OmegaConf.to_container(value, resolve=False)
+        for part in prefix.split(".") if prefix else []:
+            inside = inside.get(part, {}) if isinstance(inside, dict) else {}
+        return _flat(inside, prefix)
+    if not isinstance(value, dict):
+        return [prefix]
+    parts = [_flat(item, f"{prefix}.{key}" if prefix else str(key)) for key, item in value.items()]
+    return [key for keys in parts for key in keys]
