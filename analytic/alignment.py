@@ -178,6 +178,14 @@ def whitened(spectra: Spectra, least: float) -> Spectra:
     return np.divide(spectra, magnitude, out=np.zeros_like(spectra), where=magnitude > floor)
 
 
+def moments(description: Description) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the means of orientation parts, and their lengths after subtracting the means, (B,) each."""
+    flat = description.turnable.reshape(len(description), -1)
+    mean = flat.mean(axis=1, dtype=np.float64)
+    squares = [np.square(row - middle).sum() for row, middle in zip(flat, mean, strict=True)]
+    return mean, np.sqrt(np.array(squares, dtype=np.float64))
+
+
 def rolled(query: NDArray[Any]) -> Callable[[int], NDArray[Any]]:
     """Return the function that turns one orientation part (K, F) back by a number of steps, without copying it."""
     twice = np.concatenate([query, query])  # each turn of the query is a stretch of it: Q[k + s] against R[k]
@@ -221,19 +229,11 @@ def _from_similarity(
     lengths = np.sqrt(np.outer(queries.squares, references.squares))
     scale, product = lengths, peak
     if name == "correlation":
-        (mean, spread), (known_mean, known_spread) = (d.kept("moments", _moments) for d in (queries, references))
+        (mean, spread), (known_mean, known_spread) = (d.kept("moments", moments) for d in (queries, references))
         scale = np.outer(spread, known_spread)
         product = peak - queries.turnable[0].size * np.outer(mean, known_mean) if peak.size else peak
     similarity = np.divide(product, scale, out=np.zeros_like(peak), where=scale > 0)
     return np.clip(1 - similarity, 0, 2), scale - product < _CLOSE / 2 * lengths
-
-
-def _moments(description: Description) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the means of orientation parts, and their lengths after subtracting the means, (B,) each."""
-    flat = description.turnable.reshape(len(description), -1)
-    mean = flat.mean(axis=1, dtype=np.float64)
-    squares = [np.square(row - middle).sum() for row, middle in zip(flat, mean, strict=True)]
-    return mean, np.sqrt(np.array(squares, dtype=np.float64))
 
 
 def _directly(

@@ -17,6 +17,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps import RefinedPoses, Refinement, Retrieval, VisualMap, frame_distances, headings, match
+from siamloc.maps.packing import shares_values
 from siamloc.stopwatch import Stopwatch
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | str | Descriptor
@@ -286,7 +287,7 @@ def cost(known: VisualMap, clock: Stopwatch) -> dict[str, Any]:
     """
     turning = known.orientation if known.heading is None else known.heading.values
     kept: list[NDArray[Any]] = [known.descriptors]
-    if turning is not None and not np.shares_memory(turning, known.descriptors):
+    if turning is not None and not shares_values(turning, known.descriptors):
         kept.append(turning)
     return {
         **{f"{step}_ms": clock.ms(step) for step in ("describe", "search", "heading")},

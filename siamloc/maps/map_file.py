@@ -17,7 +17,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
 from siamloc.files import atomic_path, parsed_json
 from siamloc.maps.heading import HeadingPart, descriptor_of, is_analytic, without_images
-from siamloc.maps.packing import Packed, Precision, packed
+from siamloc.maps.packing import Packed, Precision, packed, shares_values
 
 _FORMAT = "siamloc-map"
 _VERSION = 2
@@ -56,7 +56,7 @@ def write_map(
     arrays: dict[str, NDArray] = {"descriptors": descriptors}
     if orientation is not None:
         header["orientation"] = list(orientation.shape)
-        if not np.shares_memory(orientation, descriptors):
+        if not shares_values(orientation, descriptors):
             arrays["orientation"] = orientation
     if heading is not None:
         header["heading"] = heading.identity
@@ -124,7 +124,7 @@ def not_whole(path: str | Path, error: Exception) -> FormatError:
 
 def _unpack(header: dict[str, Any], arrays: dict[str, Any], short: bool) -> None:
     """Convert arrays of lower precision to float32 unless they may stay packed; make all of them read-only."""
-    made = _analytic(header) if short else None
+    made = _own_descriptor(header) if short else None
     if made is not None and "orientation_scale" in arrays and made.tells_heading and not made.aligned:
         # A heading is the turn with the largest correlation, and no scale changes that.
         header["heading"] = without_images(header["identity"])
@@ -137,13 +137,12 @@ def _unpack(header: dict[str, Any], arrays: dict[str, Any], short: bool) -> None
             held = Packed(arrays[name], arrays.pop(f"{name}_scale"))
             arrays[name] = held if stays else held[:]
     for name in {"descriptors", "orientation", "heading"} & set(arrays):
-        found = arrays[name]
-        for array in (found.values, found.scale) if isinstance(found, Packed) else (found,):
-            array.flags.writeable = False  # nothing else refers to them
+        if not isinstance(arrays[name], Packed):
+            arrays[name].flags.writeable = False  # nothing else refers to it
 
 
-def _analytic(header: Mapping[str, Any]) -> Descriptor | None:
-    """Return the analytic descriptor of a map whose headings come from it alone; None if there is no such."""
+def _own_descriptor(header: Mapping[str, Any]) -> Descriptor | None:
+    """Return the analytic descriptor of a map that has no heading part by another one; None otherwise."""
     identity = header.get("identity")
     if "heading" in header or not isinstance(identity, dict) or not is_analytic(identity):
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -55,8 +54,8 @@ class Packed:
     accessed.
 
     Attributes:
-        values: (n, ...) int8 or float16.
-        scale: (n,) float32.
+        values: (n, ...) int8 or float16, read-only.
+        scale: (n,) float32, read-only.
 
     Raises:
         ValueError: arrays that do not match each other.
@@ -74,6 +73,10 @@ class Packed:
 
     def __post_init__(self) -> None:
         _check(self.values, self.scale)
+        for name in ("values", "scale"):
+            shown = getattr(self, name).view()
+            shown.flags.writeable = False
+            object.__setattr__(self, name, shown)
 
     def __len__(self) -> int:
         return len(self.values)
@@ -92,9 +95,9 @@ class Packed:
         """Return some rows, given by index or by a mask, still packed."""
         return Packed(self.values[rows], self.scale[rows])
 
-    def reshape(self, shape: Sequence[int]) -> Packed:
-        """Return the array in another shape with as many rows, sharing its memory."""
-        return Packed(self.values.reshape(shape), self.scale)
+    def reshape(self, *shape: Any) -> Packed:
+        """Return the array in another shape with as many rows, as `numpy.ndarray.reshape` does."""
+        return Packed(self.values.reshape(*shape), self.scale)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -118,10 +121,17 @@ class Packed:
 
 
 def shares_values(one: NDArray[Any] | Packed, other: NDArray[Any] | Packed) -> bool:
-    """Whether two arrays, both packed or neither, are the same values in memory, possibly in different shapes."""
+    """Whether two arrays, both packed or neither, are the same memory in one order, possibly in different shapes."""
     if isinstance(one, Packed) and isinstance(other, Packed):
-        return np.shares_memory(one.values, other.values)
-    return isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and np.shares_memory(one, other)
+        return shares_values(one.values, other.values) and shares_values(one.scale, other.scale)
+    if isinstance(one, Packed) or isinstance(other, Packed):
+        return False
+    return (
+        one.ctypes.data == other.ctypes.data
+        and (one.dtype, one.size) == (other.dtype, other.size)
+        and one.flags.c_contiguous
+        and other.flags.c_contiguous
+    )
 
 
 def all_finite(values: NDArray[Any] | Packed) -> bool:
@@ -146,8 +156,8 @@ def unpacked(values: NDArray, scale: NDArray) -> NDArray:
 def _halves(values: NDArray[np.float16]) -> NDArray[np.float32]:
     """Return `values.astype(np.float32)`, several times as fast where NumPy converts one value at a time.
 
-    Sign, exponent and fraction of a float16, moved to their places in a float32, are that number times 2^-112, for
-    numbers below the smallest normal one too. Infinities and NaN become 2^16 or more, so these are converted plainly.
+    Sign, exponent and fraction of a float16, moved to their places in a float32, are that number times 2^-112,
+    subnormal numbers included. Infinities and NaN become 2^16 or more: an array that holds any is left to NumPy.
     """
     bits = values.view(np.int16).astype(np.int32)
     bits <<= 13

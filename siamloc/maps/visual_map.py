@@ -148,7 +148,10 @@ class VisualMap:
 
     @cached_property
     def description(self) -> Description:
-        """The map as a description that its descriptor can compare; its spectrum is computed once for all queries."""
+        """The map as a description that its descriptor can compare; its spectrum is computed once for all queries.
+
+        Comparing all of a packed map makes it float32: `index` and `aligned_index` do not.
+        """
         return Description(self.descriptors, self.orientation)
 
     @cached_property
@@ -175,7 +178,7 @@ class VisualMap:
         key: Any = np.atleast_1d(rows)
         descriptors, orientation = _rows(self.descriptors, key), self.orientation
         if orientation is not None and shares_values(orientation, self.descriptors):
-            orientation = descriptors.reshape((len(descriptors), *orientation.shape[1:]))
+            orientation = descriptors.reshape(len(descriptors), *orientation.shape[1:])
         elif orientation is not None:
             orientation = _rows(orientation, key)
         return replace(

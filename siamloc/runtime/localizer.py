@@ -137,8 +137,9 @@ class FrameFilter:
 class Localizer:
     """Locates images with a bundle written by `siamloc.runtime.export`.
 
-    The map is prepared for search once, which takes the memory of its descriptors as float32. Nothing is kept between
-    images: each answer depends on its image alone, unless a `tracker` is given. Several threads may share one.
+    The map is prepared for search once, which takes the memory of its descriptors as float32, or that of rounded
+    spectra for descriptors that are compared at every turn. Nothing is kept between images: each answer depends on its
+    image alone, unless a `tracker` is given. Several threads may share one.
 
     If the bundle has a coarse layer, it is searched first: the map frames come from the nodes that resemble the image
     most. If these hold fewer frames than the estimates need, the whole map is searched.
@@ -199,6 +200,8 @@ class Localizer:
         self._wanted = max(self._top, *looked_at, 1)
         for one in {id(one): one for one in (self.map, self._placed) if one is not None}.values():
             match(one, one.description.take(slice(0, 1)))  # prepares it here, not with the first image
+        if self._search is not None:
+            self._search.rank(self._search.coarse.description.take(slice(0, 1)))
 
     @property
     def unit(self) -> str:
