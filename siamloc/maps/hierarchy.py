@@ -275,7 +275,7 @@ class HierarchicalSearch:
             if not len(rows):
                 continue
             everyone = np.arange(len(nodes)) if node == UNASSIGNED else np.flatnonzero((nodes == node).any(axis=1))
-            found = self._inside(rows, queries.take(everyone), k)
+            found = match(self.known, queries.take(everyone), k, within=rows)
             hits.append((np.repeat(everyone, found.indices.shape[1]), found.indices.ravel(), found.distances.ravel()))
         query, frame, apart = (np.concatenate(column) for column in zip(*hits, strict=True))
         order = np.lexsort((frame, apart, query))
@@ -298,18 +298,12 @@ class HierarchicalSearch:
         k = best.indices.shape[1]
         for row in np.flatnonzero(further.any(axis=1)).tolist():
             rows = beside[row][further[row]]
-            found = self._inside(rows, queries.take(slice(row, row + 1)), min(k, len(rows)))
+            found = match(self.known, queries.take(slice(row, row + 1)), k, within=rows)
             frame = np.concatenate([best.indices[row], found.indices[0]])
             apart = np.concatenate([best.distances[row], found.distances[0]])
             order = np.lexsort((frame, apart))[:k]
             best.indices[row], best.distances[row] = frame[order], apart[order]
         return further.sum(axis=1)
-
-    def _inside(self, rows: NDArray[np.int64], queries: Description, k: int) -> Retrieval:
-        """Return the nearest of some rows of the map."""
-        if self.known.aligned:
-            return self.known.aligned_index.search(queries, k, within=rows)
-        return self.known.index.search(queries.position, k, within=rows)
 
 
 def _not_naming(known: VisualMap, layer: CoarseLayer) -> str:

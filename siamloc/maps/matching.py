@@ -16,7 +16,14 @@ _ROWS = 512  # of a packed map, converted to float32 at once
 
 
 @typed
-def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
+def match(
+    known: VisualMap,
+    queries: Description,
+    k: int = 1,
+    *,
+    excluded: ArrayLike | None = None,
+    within: NDArray[np.int64] | None = None,
+) -> Retrieval:
     """Find the min(k, m) nearest map frames of each query, exactly.
 
     Descriptors that are turned into alignment before they are compared ([T] 3.3.4-3.3.6) compute every distance; all
@@ -27,6 +34,7 @@ def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: Array
         queries: n descriptions by the map's descriptor.
         k: number of map frames to return, at least 1.
         excluded: (n, m) bool, True where a query must not find a map frame; see `Protocol.excluded`.
+        within: the only rows of the map to search, increasing, not together with `excluded`; all if None.
 
     Raises:
         AnalyticError, ConfigError, DataError: descriptions that cannot be compared, a k below 1, or a query with fewer
@@ -41,9 +49,9 @@ def match(known: VisualMap, queries: Description, k: int = 1, *, excluded: Array
         >>> match(known, query, 2, excluded=[[False, True, False]]).indices
         array([[0, 2]])
     """
-    if not known.aligned:
-        return known.search(queries.position, k, excluded=excluded)
-    return known.aligned_index.search(queries, k, excluded=excluded)
+    if known.aligned:
+        return known.aligned_index.search(queries, k, excluded=excluded, within=within)
+    return known.index.search(queries.position, k, excluded=excluded, within=within)
 
 
 @typed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -176,16 +176,12 @@ class VisualMap:
     def take(self, rows: ArrayLike) -> VisualMap:
         """Return the map of some rows, given by index or by a mask."""
         key: Any = np.atleast_1d(rows)
-        descriptors, orientation = _rows(self.descriptors, key), self.orientation
-        if orientation is not None and shares_values(orientation, self.descriptors):
-            orientation = descriptors.reshape(len(descriptors), *orientation.shape[1:])
-        elif orientation is not None:
-            orientation = _rows(orientation, key)
+        descriptors = _rows(self.descriptors, key)
         return replace(
             self,
             descriptors=descriptors,
             frames=self.frames.take(key),
-            orientation=orientation,
+            orientation=self._orientation_beside(descriptors, lambda held: _rows(held, key)),
             heading=None if self.heading is None else self.heading.take(key),
         )
 
@@ -331,12 +327,17 @@ class VisualMap:
             StorageError: the disk is full or cannot be written to.
         """
         about = {"identity": self.identity, "distance": self.distance, "unit": self.unit, "made": plain(self.made)}
-        descriptors, orientation = np.asarray(self.descriptors), self.orientation
-        if orientation is not None and shares_values(orientation, self.descriptors):
-            orientation = descriptors.reshape(orientation.shape)
-        elif orientation is not None:
-            orientation = np.asarray(orientation)
+        descriptors = np.asarray(self.descriptors)
+        orientation = self._orientation_beside(descriptors, np.asarray)
         write_map(path, descriptors, self.frames, about, orientation, self.heading, precision)
+
+    def _orientation_beside(self, descriptors: Any, made: Callable[[Any], Any]) -> Any:
+        """Return what is made of the orientation parts: the new descriptors in another shape if these are the same."""
+        if self.orientation is None:
+            return None
+        if shares_values(self.orientation, self.descriptors):
+            return descriptors.reshape(len(descriptors), *self.orientation.shape[1:])
+        return made(self.orientation)
 
     @classmethod
     @typed
