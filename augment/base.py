@@ -1,25 +1,30 @@
 """`Effect`: parameters are drawn first and applied second, so that a draw can be saved and repeated.
 
-`Range` defines what a parameter is drawn from.
+`Range` defines what a parameter is drawn from; `Program` holds what a batch needs to be rendered.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from numbers import Real
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from augment.brushes import Brush, paint
 from augment.errors import AugmentError, hint
 
 Params = dict[str, Tensor]
+Numbers = dict[str, NDArray[np.float64]]
+"""Numbers by name, (B,) or (k, B): one for each of B frames, or k of them."""
 
 _FARTHEST = 1e6  # larger than any column, row or angle that makes sense
 _ROUNDING = 1e-5  # relative, of values that were drawn in float32 from the logarithm
@@ -81,6 +86,21 @@ class Range:
             return self.neutral * (end / self.neutral) ** abs(strength)
         value = self.neutral + abs(strength) * (end - self.neutral)
         return math.floor(value + 0.5) if self.whole else value
+
+
+class Program(NamedTuple):
+    """What is done to the images of a batch, packed so that it reaches a device in two transfers.
+
+    Attributes:
+        numbers: (P,) float32, the coefficients of all steps, one after the other.
+        frames: (F,) int64, the frames of all steps.
+        steps: for each step the number of its effect in `Effect.renderers`, the number of its frames, and name and
+            length of each of its coefficients.
+    """
+
+    numbers: Tensor
+    frames: Tensor
+    steps: tuple[tuple[int, int, tuple[tuple[str, int], ...]], ...]
 
 
 class Effect(ABC):
@@ -161,7 +181,8 @@ class Effect(ABC):
             )
         height, width = batch.shape[2:]
         shape = (len(batch), len(self.spans(height, width)))
-        return self.values(torch.rand(shape, generator=generator, device=generator.device).cpu(), height, width)
+        with on_host():
+            return self.values(torch.rand(shape, generator=generator, device=generator.device).cpu(), height, width)
 
     def values(self, uniform: Tensor, height: int, width: int) -> Params:
         """Turn uniform numbers in [0, 1), (B, number of spans), into the parameters of B frames."""
@@ -184,8 +205,9 @@ class Effect(ABC):
         height, width = batch.shape[2:]
         values = {key: span.at(strength) for key, span in self.spans(height, width).items()}
         count = len(batch)
-        params = {key: torch.tensor([value] * count) for key, value in values.items()}
-        return self.complete(params, count, height, width)
+        with on_host():
+            params = {key: torch.tensor([value] * count) for key, value in values.items()}
+            return self.complete(params, count, height, width)
 
     def apply(self, batch: Tensor, params: Mapping[str, Any]) -> Tensor:
         """Return the altered batch; the same parameters give the same images.
@@ -198,16 +220,71 @@ class Effect(ABC):
             AugmentError: a batch of the wrong shape, dtype or range, or with NaN, or parameters that do not fit it.
         """
         check_batch(batch)
-        checked = self.checked(params, len(batch), *batch.shape[2:])
-        if len(batch) == 0:
-            return batch.clone()
-        if batch.dtype == torch.uint8 and batch.device.type == "cpu":
-            frames = batch.clone(memory_format=torch.contiguous_format)
-            paint(frames.numpy(), self.brushes(checked, *batch.shape[2:]))
-            return frames
-        if batch.dtype == torch.uint8:
-            return (self.render(batch.float().div_(255), checked).clamp_(0, 1).mul_(255)).round_().to(torch.uint8)
-        return self.render(batch, checked).clamp(0, 1)
+        height, width = batch.shape[2:]
+        with on_host():
+            checked = self.checked(params, len(batch), height, width)
+            if len(batch) == 0:
+                return batch.clone()
+            if batch.dtype == torch.uint8 and batch.device.type == "cpu":
+                frames = batch.clone(memory_format=torch.contiguous_format)
+                strokes = zip(self.brushes(checked, height, width), self.active(checked), strict=True)
+                paint(frames.numpy(), [brushes if active else () for brushes, active in strokes])
+                return frames
+            return self.play(batch, self.program(checked, height, width))
+
+    def program(self, params: Mapping[str, Tensor], height: int, width: int) -> Program:
+        """Pack drawn parameters for `play`: a loader can do so, while a device is busy.
+
+        Args:
+            params: as returned by `draw`.
+            height: rows of the frames.
+            width: columns of the frames.
+        """
+        numbers = self.coefficients(as_numbers(params), height, width)
+        return packed([(0, self.active(params), numbers)])
+
+    def play(self, batch: Tensor, program: Program) -> Tensor:
+        """Return the altered batch on its device, without waiting for it.
+
+        Args:
+            batch: (B, 3, H, W), uint8, or float32 in [0, 1], which is not checked.
+            program: from `program`, on any device.
+        """
+        coded = batch.dtype == torch.uint8
+        out = batch.float().div_(255) if coded else batch.clone(memory_format=torch.contiguous_format)
+        numbers, frames = beside(program.numbers, batch), beside(program.frames, batch)
+        for number, count, names in program.steps:
+            lengths = [length for _, length in names]
+            mine, numbers = numbers.split([count * sum(lengths), len(numbers) - count * sum(lengths)])
+            taken, frames = frames.split([count, len(frames) - count])
+            parts = mine.view(-1, count).split(lengths)
+            values = {name: part.T[..., None, None] for (name, _), part in zip(names, parts, strict=True)}
+            some = out if count == len(out) else out.index_select(0, taken)
+            some = self.renderers[number].render(some, values)
+            # Every effect gives whole levels, as in main memory: the next one may make a thousandth visible.
+            some = torch.fake_quantize_per_tensor_affine(some, 1 / 255, 0, 0, 255) if coded else some.clamp_(0, 1)
+            out = some if count == len(out) else out.index_copy_(0, taken, some)
+        return out.mul_(255).round_().to(torch.uint8) if coded else out
+
+    @property
+    def renderers(self) -> Sequence[Effect]:
+        """The effects whose `render` the steps of a program call."""
+        return (self.renderer,)
+
+    @property
+    def renderer(self) -> Effect:
+        """The effect that renders this one; effects that share one are rendered together."""
+        return self
+
+    def active(self, params: Mapping[str, Tensor]) -> NDArray[np.bool_]:
+        """Return which frames (B,) the effect changes: those whose strength is not neutral."""
+        strengths = {key: span.neutral for key, span in self.ranges.items() if span.neutral is not None}
+        changed = [(params[key] != neutral).numpy() for key, neutral in strengths.items()]
+        return np.any(changed, axis=0) if changed else np.ones(len(next(iter(params.values()))), dtype=bool)
+
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """Return the numbers in the formula of the effect, for frames with these parameters; by default these."""
+        return params
 
     def shift(self, params: Mapping[str, Tensor]) -> Tensor | None:
         """Return by how many columns each frame moves to the right (B,) int64; None for an effect that moves nothing.
@@ -248,8 +325,13 @@ class Effect(ABC):
         """Return for each frame the brushes that alter it in place, as 8-bit levels."""
 
     @abstractmethod
-    def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the altered batch, float32, 1 being white; the caller clips values outside [0, 1]."""
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Return the altered batch as a new tensor, float32, 1 being white; the caller clips values outside [0, 1].
+
+        Args:
+            batch: (b, 3, H, W).
+            values: the coefficients, (b, 1, 1, 1) or (b, k, 1, 1) each, on the device of the batch.
+        """
 
     def checked(self, params: Mapping[str, Any], count: int, height: int, width: int) -> Params:
         """Return parameters as tensors (B,) in main memory.
@@ -372,9 +454,42 @@ def check_batch(batch: Tensor) -> None:
 
 def beside(values: Tensor, batch: Tensor) -> Tensor:
     """Move numbers from main memory to the device of a batch, without waiting for the transfer to a GPU."""
+    if values.device == batch.device:
+        return values
     return (values.pin_memory() if batch.is_cuda else values).to(batch.device, non_blocking=True)
 
 
-def column_of(values: Tensor, like: Tensor) -> Tensor:
-    """Return parameters (B,) as (B, 1, 1, 1), float32, on the device of a batch."""
-    return beside(values.float(), like).view(-1, 1, 1, 1)
+@lru_cache(maxsize=8)
+def places_in(height: int, width: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return the numbers of rows (1, 1, H, 1) and columns (1, 1, 1, W), float32; kept for further batches."""
+    rows, columns = (torch.arange(count, device=device, dtype=torch.float32) for count in (height, width))
+    return rows.view(1, 1, -1, 1), columns.view(1, 1, 1, -1)
+
+
+def as_numbers(params: Mapping[str, Tensor]) -> Numbers:
+    """Return parameters as arrays, in double precision."""
+    return {key: value.numpy().astype(np.float64) for key, value in params.items()}
+
+
+def packed(steps: Sequence[tuple[int, NDArray[np.bool_], Numbers]]) -> Program:
+    """Pack steps: the number of the effect, which frames (B,) it changes, and its coefficients for all frames."""
+    numbers, frames, described = [np.zeros(0)], [np.zeros(0, dtype=np.int64)], []
+    for number, changed, values in steps:
+        rows = np.flatnonzero(changed)
+        if len(rows):
+            wide = {name: np.atleast_2d(value) for name, value in values.items()}
+            numbers += [value[:, rows].ravel() for value in wide.values()]
+            frames.append(rows)
+            described.append((number, len(rows), tuple((name, len(value)) for name, value in wide.items())))
+    together = torch.from_numpy(np.concatenate(numbers).astype(np.float32))
+    return Program(together, torch.from_numpy(np.concatenate(frames)), tuple(described))
+
+
+@contextmanager
+def on_host() -> Iterator[None]:
+    """Make tensors in main memory, whatever torch's default device is."""
+    if torch.get_default_device().type == "cpu":
+        yield
+        return
+    with torch.device("cpu"):
+        yield

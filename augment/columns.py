@@ -9,9 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, beside, column_of
+from augment.base import Effect, Numbers, Params, Range, as_numbers, places_in
 from augment.brushes import Brush, Frame
 
 _MOST = 4  # bars
@@ -58,12 +59,15 @@ class Rotate(Effect):
         """Return for each frame the move of its columns."""
         return [[partial(_turn, int(shift) % width)] if int(shift) % width else [] for shift in params["shift"]]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The shift within one turn."""
+        return {"shift": params["shift"] % width}
+
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch with moved columns."""
-        width = batch.shape[3]
-        columns = torch.arange(width, device=batch.device)
-        source = (columns - beside(params["shift"], batch).view(-1, 1)) % width
-        return batch.gather(3, source.view(-1, 1, 1, width).expand_as(batch))
+        _, columns = places_in(*batch.shape[2:], batch.device)
+        source = ((columns - values["shift"]) % batch.shape[3]).long()
+        return batch.gather(3, source.expand_as(batch))
 
 
 class Occlude(Effect):
@@ -93,16 +97,20 @@ class Occlude(Effect):
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame what fills its bars."""
-        starts, lengths = (value.tolist() for value in _bars(params, width))
+        starts, lengths = (value.T.astype(int).tolist() for value in _bars(as_numbers(params), width))
         frames = zip(starts, lengths, params["level"].tolist(), strict=True)
         return [[partial(_fill, list(zip(start, length, strict=True)), level)] for start, length, level in frames]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The bars."""
+        starts, lengths = _bars(params, width)
+        return {"start": starts, "length": lengths, "level": params["level"] / 255}
+
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch behind the bars."""
-        width = batch.shape[3]
-        starts, lengths = (value[..., None] for value in _bars(params, width))
-        hidden = beside(((torch.arange(width) - starts) % width < lengths).any(dim=1), batch)
-        return torch.where(hidden[:, None, None], column_of(params["level"], batch) / 255, batch)
+        _, columns = places_in(*batch.shape[2:], batch.device)
+        hidden = ((columns - values["start"]) % batch.shape[3] < values["length"]).any(dim=1, keepdim=True)
+        return torch.where(hidden, values["level"], batch)
 
 
 def wrapped(angle: Tensor) -> Tensor:
@@ -114,17 +122,15 @@ def _turn(shift: int, frame: Frame) -> None:
     frame[:] = np.concatenate([frame[:, :, -shift:], frame[:, :, :-shift]], axis=2)
 
 
-def _bars(params: Params, width: int) -> tuple[Tensor, Tensor]:
-    """Return the first column and the width of each bar, both (B, 4) int64; absent bars have width 0."""
-    bars = params["bars"].view(-1, 1)
-    number = torch.arange(_MOST)
-    place = torch.stack([params[key] for key in _PLACES], dim=1)
+def _bars(params: Numbers, width: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the first column and the width of each bar, whole numbers (4, B); absent bars have width 0."""
+    bars, number = params["bars"], np.arange(_MOST)[:, None]
+    place = np.stack([params[key] for key in _PLACES])
     sector = number * width // bars
     room = (number + 1) * width // bars - sector
-    wanted = (params["share"].double().view(-1, 1) * width / bars + 0.5).floor().long()
-    length = torch.minimum(wanted, room)
-    start = sector + torch.minimum((place * (room - length + 1)).long(), room - length)
-    return (start + params["column"].view(-1, 1)) % width, torch.where(number < bars, length, 0)
+    length = np.minimum(np.floor(params["share"] * width / bars + 0.5), room)
+    start = sector + np.minimum(np.floor(place * (room - length + 1)), room - length)
+    return (start + params["column"]) % width, np.where(number < bars, length, 0)
 
 
 def _fill(bars: list[tuple[int, int]], level: int, frame: Frame) -> None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from functools import lru_cache
 from numbers import Real
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, beside
+from augment.base import Effect, Numbers, Params, Program, Range, as_numbers, packed
 from augment.brushes import Brush
 from augment.columns import wrapped
 from augment.errors import AugmentError, hint
@@ -85,6 +88,8 @@ class Policy(Effect):
         self.slots: tuple[Step, ...] = tuple(step for step in _walk(self.tree) if step.effect is not None)
         self._inner = [step for step in _walk(self.tree) if step.probability < 1]
         self._choices = [step for step in _walk(self.tree) if step.kind == "one_of"]
+        self._renderers = tuple(inner.renderer for inner in self.effects)
+        self._stages = _stages(self.tree, [(type(one), *one.options.items()) for one in self._renderers])
 
     def __repr__(self) -> str:
         return f"Policy({self.name!r}, {len(self.slots)} slots)"
@@ -128,56 +133,94 @@ class Policy(Effect):
         """Return the parameters of every effect at one strength. See `Effect.at`."""
         params = super().at(strength, batch)
         for prefix, _ in self._prefixed():
-            params[f"{prefix}.on"] = torch.ones(len(batch), dtype=torch.bool)
+            params[f"{prefix}.on"] = torch.ones(len(batch), dtype=torch.bool, device="cpu")
         return params
 
     def shift(self, params: Mapping[str, Tensor]) -> Tensor | None:
         """Return the columns that all rotations together move each frame. See `Effect.shift`."""
         total: Tensor | None = None
-        for prefix, inner in self._prefixed():
-            moved = inner.shift(_without(prefix, params))
+        for own, inner in zip(self._owns(params), self.effects, strict=True):
+            moved = inner.shift(own)
             if moved is not None:
-                moved = moved * params[f"{prefix}.on"]
+                moved = moved * own["on"]
                 total = moved if total is None else total + moved
         return total
 
     def describe(self, params: Mapping[str, Tensor]) -> list[str]:
         """Return what happens to each frame: "darken + bulb light + rotate", or "original"."""
         words: list[list[str]] = [[] for _ in range(len(params["heading"]))]
-        for prefix, inner in self._prefixed():
-            on = torch.as_tensor(params[f"{prefix}.on"])
+        for own, inner in zip(self._owns(params), self.effects, strict=True):
+            on = torch.as_tensor(own["on"])
             if not on.any():
                 continue
-            texts = inner.describe(_without(prefix, params))
+            texts = inner.describe(own)
             for frame in on.nonzero()[:, 0].tolist():
                 words[frame].append(texts[frame])
         return [" + ".join(some) or "original" for some in words]
 
+    def active(self, params: Mapping[str, Tensor]) -> NDArray[np.bool_]:
+        """Return which frames (B,) any effect changes."""
+        return np.any([np.zeros(len(params["heading"]), dtype=bool), *self._changed(params)], axis=0)
+
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the brushes of the effects it got, in their order."""
         brushes: list[list[Brush]] = [[] for _ in range(len(params["heading"]))]
-        for prefix, inner in self._prefixed():
-            frames = params[f"{prefix}.on"].nonzero()[:, 0]
+        for own, inner, changed in zip(self._owns(params), self.effects, self._changed(params), strict=True):
+            frames = torch.from_numpy(np.flatnonzero(changed))
             if len(frames):
-                own = {key: value[frames] for key, value in _without(prefix, params).items() if key != "on"}
-                some = inner.brushes(own, height, width)
+                some = inner.brushes({key: value[frames] for key, value in own.items() if key != "on"}, height, width)
                 for frame, strokes in zip(frames.tolist(), some, strict=True):
                     brushes[frame].extend(strokes)
         return list(brushes)
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the batch after all effects; each works on the frames that got it."""
-        out = batch
-        for prefix, inner in self._prefixed():
-            frames = params[f"{prefix}.on"].nonzero()[:, 0]
-            if len(frames) == 0:
-                continue
-            own = {key: value[frames] for key, value in _without(prefix, params).items() if key != "on"}
-            if out is batch:
-                out = batch.clone()
-            where = beside(frames, batch)
-            out[where] = inner.render(out[where], own).clamp(0, 1)
-        return out
+    def program(self, params: Mapping[str, Tensor], height: int, width: int) -> Program:
+        """Pack drawn parameters for `play`. See `Effect.program`.
+
+        Slots of which a frame gets at most one are one step, as far as the order of the effects allows: five effects
+        that may follow a lamp in five alternatives need one lamp. Parameters made by hand may contradict that; then
+        every slot is a step.
+        """
+        changed = self._changed(params)
+        numbers = {
+            slot: inner.coefficients(as_numbers(own), height, width)
+            for slot, (own, inner) in enumerate(zip(self._owns(params), self.effects, strict=True))
+            if changed[slot].any()
+        }
+        together = all(np.sum([changed[slot] for slot in stage], axis=0).max() <= 1 for stage in self._stages)
+        steps = []
+        for stage in self._stages if together else [[slot] for slot in range(len(self.slots))]:
+            values: Numbers = {}
+            for slot in filter(numbers.__contains__, stage):
+                for name, value in numbers[slot].items():
+                    values[name] = np.where(changed[slot], value, values.get(name, 0.0))
+            steps.append((stage[0], np.any([changed[slot] for slot in stage], axis=0), values))
+        return packed(steps)
+
+    @property
+    def renderers(self) -> Sequence[Effect]:
+        """The renderer of each slot."""
+        return self._renderers
+
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Not called: the steps of a policy are its effects."""
+        raise NotImplementedError
+
+    def _changed(self, params: Mapping[str, Tensor]) -> list[NDArray[np.bool_]]:
+        """Return for each slot which frames (B,) it changes."""
+        found = []
+        for own, inner in zip(self._owns(params), self.effects, strict=True):
+            on = own["on"].numpy().astype(bool)
+            found.append(on & inner.active(own) if on.any() else on)
+        return found
+
+    def _owns(self, params: Mapping[str, Tensor]) -> list[Params]:
+        """Return the parameters of each slot, without its prefix."""
+        owns: dict[str, Params] = {step.name: {} for step in self.slots}
+        for key, value in params.items():
+            prefix, _, name = key.rpartition(".")
+            if prefix:
+                owns[prefix][name] = value
+        return list(owns.values())
 
     def _prefixed(self) -> Iterator[tuple[str, Effect]]:
         for step in self.slots:
@@ -207,9 +250,28 @@ class Policy(Effect):
         return taken
 
 
-def _without(prefix: str, params: Mapping[str, Tensor]) -> Params:
-    start = len(prefix) + 1
-    return {key[start:]: value for key, value in params.items() if key.startswith(f"{prefix}.")}
+def _stages(step: Step, kinds: Sequence[Any]) -> list[list[int]]:
+    """Return slots that are rendered together, in an order that keeps that of the effects of every alternative.
+
+    Args:
+        step: of the tree.
+        kinds: of all slots; slots of one kind in different alternatives are rendered together.
+    """
+    if step.effect is not None:
+        return [[step.slot]]
+    parts = [_stages(child, kinds) for child in step.steps]
+    if step.kind == "all_of":
+        return [stage for part in parts for stage in part]
+    merged: list[list[int]] = []
+    for part in sorted(parts, key=len, reverse=True):
+        before, merged = merged, []
+        here, there = ([kinds[stage[0]] for stage in side] for side in (before, part))
+        for tag, i, j, k, m in SequenceMatcher(None, here, there, autojunk=False).get_opcodes():
+            if tag == "equal":
+                merged += [[*one, *other] for one, other in zip(before[i:j], part[k:m], strict=True)]
+            else:
+                merged += [*before[i:j], *part[k:m]]
+    return merged
 
 
 @lru_cache(maxsize=256)

@@ -13,10 +13,12 @@ from math import asin, atan, ceil, floor, hypot, pi
 from typing import Any, ClassVar
 
 import cv2
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, beside, column_of
+from augment.base import Effect, Numbers, Params, Range, as_numbers, places_in
 from augment.brushes import Brush, Frame
 
 _SUN = (1.0, 0.93, 0.78)  # colour of sunlight: red, green, blue
@@ -31,19 +33,19 @@ class Layer(Effect):
     """An effect that is a function of the place of the pixel: I' = I + layer, or I' = I layer.
 
     Attributes:
-        additive: the layer is in levels of 0 ... 255 and is added; otherwise it is a gain.
+        additive: the layer is added; otherwise it is a gain.
     """
 
     additive: ClassVar[bool] = False
 
     @abstractmethod
-    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
+    def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
         """Return the layer at the given pixels.
 
         Args:
             rows: (..., h, 1).
             columns: (..., 1, w); some may lie beyond the seam.
-            params: numbers, or tensors (B, 1, 1, 1).
+            values: the coefficients: numbers, or tensors (b, 1, 1, 1) or (b, k, 1, 1).
             height: rows of the frame.
             width: columns of the frame.
 
@@ -60,30 +62,31 @@ class Layer(Effect):
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the application of its layer."""
-        columns = {key: value.tolist() for key, value in params.items()}
-        count = len(next(iter(columns.values())))
-        return [
-            [partial(self._lay, {key: values[i] for key, values in columns.items()}, height, width)]
-            for i in range(count)
-        ]
+        numbers = as_numbers(params)
+        values = _of_frames(self.coefficients(numbers, height, width))
+        pairs = zip(_of_frames(numbers), values, strict=True)
+        return [[partial(self._lay, own, each, height, width)] for own, each in pairs]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch with its layers applied."""
         height, width = batch.shape[2:]
-        rows = torch.arange(height, device=batch.device, dtype=torch.float32).view(1, 1, -1, 1)
-        columns = torch.arange(width, device=batch.device, dtype=torch.float32).view(1, 1, 1, -1)
-        layer = self.layer(
-            rows, columns, {key: column_of(value, batch) for key, value in params.items()}, height, width
-        )
-        return batch + layer / 255 if self.additive else batch * layer
+        layer = self.layer(*places_in(height, width, batch.device), values, height, width)
+        return batch + layer if self.additive else batch * layer
 
-    def offset(self, columns: Tensor, column: Any, width: int) -> Tensor:
-        """Return the distance of columns to the right of a column, the shorter way round if columns wrap around."""
-        if not self.circular:
-            return columns - column
-        return (columns - column + width // 2) % width - width // 2
+    def offset(self, columns: Tensor, start: Any, width: int) -> Tensor:
+        """Return the distance of columns to the right of a column, the shorter way round if columns wrap around.
 
-    def _lay(self, params: Mapping[str, float], height: int, width: int, frame: Frame) -> None:
+        Args:
+            columns: (..., 1, w).
+            start: half a width to the left of that column, see `start_of`.
+            width: columns of the frame.
+        """
+        beyond = columns - start
+        return (beyond % width if self.circular else beyond) - width // 2
+
+    def _lay(
+        self, params: Mapping[str, float], values: Mapping[str, Any], height: int, width: int, frame: Frame
+    ) -> None:
         top, bottom, left, right = self.box(params, height, width)
         top, bottom = max(top, 0), min(bottom, height)
         if self.circular:
@@ -95,8 +98,8 @@ class Layer(Effect):
             last = min(first + step, bottom)
             rows = torch.arange(first, last, dtype=torch.float32).view(-1, 1)
             columns = torch.arange(left, right, dtype=torch.float32).view(1, -1)
-            layer = self.layer(rows, columns, params, height, width)
-            layer = layer.expand(3, last - first, right - left)
+            layer = self.layer(rows, columns, values, height, width)
+            layer = (255 * layer if self.additive else layer).expand(3, last - first, right - left)
             self._blend(frame[:, first:last], layer, left, width)
 
     def _blend(self, frame: Frame, layer: Tensor, left: int, width: int) -> None:
@@ -129,17 +132,18 @@ class Vignette(Layer):
         "centre": Range(0.4, 0.6, minimum=0, maximum=1),
     }
 
-    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return the gain."""
-        centre = params["centre"] * (height - 1)
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The row of the axis, and k over the square of the distance of the farthest edge."""
         farthest = abs(params["centre"] - 0.5) * (height - 1) + max(height - 1, 1) / 2
-        square = (rows - centre) ** 2 + 0 * columns
-        edge = farthest**2
+        edge = farthest**2 + (0 if self.circular else ((width - 1) / 2) ** 2)
+        return {"row": params["centre"] * (height - 1), "fall": ((1 - params["strength"]) ** -0.5 - 1) / edge}
+
+    def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
+        """Return the gain."""
+        square = (rows - values["row"]) ** 2
         if not self.circular:
             square = square + (columns - (width - 1) / 2) ** 2
-            edge = edge + ((width - 1) / 2) ** 2
-        k = (1 - params["strength"]) ** -0.5 - 1
-        return (1 + k * (square / edge)) ** -2
+        return (1 + values["fall"] * square) ** -2
 
 
 class Shadow(Layer):
@@ -170,18 +174,22 @@ class Shadow(Layer):
         """The column towards which the shadow lies."""
         return {"column": Range(0, width - 1, whole=True)}
 
-    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The tilt as a unit vector, and the edge as a line t = steep e + lift."""
+        tilt, steep = np.radians(params["tilt"]), 1 / params["softness"]
+        lift = 0.5 - params["offset"] * steep
+        scale = 1 if self.circular else 2 / width
+        of_tilt = {"across": np.cos(tilt) * scale * steep, "up": np.sin(tilt) * scale * steep}
+        return {"start": start_of(params, width), "depth": params["depth"], "lift": lift, **of_tilt}
+
+    def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
         """Return the gain."""
-        tilt = torch.as_tensor(params["tilt"] * (pi / 180))
-        across, up = tilt.cos(), tilt.sin()
-        right = self.offset(columns, params["column"], width)
+        right, above = self.offset(columns, values["start"], width), (height - 1) / 2 - rows
         if self.circular:
-            elevation = (((height - 1) / 2 - rows) * (2 * pi / width)).clamp(-pi / 2, pi / 2)
-            towards = (across * elevation.cos()) * (right * (2 * pi / width)).cos() + up * elevation.sin()
-        else:
-            towards = (across * right + up * ((height - 1) / 2 - rows)) * (2 / width)
-        step = ((towards - params["offset"]) / params["softness"] + 0.5).clamp_(0, 1)
-        return 1 - params["depth"] * _smooth(step)
+            elevation = (above * (2 * pi / width)).clamp(-pi / 2, pi / 2)
+            right, above = (right * (2 * pi / width)).cos() * elevation.cos(), elevation.sin()
+        step = (values["across"] * right + (values["up"] * above + values["lift"])).clamp_(0, 1)
+        return 1 - values["depth"] * _smooth(step)
 
 
 class SunPatch(Layer):
@@ -215,21 +223,35 @@ class SunPatch(Layer):
         """The column of the patch's middle."""
         return {"column": Range(0, width - 1, whole=True)}
 
-    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """Where the patch lies, the row that looks straight down, and the axes of the patch, in its half sizes.
+
+        A point ahead and aside lies at ahead `along` + aside `across` - `middle` from the middle, along each axis. The
+        soft edges of the patch and of its bars are the smooth steps of `steep` |place| + `lift`.
+        """
+        turn, halves = np.radians(params["turn"]), 2 / np.stack([params["length"], params["breadth"]])
+        along = np.stack([np.cos(turn), -np.sin(turn)]) * halves
+        edges = np.repeat([[-1 / _PENUMBRA], [1 / _FRAME]], 2, axis=0), np.repeat([[1 / _PENUMBRA], [-1.0]], 2, axis=0)
+        steep, lift = (np.broadcast_to(edge, (4, len(turn))) for edge in edges)
+        return {
+            "start": start_of(params, width),
+            "nadir": params["horizon"] * (height - 1) + pi / 2 / self._pixel(width),
+            "along": along,
+            "across": np.stack([np.sin(turn), np.cos(turn)]) * halves,
+            "middle": along * params["distance"],
+            "steep": steep,
+            "lift": lift,
+            "sun": (params["gain"] - 1) * np.array(_SUN)[:, None],
+        }
+
+    def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
         """Return the gain of each colour."""
         pixel = self._pixel(width)
-        below = ((rows - params["horizon"] * (height - 1)) * pixel).clamp(1e-3, pi / 2 - 1e-3)
-        reach = 1 / below.tan()
-        azimuth = (self.offset(columns, params["column"], width) * pixel).clamp(-pi, pi)
-        ahead = reach * azimuth.cos() - params["distance"]
-        aside = reach * azimuth.sin()
-        turn = torch.as_tensor(params["turn"] * (pi / 180))
-        along = ((ahead * turn.cos() + aside * turn.sin()) * (2 / params["length"])).abs()
-        across = ((aside * turn.cos() - ahead * turn.sin()) * (2 / params["breadth"])).abs()
-        inside = _edge(1 - along, _PENUMBRA) * _edge(1 - across, _PENUMBRA)
-        panes = _edge(along - _FRAME, _FRAME) * _edge(across - _FRAME, _FRAME)
-        sun = beside(torch.tensor(_SUN), rows).view(3, 1, 1)
-        return 1 + (params["gain"] - 1) * (inside * panes) * sun
+        reach = ((values["nadir"] - rows) * pixel).clamp(1e-3, pi / 2 - 1e-3).tan()
+        azimuth = self.offset(columns, values["start"], width) * pixel
+        place = (reach * (azimuth.cos() * values["along"] + azimuth.sin() * values["across"]) - values["middle"]).abs()
+        steps = (torch.cat([place, place], dim=-3) * values["steep"] + values["lift"]).clamp_(0, 1)
+        return 1 + _smooth(steps).prod(dim=-3, keepdim=True) * values["sun"]
 
     def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:
         """Return rows and columns around the patch."""
@@ -254,6 +276,15 @@ def _smooth(step: Tensor) -> Tensor:
     return step * step * (3 - 2 * step)
 
 
-def _edge(inside: Tensor, width: float) -> Tensor:
-    """Return a soft step that is 1 where `inside` exceeds the width and 0 where it is negative."""
-    return _smooth((inside / width).clamp(0, 1))
+def start_of(params: Numbers, width: int) -> NDArray[np.float64]:
+    """Return where `Layer.offset` begins to count for the parameter `column`."""
+    return params["column"] - width // 2
+
+
+def _of_frames(values: Numbers) -> list[dict[str, Any]]:
+    """Return the numbers of each frame: plain ones, or tensors (k, 1, 1)."""
+    columns = {
+        name: value.tolist() if value.ndim == 1 else torch.from_numpy(value.astype(np.float32)).T[..., None, None]
+        for name, value in values.items()
+    }
+    return [dict(zip(columns, each, strict=True)) for each in zip(*columns.values(), strict=True)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -13,34 +13,47 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, beside, column_of
+from augment.base import Effect, Numbers, Params, Range, as_numbers
 from augment.brushes import Brush, Frame, flat
-from augment.torchvision_compat import ensure_torchvision
 
 
 class PointEffect(Effect):
     """An effect on levels alone: I' = curve(I). Each 8-bit frame goes through its own table of 256 levels."""
 
     @abstractmethod
-    def curve(self, level: Tensor, params: Params) -> Tensor:
-        """Return the new level for levels in [0, 1], (B, 3, H, W) or (1, 1, 1, 256); parameters (B, 1, 1, 1).
-
-        The second dimension of the result may be 3 where it was 1: the colours then differ.
-        """
+    def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Return the new level for levels in [0, 1], (B, 3, H, W) or (1, 1, 1, 256); values as for `render`."""
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the lookup of its table."""
         levels = (torch.arange(256, dtype=torch.float32) / 255).view(1, 1, 1, 256)
-        values = self.curve(levels, {key: column_of(value, levels) for key, value in params.items()})
-        tables = (values.clamp(0, 1) * 255).round().to(torch.uint8).squeeze(2).numpy()
+        numbers = self.coefficients(as_numbers(params), height, width)
+        values = {key: torch.from_numpy(np.atleast_2d(value)).T.float() for key, value in numbers.items()}
+        curves = self.curve(levels, {key: value[..., None, None] for key, value in values.items()})
+        tables = (curves.clamp(0, 1) * 255).round().to(torch.uint8).squeeze(2).numpy()
         return [[partial(_look_up, table)] for table in tables]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the curve of every value."""
-        return self.curve(batch, {key: column_of(value, batch) for key, value in params.items()})
+        return self.curve(batch, values)
 
 
-class Brighten(PointEffect):
+class Tone(PointEffect):
+    """A power and a line: I' = gain I^gamma + offset. The effects that are one are rendered together."""
+
+    name = "tone"
+
+    @property
+    def renderer(self) -> Effect:
+        """The common formula."""
+        return Tone()
+
+    def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Power, gain, offset."""
+        return level ** values["gamma"] * values["gain"] + values["offset"]
+
+
+class Brighten(Tone):
     """More light everywhere: I' = I + c ([T] 5.3.2, global illumination, figure 5.4 b).
 
     Args:
@@ -53,9 +66,9 @@ class Brighten(PointEffect):
     }
     sign: ClassVar[int] = 1
 
-    def curve(self, level: Tensor, params: Params) -> Tensor:
-        """I + c."""
-        return level + params["amount"] * (self.sign / 255)
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The sum."""
+        return _tone(offset=params["amount"] * (self.sign / 255))
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame a saturating addition, which is faster than the table."""
@@ -73,7 +86,7 @@ class Darken(Brighten):
     sign: ClassVar[int] = -1
 
 
-class Contrast(PointEffect):
+class Contrast(Tone):
     """Contrast about a dark grey: I' = 64 + c (I - 64) ([T] 5.3.2, figure 5.4 f).
 
     Args:
@@ -87,9 +100,9 @@ class Contrast(PointEffect):
         "pivot": Range(64, 64, minimum=0, maximum=255),
     }
 
-    def curve(self, level: Tensor, params: Params) -> Tensor:
-        """I + (c - 1) (I - 64), which leaves I exactly as it is at c = 1."""
-        return level + (params["factor"] - 1) * (level - params["pivot"] / 255)
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The slope, and what keeps the pivot."""
+        return _tone(gain=params["factor"], offset=(1 - params["factor"]) * params["pivot"] / 255)
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame a saturating scaling, which is faster than the table."""
@@ -97,7 +110,7 @@ class Contrast(PointEffect):
         return [[partial(_scale, factor, pivot * (1 - factor))] for factor, pivot in pairs]
 
 
-class Gamma(PointEffect):
+class Gamma(Tone):
     """A different tone curve of the camera: I' = I^gamma, on [0, 1].
 
     Args:
@@ -109,9 +122,9 @@ class Gamma(PointEffect):
         "gamma": Range(0.5, 2.0, minimum=0.05, maximum=20, neutral=1, log=True),
     }
 
-    def curve(self, level: Tensor, params: Params) -> Tensor:
-        """I^gamma."""
-        return level ** params["gamma"]
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The power."""
+        return _tone(gamma=params["gamma"])
 
 
 class Exposure(PointEffect):
@@ -127,13 +140,15 @@ class Exposure(PointEffect):
     name = "exposure"
     RANGES: ClassVar[Mapping[str, Range]] = {"stops": Range(-1.5, 1.5, minimum=-10, maximum=10, neutral=0)}
 
-    def curve(self, level: Tensor, params: Params) -> Tensor:
-        """Decode, scale, clip, encode."""
-        stops = params["stops"]
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The gain of light."""
+        return {"gain": np.exp2(params["stops"])}
+
+    def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Decode, scale, encode; what is above 1 is clipped afterwards."""
         light = torch.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
-        light = (light * torch.exp2(stops)).clamp(max=1)
-        coded = torch.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
-        return torch.where(stops == 0, level, coded)
+        light = light * values["gain"]
+        return torch.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 class WhiteBalance(PointEffect):
@@ -153,11 +168,20 @@ class WhiteBalance(PointEffect):
         "tint": Range(-0.15, 0.15, minimum=-4, maximum=4, neutral=0),
     }
 
-    def curve(self, level: Tensor, params: Params) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The gain of each colour."""
-        warm = beside(torch.tensor([0.5, 0.0, -0.5]), level).view(1, 3, 1, 1)
-        magenta = beside(torch.tensor([1 / 3, -2 / 3, 1 / 3]), level).view(1, 3, 1, 1)
-        return level * torch.exp2(params["temperature"] * warm + params["tint"] * magenta)
+        warm, magenta = np.outer([0.5, 0.0, -0.5], params["temperature"]), np.outer([1, -2, 1], params["tint"] / 3)
+        return {"gain": np.exp2(warm + magenta)}
+
+    def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """The gain of each colour."""
+        return level * values["gain"]
+
+
+def _tone(gamma: Any = 1.0, gain: Any = 1.0, offset: Any = 0.0) -> Numbers:
+    """Return the coefficients of `Tone`, those left out being neutral."""
+    neutral = 0 * (gamma + gain + offset)
+    return {"gamma": gamma + neutral, "gain": gain + neutral, "offset": offset + neutral}
 
 
 class Equalize(Effect):
@@ -176,14 +200,18 @@ class Equalize(Effect):
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the lookup of the tables that its histograms give."""
-        return [[partial(_equalize, strength)] if strength else [] for strength in params["strength"].tolist()]
+        return [[partial(_equalize, strength)] for strength in params["strength"].tolist()]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return torchvision's result, mixed by strength."""
-        ensure_torchvision()
-        from torchvision.transforms.v2.functional import equalize
-
-        return batch + column_of(params["strength"], batch) * (equalize(batch) - batch)
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Return the lookup, mixed by strength; a channel of one level stays as it is."""
+        levels = (batch * 255).round().long().flatten(2)
+        counts = torch.zeros(*batch.shape[:2], 256, dtype=torch.int64, device=batch.device)
+        counts.scatter_add_(2, levels, counts.new_ones(()).expand_as(levels))
+        reached = counts.cumsum(2)
+        below_last = reached.masked_fill(reached == levels.shape[2], 0).amax(2, keepdim=True)
+        step = below_last // 255
+        tables = ((reached - counts + step // 2) // step.clamp(min=1)).clamp(max=255) / 255
+        return torch.lerp(batch, tables.gather(2, levels).view_as(batch), values["strength"] * (step > 0)[..., None])
 
 
 class Saturate(Effect):
@@ -201,15 +229,13 @@ class Saturate(Effect):
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the formula on its three planes."""
-        return [[partial(_saturate, factor)] if factor != 1 else [] for factor in params["factor"].tolist()]
+        return [[partial(_saturate, factor)] for factor in params["factor"].tolist()]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the formula, written so that c = 1 leaves the batch exactly as it is."""
-        value, least = batch.amax(1, keepdim=True), batch.amin(1, keepdim=True)
-        limit = value / (value - least).clamp(min=1e-6)
-        scale = column_of(params["factor"], batch).minimum(limit)
-        grey = value == least
-        return batch + ((1 - scale) * (value - batch)).masked_fill(grey, 0)
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Return the formula, in a form that leaves grey exactly as it is."""
+        least, value = batch.aminmax(dim=1, keepdim=True)
+        scale = torch.minimum(values["factor"], value / (value - least).clamp(min=1e-6))
+        return torch.addcmul(batch, 1 - scale, value - batch)
 
 
 def _look_up(table: NDArray[np.uint8], frame: Frame) -> None:

@@ -16,9 +16,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, beside, column_of
+from augment.base import Effect, Numbers, Params, Range, as_numbers
 from augment.brushes import Brush, Frame
-from augment.layers import Layer
+from augment.layers import Layer, start_of
 
 Floats = NDArray[np.float32]
 
@@ -59,32 +59,44 @@ class Relight(Layer):
         tilts = {name: Range(-0.8, 0.8, minimum=-1, maximum=1) for name in _TILTS}
         return {"column": Range(0, width - 1, whole=True), **phases, **tilts}
 
-    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The waves, and everything else in powers of two of a pixel."""
+        stops, waves = params["stops"] / _GAMMA, np.arange(1, _WAVES + 1)[:, None]
+        weights = stops / waves
+        return {
+            "start": start_of(params, width),
+            "wave": np.repeat(waves, len(stops), axis=1),
+            "phase": np.stack([params[phase] for phase in _PHASES]),
+            "weight": weights,
+            "tilt": weights * np.stack([params[tilt] for tilt in _TILTS]),
+            "slope": stops * params["slope"],
+            "warmth": np.outer([1.0, 0.0, -1.0], params["warmth"] / _GAMMA),
+        }
+
+    def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
         """Return the gain of each colour."""
-        level, slope, colour = self._of_columns(columns, params, width)
+        level, slope, colour = self._of_columns(columns, values, width)
         return torch.exp2(level + slope * _above(rows, height)) * colour
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the multiplication with its gains; those of columns come from the whole batch."""
-        each = {key: value.float().view(-1, 1, 1, 1) for key, value in params.items()}
+        numbers = self.coefficients(as_numbers(params), height, width)
+        values = {key: torch.from_numpy(np.atleast_2d(value)).T.float() for key, value in numbers.items()}
         columns = torch.arange(width, dtype=torch.float32).view(1, 1, 1, -1)
+        each = {key: value[..., None, None] for key, value in values.items()}
         parts = (part.numpy() for part in self._of_columns(columns, each, width))
         above = _above(torch.arange(height, dtype=torch.float32).view(-1, 1), height).numpy()
         return [
             [partial(_relight, level[0], slope[0], colour, above)] for level, slope, colour in zip(*parts, strict=True)
         ]
 
-    def _of_columns(self, columns: Tensor, params: Mapping[str, Any], width: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Return stops / 2.2 in the middle row and their growth upwards (..., 1, w), and gains of colours (3, 1, w)."""
-        azimuth = self.offset(columns, params["column"], width) * (2 * pi / width)
-        level, slope = 0 * azimuth, params["slope"] + 0 * azimuth
-        for number, (phase, tilt) in enumerate(zip(_PHASES, _TILTS, strict=True), start=1):
-            wave = (number * azimuth + params[phase]).cos() / number
-            level, slope = level + wave, slope + params[tilt] * wave
-        stops = params["stops"] / _GAMMA
-        red_to_blue = beside(torch.tensor([1.0, 0.0, -1.0]), columns).view(3, 1, 1)
-        colour = torch.exp2((params["warmth"] / _GAMMA) * red_to_blue * azimuth.cos())
-        return stops * level, stops * slope, colour
+    def _of_columns(self, columns: Tensor, values: Mapping[str, Any], width: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Return powers of two: of the middle row and their growth upwards (b, 1, 1, w); and gains (b, 3, 1, w)."""
+        azimuth = self.offset(columns, values["start"], width) * (2 * pi / width)
+        waves = (azimuth * values["wave"] + values["phase"]).cos()
+        level = (waves * values["weight"]).sum(-3, keepdim=True)
+        slope = (waves * values["tilt"]).sum(-3, keepdim=True) + values["slope"]
+        return level, slope, torch.exp2(values["warmth"] * azimuth.cos())
 
 
 class Doorway(Layer):
@@ -105,18 +117,25 @@ class Doorway(Layer):
         """The column in the middle."""
         return {"column": Range(0, width - 1, whole=True)}
 
-    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The gain above 1, and the distance from the middle, in columns, at which the soft edge ends."""
+        return {
+            "start": start_of(params, width),
+            "more": np.exp2(params["stops"] / _GAMMA) - 1,
+            "reach": params["share"] / (4 * _SOFT) + 0.5,
+        }
+
+    def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
         """Return the gain."""
-        aside = self.offset(columns, params["column"], width).abs() / width
-        inside = ((params["share"] / 2 - aside) / (2 * _SOFT) + 0.5).clamp(0, 1)
-        gain = torch.exp2(torch.as_tensor(params["stops"] / _GAMMA))
-        return 1 + (gain - 1) * inside + 0 * rows
+        aside = self.offset(columns, values["start"], width).abs() * (1 / (2 * _SOFT * width))
+        return 1 + (values["reach"] - aside).clamp(0, 1) * values["more"]
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the multiplication of its columns."""
-        each = {key: value.float().view(-1, 1, 1) for key, value in params.items()}
+        numbers = self.coefficients(as_numbers(params), height, width)
+        each = {key: torch.from_numpy(value).float().view(-1, 1, 1) for key, value in numbers.items()}
         columns = torch.arange(width, dtype=torch.float32).view(1, 1, -1)
-        gains = self.layer(torch.zeros(1, 1, 1), columns, each, height, width)
+        gains = self.layer(columns, columns, each, height, width)
         return [[partial(_multiply, gain)] for gain in gains.numpy()]
 
 
@@ -142,18 +161,21 @@ class Windows(Effect):
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the change of its brightest pixels."""
         values = zip(*(params[key].tolist() for key in ("share", "level", "strength")), strict=True)
-        return [[partial(_black_out, *value)] if value[2] else [] for value in values]
+        return [[partial(_black_out, *value)] for value in values]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The number of pixels that must be darker than the threshold."""
+        most = np.floor(params["share"].astype(np.float32) * (height * width))
+        return {"darker": height * width - most, "level": params["level"] / 255, "strength": params["strength"]}
+
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch with its brightest pixels changed."""
-        bright = (batch * 255).round().sum(dim=1, keepdim=True).long()
-        count = torch.zeros(len(batch), _WHITE + 2, device=batch.device)
-        count.scatter_add_(1, bright.flatten(1), torch.ones_like(bright.flatten(1), dtype=count.dtype))
-        reached = count.flip(1).cumsum(1).flip(1)  # number of pixels that reach each threshold
-        most = beside(params["share"], batch).view(-1, 1) * bright[0].numel()
-        threshold = (reached > most).sum(dim=1).view(-1, 1, 1, 1)
-        changed = batch + column_of(params["strength"], batch) * (column_of(params["level"], batch) / 255 - batch)
-        return torch.where(bright >= threshold, changed, batch)
+        bright = (batch * 255).round().sum(dim=1).long()
+        counts = torch.zeros(len(batch), _WHITE + 1, dtype=torch.int64, device=batch.device)
+        counts.scatter_add_(1, bright.flatten(1), counts.new_ones(()).expand_as(bright.flatten(1)))
+        threshold = (counts.cumsum(1) < values["darker"][:, :, 0, 0]).sum(dim=1)
+        changed = torch.lerp(batch, values["level"], values["strength"])
+        return torch.where((bright > threshold.view(-1, 1, 1))[:, None], changed, batch)
 
 
 def _above(rows: Tensor, height: int) -> Tensor:

@@ -11,8 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, column_of
+from augment.base import Effect, Numbers, Params, Range
 from augment.brushes import Brush, Frame, flat
+from augment.columns import Rotate
+from augment.compression import QUANTA, compressed
 
 _TABLE = 1 << 21
 
@@ -41,26 +43,30 @@ class Noise(Effect):
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the addition of its noise."""
         stretches = zip(*(params[key].tolist() for key in ("variance", "first", "second", "column")), strict=True)
-        return [[partial(_add_noise, *stretch)] if stretch[0] else [] for stretch in stretches]
+        return [[partial(_add_noise, *stretch)] for stretch in stretches]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The scale of the sum; the turn is left out where no frame has one."""
+        turn = {"column": params["column"] % width} if params["column"].any() else {}
+        starts = np.stack([params["first"], params["second"]])
+        return {"scale": (params["variance"] / 2) ** 0.5, "starts": starts, **turn}
+
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch with its noise."""
-        table = _normal(str(batch.device))
-        shape = batch.shape[1:]
-        noise = torch.empty_like(batch, memory_format=torch.contiguous_format)
-        places = zip(*(params[key].tolist() for key in ("first", "second", "column")), strict=True)
-        for frame, (first, second, column) in zip(noise, places, strict=True):
-            torch.add(_stretch(table, first, shape), _stretch(table, second, shape), out=frame)
-            if column:
-                frame.copy_(frame.roll(int(column), dims=2))
-        return batch + column_of(params["variance"] / 2, batch).sqrt() * noise
+        stretches = _stretches(str(batch.device), batch[0].numel())
+        both = stretches.index_select(0, values["starts"].long().flatten())
+        noise = both.view(-1, 2, *batch.shape[1:]).sum(dim=1)
+        if "column" in values:
+            noise = Rotate().render(noise, {"shift": values["column"]})
+        return torch.addcmul(batch, values["scale"], noise)
 
 
 class Jpeg(Effect):
     """Compression, as by a camera or for a slow link: I' = I + strength (jpeg(I) - I).
 
-    jpeg(I) is the 8-bit image, compressed at the given quality and decoded again (opencv's codec, 4:2:0). Images on a
-    GPU are copied to main memory and back. Blocks do not wrap around the seam.
+    jpeg(I) is the 8-bit image, compressed at the given quality and decoded again (4:2:0). In main memory opencv's codec
+    does this. A GPU computes the steps of the standard (ITU-T T.81) that lose something, in floating point: colours at
+    half the resolution, and the rounding of the coefficients of each block. Blocks do not wrap around the seam.
 
     Args:
         quality: 1 ... 100, as libjpeg defines it.
@@ -76,35 +82,38 @@ class Jpeg(Effect):
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the pass through the codec."""
         pairs = zip(params["quality"].tolist(), params["strength"].tolist(), strict=True)
-        return [[partial(_compress, int(quality), strength)] if strength else [] for quality, strength in pairs]
+        return [[partial(_compress, int(quality), strength)] for quality, strength in pairs]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The steps of the coefficients of brightness and of colour, as libjpeg scales them."""
+        quality = params["quality"]
+        scale = np.where(quality < 50, np.floor(5000 / quality), 200 - 2 * quality)
+        steps = [np.floor((np.outer(table, scale) + 50) / 100).clip(1, 255) for table in QUANTA]
+        return {"quality": quality, "strength": params["strength"], "brightness": steps[0], "colour": steps[1]}
+
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the compressed images, mixed by strength."""
-        frames = (batch.detach() * 255).round().to(torch.uint8).cpu().contiguous().numpy().copy()
-        for frame, quality in zip(frames, params["quality"].tolist(), strict=True):
-            _compress(int(quality), 1.0, frame)
-        done = torch.from_numpy(frames).to(batch.device).float() / 255
-        return batch + column_of(params["strength"], batch) * (done - batch)
+        if batch.device.type == "cpu":
+            frames = (batch * 255).round().to(torch.uint8).numpy()
+            for frame, quality in zip(frames, values["quality"].flatten().tolist(), strict=True):
+                _compress(int(quality), 1.0, frame)
+            done = torch.from_numpy(frames).float() / 255
+        else:
+            done = compressed(batch, values["brightness"], values["colour"])
+        return torch.lerp(batch, done, values["strength"])
 
 
 @lru_cache(maxsize=4)
-def _normal(device: str) -> Tensor:
-    return torch.randn(_TABLE, generator=torch.Generator().manual_seed(20230705)).to(device)
-
-
-def _stretch(table: Tensor, start: int, shape: torch.Size) -> Tensor:
-    count = shape.numel()
-    rest = start + count - len(table)
-    if rest <= 0:
-        return table[start : start + count].view(shape)
-    return torch.cat([table[start:], *[table] * (rest // len(table)), table[: rest % len(table)]]).view(shape)
+def _stretches(device: str, length: int) -> Tensor:
+    """Return all stretches of the table as a view (2^21, length): it begins again after its end."""
+    normal = torch.randn(_TABLE, generator=torch.Generator().manual_seed(20230705), device="cpu")
+    longer = normal.repeat(2 + length // _TABLE)[: _TABLE + length - 1]
+    return longer.to(device).unfold(0, length, 1)
 
 
 def _add_noise(variance: float, first: int, second: int, column: int, frame: Frame) -> None:
-    table = _normal("cpu")
-    scale = 255 * (variance / 2) ** 0.5
-    shape = torch.Size(flat(frame).shape)
-    a, b = _stretch(table, first, shape).numpy(), _stretch(table, second, shape).numpy()
+    scale, stretches = 255 * (variance / 2) ** 0.5, _stretches("cpu", frame.size)
+    a, b = (stretches[int(start)].view(flat(frame).shape).numpy() for start in (first, second))
     noise = cv2.addWeighted(a, scale, b, scale, 0)
     if column:
         noise = np.roll(noise, column, axis=1)

@@ -12,9 +12,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, beside, column_of
+from augment.base import Effect, Numbers, Params, Range, places_in
 from augment.brushes import Brush, Frame
 from augment.errors import AugmentError
+
+_WHOLE = 1 << 20  # steps from black to white
 
 
 class Sharpen(Effect):
@@ -34,15 +36,15 @@ class Sharpen(Effect):
         brushes: list[Sequence[Brush]] = []
         for s in params["strength"].tolist():
             mask = np.array([[0, -s, 0], [-s, 1 + 4 * s, -s], [0, -s, 0]], dtype=np.float32)
-            brushes.append([partial(_convolve, mask, self.circular)] if s else [])
+            brushes.append([partial(_convolve, mask, self.circular)])
         return brushes
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch with its scaled Laplacian added."""
         wide = _extended(batch, 1, 1, self.circular)
         across = wide[:, :, 1:-1, :-2] + wide[:, :, 1:-1, 2:]
         down = wide[:, :, :-2, 1:-1] + wide[:, :, 2:, 1:-1]
-        return batch + column_of(params["strength"], batch) * (4 * batch - across - down)
+        return torch.addcmul(batch, values["strength"], 4 * batch - across - down)
 
 
 class Blur(Effect):
@@ -72,20 +74,18 @@ class Blur(Effect):
         for strength in params["strength"].tolist():
             if strength == 1:
                 brushes.append([partial(_box, size, size, self.circular)])
-            elif strength:
+            else:
                 mask = np.full((size, size), strength / size**2, dtype=np.float32)
                 mask[size // 2, size // 2] += 1 - strength
                 brushes.append([partial(_convolve, mask, self.circular)])
-            else:
-                brushes.append([])
         return brushes
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the mean of the neighbours, mixed by strength."""
         size = self.options["size"]
         wide = _extended(batch, size // 2, size // 2, self.circular)
         mean = F.avg_pool2d(F.avg_pool2d(wide, (1, size), 1), (size, 1), 1)
-        return batch + column_of(params["strength"], batch) * (mean - batch)
+        return torch.lerp(batch, mean, values["strength"])
 
 
 class MotionBlur(Effect):
@@ -104,16 +104,19 @@ class MotionBlur(Effect):
         lengths = [_odd(length, width) for length in params["length"].tolist()]
         return [[partial(_box, length, 1, self.circular)] if length > 1 else [] for length in lengths]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
-        """Return the means; frames of equal length are processed together."""
-        lengths = torch.tensor([_odd(length, batch.shape[3]) for length in params["length"].tolist()])
-        out = batch.clone()
-        for length in lengths.unique().tolist():
-            if length > 1:
-                frames = beside((lengths == length).nonzero()[:, 0], batch)
-                wide = _extended(batch[frames], length // 2, 0, self.circular)
-                out[frames] = F.avg_pool2d(wide, (1, length), 1)
-        return out
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """r."""
+        return {"radius": np.array([_odd(length, width) // 2 for length in params["length"].tolist()])}
+
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Return the means, as differences of the sums from the left."""
+        before = _odd(self.ranges["length"].maximum, batch.shape[3]) // 2 + 1
+        # Whole numbers, whose sums have no rounding, and do not depend on the order of their addition.
+        sums = (_extended(batch, before, 0, self.circular) * _WHOLE).round().long().cumsum(3)
+        _, columns = places_in(*batch.shape[2:], batch.device)
+        ends = (columns + (values["radius"] + before), columns - (values["radius"] + (1 - before)))
+        last, first = (sums.gather(3, end.long().expand_as(batch)) for end in ends)
+        return (last - first) / (_WHOLE * (2 * values["radius"] + 1))
 
 
 def _odd(length: float, width: int) -> int:
@@ -123,7 +126,9 @@ def _odd(length: float, width: int) -> int:
 def _extended(batch: Tensor, columns: int, rows: int, circular: bool) -> Tensor:
     """Extend a batch by columns on both sides and by rows above and below."""
     width = batch.shape[3]
-    if circular:
+    if circular and columns <= width:
+        batch = torch.cat([batch[..., width - columns :], batch, batch[..., :columns]], dim=3)
+    elif circular:
         index = torch.arange(-columns, width + columns, device=batch.device) % width
         batch = batch.index_select(3, index)
     else:

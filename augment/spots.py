@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from math import ceil, floor
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from augment.base import Range
+from augment.base import Effect, Numbers, Range
 from augment.errors import AugmentError, hint
-from augment.layers import Layer
+from augment.layers import Layer, start_of
 
 TONES = ("light", "dark", "any")
 
@@ -64,20 +65,41 @@ class Spot(Layer):
         """Return name and tone of each frame's spot."""
         return [f"{self.name} {'light' if light else 'dark'}" for light in params["light"].tolist()]
 
+    @property
+    def renderer(self) -> Effect:
+        """Spots of every shape, in one formula."""
+        return _AnySpot(circular=self.circular)
+
     @abstractmethod
-    def distance(self, across: Tensor, down: Tensor, params: Mapping[str, Any]) -> Tensor:
+    def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
         """Return rho at offsets from the centre, in units of the half width and the half height."""
 
-    def layer(self, rows: Tensor, columns: Tensor, params: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return what is added, in levels."""
+    def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
+        """The place and the half sizes of the spot, and the layer as a line centre + slope rho; the taper of its edges.
+
+        The half width at the height v is `middle` + `lean` v.
+        """
         half_height = params["radius"] * (height / 128) / params["aspect"] ** 0.5
-        half_width = half_height * params["aspect"]
-        across = self.offset(columns, params["column"], width) / half_width
-        rho = self.distance(across, (rows - params["row"]) / half_height, params)
-        centre = params["intensity"]
-        rim = torch.minimum(torch.as_tensor(params["rim"]), torch.as_tensor(centre)).to(rho.device)
-        sign = 2 * params["light"] - 1
-        return torch.where(rho <= 1, rho * (rim - centre) + centre, 0) * sign
+        centre, rim = params["intensity"], np.minimum(params["rim"], params["intensity"])
+        levels = (2 * params["light"] - 1) / 255
+        taper = params.get("taper", np.zeros(len(centre)))
+        return {
+            "start": start_of(params, width),
+            "row": params["row"],
+            "across": 1 / (half_height * params["aspect"]),
+            "down": 1 / half_height,
+            "centre": centre * levels,
+            "slope": (rim - centre) * levels,
+            "middle": 1 / (1 + abs(taper)),
+            "lean": taper / (1 + abs(taper)),
+            "round": np.full(len(centre), float(self.name == Bulb.name)),
+        }
+
+    def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
+        """Return what is added."""
+        across = self.offset(columns, values["start"], width) * values["across"]
+        rho = self.distance(across, (rows - values["row"]) * values["down"], values)
+        return (rho * values["slope"] + values["centre"]) * (rho <= 1)
 
     def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:
         """Return the rows and columns that the spot covers."""
@@ -102,9 +124,9 @@ class Bulb(Spot):
     name = "bulb"
     RANGES: ClassVar[Mapping[str, Range]] = {**_SPOT, "aspect": Range(0.8, 1.25, minimum=0.05, maximum=20, log=True)}
 
-    def distance(self, across: Tensor, down: Tensor, params: Mapping[str, Any]) -> Tensor:
+    def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
         """Euclidean."""
-        return (across * across + down * down).sqrt_()
+        return torch.hypot(across, down)
 
 
 class Square(Spot):
@@ -117,7 +139,7 @@ class Square(Spot):
     name = "square"
     RANGES: ClassVar[Mapping[str, Range]] = {**_SPOT, "aspect": Range(0.7, 1.4, minimum=0.05, maximum=20, log=True)}
 
-    def distance(self, across: Tensor, down: Tensor, params: Mapping[str, Any]) -> Tensor:
+    def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
         """Maximum of both."""
         return torch.maximum(across.abs(), down.abs())
 
@@ -139,8 +161,15 @@ class Trapezoid(Spot):
         "taper": Range(-0.6, 0.6, minimum=-0.95, maximum=0.95),
     }
 
-    def distance(self, across: Tensor, down: Tensor, params: Mapping[str, Any]) -> Tensor:
+    def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
         """Maximum of both, the width changing from row to row."""
-        taper = params["taper"]
-        half = (1 + taper * down.clamp(-1, 1)) / (1 + abs(taper))
+        half = down.clamp(-1, 1) * values["lean"] + values["middle"]
         return torch.maximum(across.abs() / half, down.abs())
+
+
+class _AnySpot(Trapezoid):
+    """Spots of different shapes in one batch: a square is a trapezoid without taper."""
+
+    def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
+        """Euclidean for the round ones."""
+        return torch.lerp(super().distance(across, down, values), torch.hypot(across, down), values["round"])

@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Params, Range, column_of
+from augment.base import Effect, Params, Range
 from augment.brushes import Brush, Frame
 
 
@@ -47,13 +47,13 @@ class View(Effect):
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame its change, through floating point."""
-        count = len(params["zoom"])
-        each = ({key: value[i : i + 1] for key, value in params.items()} for i in range(count))
-        return [[partial(self._move, one)] for one in each]
+        values = {key: value.float().view(-1, 1, 1, 1).split(1) for key, value in params.items()}
+        each = zip(*values.values(), strict=True)
+        return [[partial(self._move, dict(zip(values, one, strict=True)))] for one in each]
 
-    def render(self, batch: Tensor, params: Params) -> Tensor:
+    def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch from the other view."""
-        p = {key: column_of(value, batch)[..., 0] for key, value in params.items()}  # (B, 1, 1)
+        p = {key: value[..., 0] for key, value in values.items()}  # (b, 1, 1)
         height, width = batch.shape[2:]
         rows = torch.arange(height, device=batch.device, dtype=torch.float32).view(1, -1, 1) - (height - 1) / 2
         columns = torch.arange(width, device=batch.device, dtype=torch.float32).view(1, 1, -1)
@@ -68,10 +68,8 @@ class View(Effect):
         grid = torch.stack([x * (2 / width), y * (2 / height)], dim=-1)
         return F.grid_sample(batch, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
 
-    def _move(self, params: Params, frame: Frame) -> None:
-        if all(float(params[key]) == self.ranges[key].neutral for key in self.ranges):
-            return
-        moved = self.render(torch.from_numpy(frame)[None].float(), params)
+    def _move(self, values: Mapping[str, Tensor], frame: Frame) -> None:
+        moved = self.render(torch.from_numpy(frame)[None].float(), values)
         frame[:] = moved[0].round_().clamp_(0, 255).to(torch.uint8).numpy()
 
 

@@ -50,7 +50,9 @@ class BatchAugmentation:
         if self.where not in ("cpu", "gpu"):
             raise ConfigError(f"augment.where must be cpu or gpu, got {self.where!r}")
 
-    def draw(self, stream: Sequence[int], images: int, image_shape: tuple[int, ...], mine: slice) -> dict[str, Tensor]:
+    def draw(
+        self, stream: Sequence[int], images: int, image_shape: tuple[int, ...], mine: slice = slice(None)
+    ) -> dict[str, Tensor]:
         """Draw the parameters for some of the images that are drawn together; `stream` separates them from others."""
         whole = torch.empty((images, *image_shape), dtype=torch.uint8, device="meta")  # for its shape only
         words = np.random.SeedSequence([self.seed, *stream]).generate_state(1, np.uint64)
@@ -60,7 +62,7 @@ class BatchAugmentation:
     def add(
         self, item: dict[str, Any], batch: tuple[int, int], image_shape: tuple[int, ...], rank: int, world_size: int
     ) -> None:
-        """Augment the images of a batch of places, or add the parameters for augmenting them on the device.
+        """Augment the images of a batch of places, or add what augments them on the device.
 
         Args:
             item: the batch, where `frame` has an entry for each image.
@@ -75,7 +77,7 @@ class BatchAugmentation:
         if "theta" in item and "heading" in params:
             item["theta"] = item["theta"] + params["heading"].to(item["theta"].dtype)
         if self.where == "gpu":
-            item["change"] = params
+            item["change"] = self.effect.program(params, *image_shape[1:])
         else:
             item["images"] = self.effect.apply(item["images"], params)
 
@@ -192,7 +194,7 @@ class EpochDataModule(LightningDataModule):
     def transfer_batch_to_device(
         self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
     ) -> dict[str, Any]:
-        """Transfer a batch to the device, except its augmentation parameters, which are read in main memory."""
+        """Transfer a batch to the device, except its augmentation, which transfers itself."""
         rest = {name: value for name, value in batch.items() if name != "change"}
         rest = super().transfer_batch_to_device(rest, device, dataloader_idx)
         return {**rest, "change": batch["change"]} if "change" in batch else rest
@@ -204,7 +206,7 @@ class EpochDataModule(LightningDataModule):
             batch = {**self.parts(self._resident.batch(batch.pop("rows"))), **batch}
         if "change" in batch:
             assert self.augmentation is not None
-            images = self.augmentation.effect.apply(self.whole(batch), batch.pop("change"))
+            images = self.augmentation.effect.play(self.whole(batch), batch.pop("change"))
             batch |= self.parts(images)
         return batch
 

@@ -23,6 +23,7 @@ from siamloc.training.batches import BatchAugmentation, EpochDataModule
 ensure_torchvision()
 
 _STREAM = 0xA06  # separates the draws of the augmentation from those of the pairs
+_DRAWN_AT_ONCE = 1024  # pairs, whatever the size of a batch and the number of processes
 
 
 class PairBatches(Dataset[dict[str, Any]]):
@@ -64,6 +65,7 @@ class PairBatches(Dataset[dict[str, Any]]):
         self._rank, self._world_size = rank, world_size
         self._numbers = numbers
         self._epoch = -1
+        self._blocks: dict[tuple[int, int, int], dict[str, Tensor]] = {}  # parameters for blocks of pairs
 
     def __len__(self) -> int:
         return -(-self._pairs_of_each // self._batch_size)
@@ -80,9 +82,9 @@ class PairBatches(Dataset[dict[str, Any]]):
         item: dict[str, Any] = {"label": torch.from_numpy(pairs.label), "same": torch.from_numpy(pairs.same)}
         params: dict[str, Tensor] = {}
         if self._augmentation is not None:
-            params = {name: torch.cat([side[name][rows] for side in self._drawn]) for name in self._drawn[0]}
+            params = self._drawn(epoch, rows)
             if self._augmentation.where == "gpu":
-                item["change"] = params
+                item["change"] = self._augmentation.effect.program(params, *self._library.image_shape[1:])
         if self._numbers is not None:
             return {**item, "rows": torch.from_numpy(self._numbers[wanted])}
         images = torch.from_numpy(self._library.batch(wanted))
@@ -93,11 +95,19 @@ class PairBatches(Dataset[dict[str, Any]]):
 
     def _draw(self, epoch: int) -> None:
         self._pairs: Pairs = self._sampler.epoch(epoch, self._rank, self._world_size).take(slice(self._pairs_of_each))
-        if self._augmentation is not None:
-            mine = slice(self._rank, self._pairs_of_each * self._world_size, self._world_size)
-            pairs, shape = len(self._sampler), self._library.image_shape
-            self._drawn = [self._augmentation.draw((epoch, side, _STREAM), pairs, shape, mine) for side in (0, 1)]
         self._epoch = epoch
+
+    def _drawn(self, epoch: int, rows: slice) -> dict[str, Tensor]:
+        """Return the augmentation parameters for the first images of some pairs, and then for their second images."""
+        assert self._augmentation is not None
+        draw, shape = self._augmentation.draw, self._library.image_shape
+        blocks, numbers = np.divmod(
+            np.arange(*rows.indices(self._pairs_of_each)) * self._world_size + self._rank, _DRAWN_AT_ONCE
+        )
+        keys = [(epoch, side, block) for side in (0, 1) for block in np.unique(blocks).tolist()]
+        self._blocks = {key: self._blocks.get(key) or draw((*key, _STREAM), _DRAWN_AT_ONCE, shape) for key in keys}
+        parts = [(params, torch.from_numpy(numbers[blocks == key[2]])) for key, params in self._blocks.items()]
+        return {name: torch.cat([params[name][some] for params, some in parts]) for name in parts[0][0]}
 
 
 def check_pairs_of_each(

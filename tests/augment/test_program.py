@@ -1,0 +1,94 @@
+"""Rendering a batch from a program: effects that exclude each other share a step."""
+
+from itertools import pairwise
+
+import pytest
+import torch
+
+import augment
+from augment import Policy
+from augment.compression import compressed
+from tests.augment.pictures import generator, panoramas
+
+SPOTS = [{"effect": "bulb"}, {"effect": "square"}, {"effect": "trapezoid"}]
+
+
+def names(policy):
+    return [sorted({policy.effects[slot].name for slot in stage}) for stage in policy._stages]
+
+
+def test_alternatives_share_steps():
+    spot = {"one_of": SPOTS}
+    assert names(Policy({"all_of": [spot, {"effect": "blur"}]})) == [["bulb", "square", "trapezoid"], ["blur"]]
+    tree = {"one_of": [{"effect": "blur"}, {"all_of": [spot, {"effect": "blur"}]}, {"all_of": [spot, spot]}]}
+    assert names(Policy(tree)) == [["bulb", "square", "trapezoid"], ["blur"], ["bulb", "square", "trapezoid"]]
+    assert names(Policy({"all_of": [{"effect": "darken"}, {"effect": "contrast"}]})) == [["darken"], ["contrast"]]
+    sizes = {"one_of": [{"effect": "blur", "size": 3}, {"effect": "blur", "size": 5}, {"effect": "blur"}]}
+    assert names(Policy(sizes)) == [["blur"], ["blur"]]
+    assert sum(map(len, Policy(sizes)._stages)) == 3
+
+
+@pytest.mark.parametrize("name", augment.POLICIES)
+def test_steps_keep_the_order_of_the_effects_of_every_frame(name):
+    policy, batch = augment.policy(name), panoramas(400, 4, 16)
+    params = policy.draw(generator(), batch)
+    place = {slot: number for number, stage in enumerate(policy._stages) for slot in stage}
+    assert sorted(place) == list(range(len(policy.slots)))
+    on = torch.stack([params[f"{step.name}.on"] for step in policy.slots]).T if policy.slots else torch.zeros(0, 0)
+    for frame in on.tolist():
+        steps = [place[slot] for slot, taken in enumerate(frame) if taken]
+        assert all(one < other for one, other in pairwise(steps))
+
+
+@pytest.mark.parametrize("name", [*augment.POLICIES, "bulb", "noise"])
+def test_a_program_can_wait_and_gives_the_same_pictures(name):
+    effect = augment.effect(name) if name in augment.EFFECTS else augment.policy(name)
+    batch = panoramas(12, 32, 64)
+    params = effect.draw(generator(), batch)
+    for dtype in (torch.uint8, torch.float32):
+        pictures = batch if dtype == torch.uint8 else batch / 255
+        played = effect.play(pictures, effect.program(params, 32, 64))
+        assert played.dtype == dtype
+        if dtype == torch.float32:
+            assert torch.equal(played, effect.apply(pictures, params))
+        else:
+            # Every effect rounds to whole levels, as painting does; a tie may fall either way, and the next effect
+            # may show it.
+            apart = (played.int() - effect.apply(pictures, params).int()).abs()
+            assert float(apart.float().mean()) < 0.01
+
+
+def test_parameters_by_hand_may_take_effects_that_exclude_each_other():
+    policy = Policy({"one_of": [{"effect": "darken", "amount": 30}, {"effect": "contrast", "factor": 2}]})
+    batch = panoramas(2, dtype=torch.float32)
+    one_by_one = batch
+    for effect in policy.effects:
+        one_by_one = effect.apply(one_by_one, effect.at(1, batch))
+    assert torch.allclose(policy.apply(batch, policy.at(1, batch)), one_by_one, atol=1e-6)
+
+
+def test_frames_without_effects_are_left_out():
+    effect, batch = augment.effect("gamma"), panoramas(3, dtype=torch.float32)
+    program = effect.program({"gamma": torch.tensor([1.0, 0.5, 1.0])}, 24, 64)
+    assert program.frames.tolist() == [1]
+    out = effect.play(batch, program)
+    assert torch.equal(out[[0, 2]], batch[[0, 2]])
+    assert torch.allclose(out[1], batch[1] ** 0.5, atol=1e-6)
+
+
+@pytest.mark.parametrize("quality", [10, 35, 60, 90])
+def test_compression_on_a_gpu_is_that_of_the_codec(quality):
+    """Coefficients near a half round either way; everything else agrees."""
+    smooth = torch.nn.functional.interpolate(torch.rand(4, 3, 4, 8, generator=generator()), (40, 72), mode="bicubic")
+    batch = (smooth.clamp(0, 1) * 255).round().to(torch.uint8)
+    effect = augment.effect("jpeg", quality=quality)
+    params = effect.draw(generator(), batch)
+    program = effect.program(params, 40, 72)
+    steps = program.numbers.view(-1, 4).split([length for _, length in program.steps[0][2]])
+    values = dict(
+        zip((name for name, _ in program.steps[0][2]), (step.T[..., None, None] for step in steps), strict=True)
+    )
+    found = compressed(batch / 255, values["brightness"], values["colour"]) * 255
+    codec = effect.apply(batch, params).float()
+    loss = (codec - batch).abs().mean()
+    assert (found - codec).abs().mean() < max(0.2 * loss, 0.3)
