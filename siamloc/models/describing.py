@@ -15,6 +15,7 @@ from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
+from siamloc.full_precision import full_precision
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.network import Network
 from siamloc.models.relative import RelativePose
@@ -129,7 +130,7 @@ class NetworkDescriptor(BetweenColumns):
         relative = required_comparing(self.module)
         like = next(relative.parameters())
         pairs = zip(*(torch.tensor(one).split(chunk) for one in (queries, known)), strict=True)
-        with evaluating(relative), torch.autocast(device_type=like.device.type, enabled=False):
+        with evaluating(relative):
             parts = [relative(*(one.to(like) for one in pair)) for pair in pairs]
         pose, information, match = (torch.cat(one).double().cpu().numpy() for one in zip(*parts, strict=True))
         return pose, information, match
@@ -219,11 +220,11 @@ def margin_of(loss: object) -> float | None:
 
 @contextmanager
 def evaluating(module: nn.Module) -> Iterator[None]:
-    """Put a module into evaluation mode without gradients; afterwards the mode of every part is restored."""
+    """Evaluate a module without gradients, in full precision; afterwards the mode of every part is restored."""
     modes = [(part, part.training) for part in module.modules()]
     module.eval()
     try:
-        with torch.inference_mode():
+        with torch.inference_mode(), full_precision(), torch.autocast(_like(module).device.type, enabled=False):
             yield
     finally:
         for part, training in modes:
@@ -263,10 +264,15 @@ def _described(
 ) -> list[NDArray[np.float32]]:
     """Return the outputs of a network for images, chunk by chunk, in evaluation mode and full precision."""
     images = _as_images(batch)
-    parameter = next(network.parameters(), torch.empty(0))
-    with evaluating(network), torch.autocast(device_type=parameter.device.type, enabled=False):
-        parts = [[one.float().cpu() for one in describes(_ready(part, parameter))] for part in images.split(chunk)]
+    like = _like(network)
+    with evaluating(network):
+        parts = [[one.float().cpu() for one in describes(_ready(part, like))] for part in images.split(chunk)]
     return [torch.cat(given).numpy() for given in zip(*parts, strict=True)]
+
+
+def _like(network: nn.Module) -> Tensor:
+    """Return a parameter, which says where a network computes, and in what type."""
+    return next(network.parameters(), torch.empty(0))
 
 
 def _as_images(batch: Any) -> Tensor:

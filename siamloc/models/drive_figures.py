@@ -61,6 +61,8 @@ class DriveFigures:
                 f"a batch of the validation needs {', '.join(columns)} (known says what belongs to the map); missing: "
                 f"{', '.join(missing)}"
             )
+        # In the training's precision, which is faster: these figures only choose among its own checkpoints, and an
+        # evaluation describes in full precision.
         held = {} if orientation is None else {"orientation": orientation.float()}
         self._parts.append({"descriptors": descriptors.float(), **held, **{name: batch[name] for name in columns}})
 

@@ -133,6 +133,10 @@ def export(
         "search": None if search is None or layer is None else search.plain(),
         "figures": None if figures is None else plain(dict(figures)),
     }
+    if hasattr(given, "module"):
+        from siamloc.runtime.onnx_model import on_cpu
+
+        given = as_descriptor(on_cpu(given.module))  # as the robot computes
     made = _Ingredients(about, given, known, errors, refinement, layer, coarse_map, images, thumbnails)
     with _written(folder) as fresh:
         if precision != "auto":
