@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -131,9 +131,9 @@ class NetworkDescriptor(BetweenColumns):
         like = next(relative.parameters())
         pairs = zip(*(torch.tensor(one).split(chunk) for one in (queries, known)), strict=True)
         with evaluating(relative):
-            parts = [relative(*(one.to(like) for one in pair)) for pair in pairs]
-        pose, information, match = (torch.cat(one).double().cpu().numpy() for one in zip(*parts, strict=True))
-        return pose, information, match
+            parts = [relative(*(_uploaded(one, like).to(like.dtype) for one in pair)) for pair in pairs]
+            pose, information, match = _fetched([torch.cat(one) for one in zip(*parts, strict=True)])
+        return pose.double().numpy(), information.double().numpy(), match.double().numpy()
 
     def pairwise(
         self, queries: Description, references: Description, distance: str | None = None
@@ -263,16 +263,21 @@ def _described(
     network: nn.Module, describes: Callable[[Tensor], tuple[Tensor, ...]], batch: Any, chunk: int
 ) -> list[NDArray[np.float32]]:
     """Return the outputs of a network for images, chunk by chunk, in evaluation mode and full precision."""
-    images = _as_images(batch)
-    like = _like(network)
+    images, like, parts = _as_images(batch), _like(network), []
     with evaluating(network):
-        parts = [[one.float().cpu() for one in describes(_ready(part, like))] for part in images.split(chunk)]
+        for part in images.split(chunk):
+            ready = as_float(_uploaded(part, like)).expand(-1, 3, -1, -1)
+            given = [one.float() for one in describes(ready.to(like.dtype))]
+            # With the descriptors, since reading anything waits for a GPU; 8-bit numbers cannot be out of range.
+            limits = [] if part.dtype == torch.uint8 else [torch.stack(ready.aminmax()).float()]
+            found = _fetched([*given, *limits])
+            for low, high in found[len(given) :]:
+                if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):  # written so that NaN fails, too
+                    raise DataError(
+                        "floating point images must lie in [0, 1]: divide them by 255, or clean them of NaN"
+                    )
+            parts.append(found[: len(given)])
     return [torch.cat(given).numpy() for given in zip(*parts, strict=True)]
-
-
-def _like(network: nn.Module) -> Tensor:
-    """Return a parameter, which says where a network computes, and in what type."""
-    return next(network.parameters(), torch.empty(0))
 
 
 def _as_images(batch: Any) -> Tensor:
@@ -284,12 +289,23 @@ def _as_images(batch: Any) -> Tensor:
     if images.ndim != 4 or images.shape[1] not in (1, 3) or 0 in images.shape:
         shape = tuple(np.shape(batch))
         raise DataError(f"images must have shape (H, W), (3, H, W), (B, H, W) or (B, 3, H, W), got {shape}")
-    return images.expand(-1, 3, -1, -1)
+    return images
 
 
-def _ready(images: Tensor, parameter: Tensor) -> Tensor:
-    images = as_float(images.to(parameter.device))
-    # Written so that NaN fails, too.
-    if not bool((images.min() >= -_ROUNDING) & (images.max() <= 1 + _ROUNDING)):
-        raise DataError("floating point images must lie in [0, 1]: divide them by 255, or clean them of NaN")
-    return images.to(parameter.dtype)
+def _like(network: nn.Module) -> Tensor:
+    """Return a parameter, which says where a network computes, and in what type."""
+    return next(network.parameters(), torch.empty(0))
+
+
+def _uploaded(values: Tensor, like: Tensor) -> Tensor:
+    """Return a tensor on the device of another, without waiting for the transfer from main memory to a GPU."""
+    if like.is_cuda and not values.is_cuda:
+        return values.pin_memory().to(like.device, non_blocking=True)
+    return values.to(like.device)
+
+
+def _fetched(values: Sequence[Tensor]) -> list[Tensor]:
+    """Return tensors in main memory; a GPU is waited for once."""
+    whole = torch.cat([one.flatten() for one in values]).cpu()
+    parts = whole.split([one.numel() for one in values])
+    return [part.view(one.shape) for part, one in zip(parts, values, strict=True)]
