@@ -18,6 +18,7 @@ from siamloc.cli.sweeps import sweep_suffix
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
+from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.files import read_json
 from siamloc.maps import ErrorModel, Refinement, VisualMap
@@ -156,7 +157,7 @@ def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | Non
     if name == "thumbnail":
         return Thumbnail(**parameters)
     if name in DESCRIPTORS:
-        return descriptor(name, **parameters, circular=config.data.circular, device=device(config))
+        return descriptor(name, **parameters, circular=config.data.circular, device=chosen_device(config.device))
     if name not in ("network", "untrained", "pretrained"):
         known = ("network", "pretrained", "thumbnail", *DESCRIPTORS)
         raise ConfigError(f"unknown descriptor {name!r}: {hint(name, known)}")
@@ -164,11 +165,11 @@ def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | Non
 
     if name == "pretrained":
         _check_size(config, PRETRAINED_SIZE, "the network that ships with siamloc")
-        return models.as_descriptor(models.pretrained(circular=config.data.circular), device=device(config))
+        return models.as_descriptor(models.pretrained(circular=config.data.circular), config.device)
     trained = Run(Path(parameters["run"])) if parameters.get("run") else run
     network = models.load(trained, which="untrained" if name == "untrained" else config.checkpoint)
     _check_architecture(config, network, trained, own=trained == run)
-    return models.as_descriptor(network, device=device(config))
+    return models.as_descriptor(network, config.device)
 
 
 def baselines_of(config: DictConfig, run: Run, main: str) -> dict[str, Descriptor]:
@@ -199,21 +200,7 @@ def heading_of(config: DictConfig) -> Descriptor | None:
         return None
     if not config.data.circular:
         raise ConfigError(f"heading={name} needs columns that are a full turn, and data.circular is false")
-    return descriptor(name, **options, device=device(config))
-
-
-def device(config: DictConfig) -> str:
-    """Return the device on which descriptors are computed."""
-    import torch
-
-    if config.device == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    kind, _, number = str(config.device).partition(":")
-    if kind not in ("cpu", "cuda") or not (number == "" or number.isdigit()):
-        raise ConfigError(f"device must be auto, cpu or cuda, got {config.device!r}")
-    if kind == "cuda" and not torch.cuda.is_available():
-        raise ConfigError("device=cuda, but torch finds no GPU here: use device=cpu or auto")
-    return str(config.device)
+    return descriptor(name, **options, device=chosen_device(config.device))
 
 
 def way_of(config: DictConfig) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
 from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
+from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.heading import HeadingPart, NetworkHeading, WithHeading
 from siamloc.maps.visual_map import VisualMap
@@ -31,7 +32,7 @@ def build(
     *,
     heading: Descriptor | str | None = None,
     distance: str | None = None,
-    device: str | None = None,
+    device: str | None = "auto",
     made: Mapping[str, Any] | None = None,
     progress: bool = True,
 ) -> VisualMap:
@@ -44,12 +45,13 @@ def build(
         heading: an analytic descriptor, or its name, that gives headings alongside a network. If None, a network that
             wraps around and has the head `fourier` or `magnitudes` gives them itself, and other networks give none.
         distance: how descriptors are compared, a name in `analytic.DISTANCES`; the descriptor's default if None.
-        device: where descriptors are computed, such as "cuda"; unchanged if None.
+        device: where a network, or an analytic descriptor given by its name, computes: "auto" is the GPU if torch finds
+            one, see `siamloc.models.as_descriptor`; a network stays where it is if None.
         made: further plain values for reference (`VisualMap.made`).
         progress: whether to show the progress.
 
     Raises:
-        ConfigError: an unknown name or distance, or two descriptors that do not work together.
+        ConfigError: an unknown name, distance or device, or two descriptors that do not work together.
         DataError: no image can be read, or descriptors are not finite.
 
     Example:
@@ -139,7 +141,7 @@ def _timed(clock: Stopwatch, by: Descriptor, batch: NDArray[np.uint8]) -> Descri
         return by.describe(batch)
 
 
-def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool = True, device: str | None = None) -> Descriptor:
+def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool, device: str | None) -> Descriptor:
     """Return a descriptor: one given as such, a wrapped network, or an analytic one by its name.
 
     Args:
@@ -159,7 +161,7 @@ def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool = True, d
             return as_descriptor(pretrained(circular=circular), device)
         if by not in DESCRIPTORS:
             raise ConfigError(f"unknown descriptor {by!r}: {hint(by, ('pretrained', Thumbnail.name, *DESCRIPTORS))}")
-        return descriptor(by, circular=circular, **({} if device is None else {"device": device}))
+        return descriptor(by, circular=circular, **({} if device is None else {"device": chosen_device(device)}))
     if isinstance(by, Descriptor):
         return by
     from siamloc.models import as_descriptor as of_network

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.calls import typed
+from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError
 from siamloc.full_precision import full_precision
 from siamloc.models.losses import ContrastiveLoss
@@ -145,15 +146,16 @@ class NetworkDescriptor(BetweenColumns):
 
 
 @typed
-def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | None = None) -> Descriptor:
+def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | None = "auto") -> Descriptor:
     """Make a descriptor from a network; a descriptor is returned as it is.
 
     Args:
         network: a module (B, 3, H, W) floating point in [0, 1] -> (B, D), or a descriptor of `analytic`.
-        device: where to move a module first, such as "cuda"; it stays where it is if None.
+        device: where to move a module first, such as "cpu" or "cuda:1"; "auto" moves one that is on the CPU to the GPU
+            if torch finds one; it stays where it is if None.
 
     Raises:
-        ConfigError: something else.
+        ConfigError: something else, or a device that this machine does not have.
 
     Example:
         >>> import numpy as np
@@ -168,7 +170,9 @@ def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | 
         raise ConfigError(
             f"a torch module or a descriptor such as analytic.descriptor('hog') describes images, got {network!r}"
         )
-    return NetworkDescriptor(network if device is None else network.to(device))
+    if device is None or (device == "auto" and _like(network).device.type != "cpu"):
+        return NetworkDescriptor(network)
+    return NetworkDescriptor(network.to(chosen_device(device)))
 
 
 def identity_of(network: nn.Module) -> dict[str, Any]:

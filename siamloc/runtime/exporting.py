@@ -114,7 +114,7 @@ def export(
     folder = Path(folder).absolute()
     precision = checked(precision, Literal["float32", "float16", "int8", "auto"], "precision")
     _check_replaceable(folder)
-    given = described_by if isinstance(described_by, Descriptor) else as_descriptor(described_by)
+    given = described_by if isinstance(described_by, Descriptor) else as_descriptor(described_by, None)
     _check_exportable(given, known)
     identity, parameters = _described_alike(given, known, preprocessing)
     _check_learned(known, errors, refinement)
@@ -136,7 +136,7 @@ def export(
     if hasattr(given, "module"):
         from siamloc.runtime.onnx_model import on_cpu
 
-        given = as_descriptor(on_cpu(given.module))  # as the robot computes
+        given = as_descriptor(on_cpu(given.module), None)  # as the robot computes
     made = _Ingredients(about, given, known, errors, refinement, layer, coarse_map, images, thumbnails)
     with _written(folder) as fresh:
         if precision != "auto":
