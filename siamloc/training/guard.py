@@ -81,7 +81,8 @@ class FiniteGuard(Callback):
             largest = torch.nn.utils.get_total_norm(grads, norm_type=float("inf"))
         figures = torch.stack([self._loss.reshape(()).float(), largest.float()])
         if trainer.world_size > 1:
-            figures = trainer.strategy.reduce(figures, reduce_op="mean")
+            torch.distributed.all_reduce(figures)  # `trainer.strategy.reduce` would wait for all processes first
+            figures = figures / trainer.world_size
         arrived = None
         if figures.is_cuda:
             figures = torch.empty(2, pin_memory=True).copy_(figures, non_blocking=True)
