@@ -118,12 +118,15 @@ class NetworkModule(LightningModule):
     def configure_optimizers(self) -> Any:
         """Make the optimizer of all weights, including those of the loss, and the learning rate schedule."""
         settings = self.optimizer
-        common: dict[str, Any] = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
+        fused = self.device.type in ("cpu", "cuda") or None  # one kernel for all weights where torch has one
+        common: dict[str, Any] = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay, "fused": fused}
         if settings.name == "sgd":
             made: torch.optim.Optimizer = torch.optim.SGD(self._weights(), momentum=settings.momentum, **common)
         else:
             kind = torch.optim.Adam if settings.name == "adam" else torch.optim.AdamW
             made = kind(self._weights(), betas=(settings.momentum, 0.999), **common)
+        # Gradients of half precision are unscaled before they are clipped, and so not by the optimizer.
+        made._step_supports_amp_scaling = False  # type: ignore[attr-defined]
         if settings.schedule == "constant":
             return made
         steps = max(int(self.trainer.estimated_stepping_batches), 2)

@@ -131,6 +131,46 @@ def test_stages_that_cannot_be_frozen_or_do_not_exist_are_refused():
             Optimizer(stage_decay=value)
 
 
+@pytest.mark.parametrize("name", ["sgd", "adam", "adamw"])
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_the_fused_optimizer_learns_what_torch_learns_weight_by_weight(name, layout):
+    networks = [build("simple1", "fc500_500_5", SIZE).to(memory_format=layout) for _ in range(2)]
+    module = SiameseModule(networks[0], optimizer=Optimizer(name=name, learning_rate=0.01, weight_decay=0.1))
+    fused = module.configure_optimizers()
+    assert fused.param_groups[0]["fused"]
+    options = {"lr": 0.01, "weight_decay": 0.1, "foreach": False}
+    options |= {"momentum": 0.9} if name == "sgd" else {"betas": (0.9, 0.999)}
+    plain = type(fused)(networks[1].parameters(), **options)
+    for step in range(3):
+        fused.zero_grad()
+        module.training_step(draw_pairs(seed=step), 1).backward()
+        for one, other in zip(networks[0].parameters(), networks[1].parameters(), strict=True):
+            other.grad = one.grad.clone()
+        fused.step()
+        plain.step()
+    for one, other in zip(networks[0].parameters(), networks[1].parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-6)
+
+
+def test_gradients_are_clipped_in_mixed_precision():
+    trainer = Trainer(
+        accelerator="cpu",
+        precision="bf16-mixed",
+        gradient_clip_val=1e-30,
+        max_epochs=1,
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    network = build("simple1", "fc500_500_5", SIZE)
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    batches = DataLoader([draw_pairs()], batch_size=None)
+    trainer.fit(SiameseModule(network), batches, batches)
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(value, before[name], rtol=0, atol=1e-20)
+
+
 def test_a_loss_is_told_how_far_the_training_is():
     told = []
 
