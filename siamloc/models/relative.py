@@ -68,6 +68,8 @@ class RelativePose(nn.Module):
     places: Tensor
     windows: Tensor
     axes: Tensor
+    entries: Tensor
+    scales: Tensor
 
     def __init__(self, columns: int, values: int) -> None:
         super().__init__()
@@ -82,9 +84,11 @@ class RelativePose(nn.Module):
         windows = torch.empty(2 * self.shifts + 1, columns, dtype=torch.int64)
         self.register_buffer("windows", windows, persistent=False)
         self.register_buffer("axes", torch.empty(columns, 3, 3), persistent=False)
+        self.register_buffer("entries", torch.empty(9, dtype=torch.int64), persistent=False)
+        self.register_buffer("scales", torch.empty(3, 3), persistent=False)
 
     def reset(self) -> None:
-        """Fill in the buffers that follow from the number of columns, and let all votes start small."""
+        """Fill in the buffers, whose values are never learned, and let all votes start small."""
         column = torch.arange(self.columns)
         azimuth = -(column + 0.5 - self.columns / 2).double() * (2 * math.pi / self.columns)
         with torch.no_grad():
@@ -96,6 +100,9 @@ class RelativePose(nn.Module):
             self.axes[:, 1, 0] = azimuth.sin().float()
             self.axes[:, 0, 1] = -azimuth.sin().float()
             self.axes[:, 2, 2] = 1.0
+            self.entries.copy_(torch.tensor([0, 6, 6, 1, 2, 6, 3, 4, 5]))
+            units = torch.tensor([1.0, 1.0, _TURN])
+            self.scales.copy_(units[:, None] * units * _GAIN)
             for layer in (self.votes, self.whole):
                 layer.weight *= 0.1
 
@@ -111,16 +118,17 @@ class RelativePose(nn.Module):
             steps = self.steps(query, known)
         votes, whole = self._votes(_turned(query, steps), known)
         vector = (self.axes @ votes[:, :3].permute(0, 2, 1)[..., None])[..., 0].sum(dim=1)
-        factors = self.axes @ _lower(votes[:, 3:].transpose(1, 2))
-        information = (factors @ factors.mT).sum(dim=1) + self.axes.new_tensor(_PRIOR / _GAIN) * _identity(self.axes)
+        lower = F.pad(votes[:, 3:], (0, 0, 0, 1)).index_select(1, self.entries)  # triangular: the seventh row is zero
+        factors = self.axes @ lower.transpose(1, 2).unflatten(2, (3, 3))
+        prior = _PRIOR / _GAIN * torch.eye(3, dtype=votes.dtype, device=votes.device)
+        information = (factors @ factors.mT).sum(dim=1) + prior
         pose = (_inverse(information) @ vector[..., None])[..., 0]
         turn = pose[:, 2] / _TURN - steps * (2 * math.pi / self.columns)
         turn = turn - 2 * math.pi * (turn / (2 * math.pi)).round()
-        units = self.axes.new_tensor([1.0, 1.0, _TURN])
         known_together = whole[:, 1].clamp(-_MOST, _MOST).exp()[:, None, None]
         return Relative(
             torch.cat([pose[:, :2], turn[:, None]], dim=1),
-            information * known_together * (units[:, None] * units * _GAIN),
+            information * known_together * self.scales,
             whole[:, 0],
         )
 
@@ -142,15 +150,20 @@ class RelativePose(nn.Module):
         return self.votes(found), self.whole(found.mean(dim=2))
 
 
-def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
-    """Choose pairs of a batch to learn from; return the query's row and the map frame's row of each.
+def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Choose pairs of a batch to learn from.
 
     Each image is compared with some of its nearest ones, near and farther, with the most similar one at another place,
-    and with the most similar one out of reach: these are the ones that a search finds by mistake.
+    and with the most similar one out of reach: these are the ones that a search finds by mistake. The number of pairs P
+    follows from N alone, so that no step waits for its device; where an image lacks such a partner, the pair does not
+    count.
 
     Args:
-        origins: of the images (N); those without a heading are left out.
+        origins: of the images (N); pairs of those without a heading or a position do not count.
         descriptors: (N, D).
+
+    Returns:
+        Rows of the queries (P,) and of the map frames (P,), and whether each pair counts (P,).
     """
     assert origins.theta is not None
     apart = origins.distances()
@@ -158,14 +171,14 @@ def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor]:
     itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
     barred = itself | ~usable[:, None] | ~usable
     order = apart.masked_fill(barred, math.inf).argsort(dim=1)
-    rank = order.new_tensor([one for one in _RANKS if one < len(apart)])
+    nearest = [order[:, one : one + 1] for one in _RANKS if one < len(apart)]
     likeness = (descriptors @ descriptors.mT).masked_fill(barred, -math.inf)
     mistaken = [likeness.masked_fill(apart <= least, -math.inf).max(dim=1) for least in _ELSEWHERE]
-    known = torch.cat([order[:, rank], *(one.indices[:, None] for one in mistaken)], dim=1)
+    known = torch.cat([*nearest, *(one.indices[:, None] for one in mistaken)], dim=1)
     query = torch.arange(len(apart), device=apart.device)[:, None].expand_as(known)
-    kept = ~barred[query, known]
-    kept[:, len(rank) :] &= torch.stack([one.values for one in mistaken], dim=1) > -math.inf
-    return query[kept], known[kept]
+    counts = ~barred[query, known]
+    counts[:, len(nearest) :] &= torch.stack([one.values for one in mistaken], dim=1) > -math.inf
+    return query.flatten(), known.flatten(), counts.flatten()
 
 
 def relative_loss(
@@ -184,10 +197,11 @@ def relative_loss(
         descriptors: (N, D), to find similar images.
     """
     assert origins.theta is not None
-    query, known = compared(origins, descriptors)
-    theta = origins.theta
-    apart = origins.xy[query] - origins.xy[known]
-    near = torch.linalg.vector_norm(apart, dim=1) <= REACH
+    query, known, counts = compared(origins, descriptors)
+    # Pairs without a heading or a position do not count, but NaN times 0 is NaN.
+    theta, xy = (torch.nan_to_num(one, posinf=0, neginf=0) for one in (origins.theta, origins.xy))
+    apart = xy[query] - xy[known]
+    near = counts & (torch.linalg.vector_norm(apart, dim=1) <= REACH)
     near &= origins.building[query] == origins.building[known]
     cosine, sine = theta[known].cos(), theta[known].sin()
     ahead = cosine * apart[:, 0] + sine * apart[:, 1]
@@ -203,9 +217,10 @@ def relative_loss(
     squared = (error[:, None] @ found.information @ error[..., None])[:, 0, 0]
     pose = 0.5 * (FREEDOM + 3) * torch.log1p(squared / FREEDOM) - 0.5 * torch.logdet(found.information)
     count = near.sum()
-    match = F.binary_cross_entropy_with_logits(found.match, near.to(found.match.dtype), reduction="sum")
+    weight, target = (each.to(found.match.dtype) for each in (counts, near))
+    match = F.binary_cross_entropy_with_logits(found.match, target, weight, reduction="sum")
     off_by = torch.linalg.vector_norm(error[:, :2].detach(), dim=1)
-    return (pose * near).sum() / count.clamp(min=1) + match / max(len(query), 1), (off_by * near).sum() / count
+    return (pose * near).sum() / count.clamp(min=1) + match / counts.sum().clamp(min=1), (off_by * near).sum() / count
 
 
 def _wrap(angle: Tensor) -> Tensor:
@@ -225,21 +240,9 @@ def _turned(values: Tensor, steps: Tensor) -> Tensor:
     return values.gather(1, source[..., None].expand_as(values))
 
 
-def _lower(values: Tensor) -> Tensor:
-    """Return lower triangular matrices (..., 3, 3) of six numbers each."""
-    entry = torch.tensor([0, 6, 6, 1, 2, 6, 3, 4, 5], device=values.device)  # the seventh is zero
-    return F.pad(values, (0, 1)).index_select(-1, entry).unflatten(-1, (3, 3))
-
-
-def _identity(like: Tensor) -> Tensor:
-    return torch.eye(3, dtype=like.dtype, device=like.device)
-
-
 def _inverse(matrix: Tensor) -> Tensor:
     """Return the inverses of symmetric matrices (B, 3, 3) from cofactors, which every runtime supports."""
-    one, two = torch.tensor([[1, 2, 0], [2, 0, 1]], device=matrix.device)  # the rows and columns of a cofactor
-    upper, lower = matrix.index_select(1, one), matrix.index_select(1, two)
-    cofactor = upper.index_select(2, one) * lower.index_select(2, two)
-    cofactor = cofactor - upper.index_select(2, two) * lower.index_select(2, one)
+    upper, lower = matrix.roll(-1, 1), matrix.roll(1, 1)  # a cofactor is of the next two rows and columns
+    cofactor = upper.roll(-1, 2) * lower.roll(1, 2) - upper.roll(1, 2) * lower.roll(-1, 2)
     determinant = (matrix[:, 0] * cofactor[:, 0]).sum(dim=1)
     return cofactor / determinant[:, None, None]

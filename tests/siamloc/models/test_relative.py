@@ -92,7 +92,9 @@ def test_images_are_compared_with_near_ones_and_with_other_places_that_look_alik
     assert where.theta is not None
     where.theta[3] = math.nan
     descriptors = torch.nn.functional.normalize(torch.randn(30, 8, generator=torch.Generator().manual_seed(0)))
-    query, known = compared(where, descriptors)
+    query, known, counts = compared(where, descriptors)
+    assert len(query) == len(known) == 30 * 5, "whatever the images are, so that nothing waits to learn the number"
+    query, known = query[counts], known[counts]
     assert (query != known).all()
     assert 3 not in query.tolist() + known.tolist()
     itself = torch.eye(30, dtype=torch.bool)
@@ -107,8 +109,54 @@ def test_images_are_compared_with_near_ones_and_with_other_places_that_look_alik
         others = [one.masked_fill(itself[row], -math.inf) for one in others]
         assert chosen[3:] == [int(one.argmax()) for one in others]
     few = Origins(**{name: None if one is None else one[:2] for name, one in vars(where).items()})
-    query, known = compared(few, descriptors[:2])
+    query, known, counts = compared(few, descriptors[:2])
+    query, known = query[counts], known[counts]
     assert set(zip(query.tolist(), known.tolist(), strict=True)) == {(0, 1), (1, 0)}
+
+
+def loss_of_a_list(relative: RelativePose, orientation: Tensor, where: Origins, descriptors: Tensor) -> Tensor:
+    """`relative_loss` of the pairs that count alone, one by one."""
+    query, known, counts = compared(where, descriptors)
+    assert where.theta is not None
+    poses, matches = [], []
+    for i, j in zip(query[counts].tolist(), known[counts].tolist(), strict=True):
+        x, y = where.xy[i] - where.xy[j]
+        cosine, sine = where.theta[j].cos(), where.theta[j].sin()
+        turn = where.theta[i] - where.theta[j]
+        found = relative(orientation[i : i + 1], orientation[j : j + 1])
+        steps = relative.steps(orientation[i : i + 1], orientation[j : j + 1])
+        off = torch.remainder(turn + steps * COLUMN + math.pi, 2 * math.pi) - math.pi
+        near = torch.hypot(x, y) <= REACH and where.building[i] == where.building[j] and abs(off) <= 2 * COLUMN
+        sign = 1.0 if near else -1.0
+        matches.append(-torch.nn.functional.logsigmoid(sign * found.match[0]))
+        if near:
+            error = torch.stack([cosine * x + sine * y, cosine * y - sine * x, turn]) - found.pose[0]
+            error = torch.cat([error[:2], torch.remainder(error[2:] + math.pi, 2 * math.pi) - math.pi])
+            squared = error @ found.information[0] @ error
+            poses.append(0.5 * (FREEDOM + 3) * (1 + squared / FREEDOM).log() - 0.5 * found.information[0].logdet())
+    return torch.stack(poses).mean() + torch.stack(matches).mean()
+
+
+@pytest.mark.parametrize("count", [3, 16])
+def test_pairs_that_do_not_count_change_neither_the_loss_nor_its_gradients(network, count):
+    where = origins(count)
+    assert where.theta is not None
+    if count > 3:
+        where.theta[3], where.xy[5], where.xy[6, 1] = math.nan, math.nan, math.inf
+        where.building[:4] = 1
+    seen = seen_in_a_round_room(where.xy.nan_to_num(posinf=0) / 5, where.theta.nan_to_num(), seed=0)
+    descriptors = torch.nn.functional.normalize(torch.randn(count, 8, generator=torch.Generator().manual_seed(0)))
+    gradients, losses = [], []
+    for loss in (loss_of_a_list, relative_loss):
+        network.zero_grad()
+        orientation = seen.clone().requires_grad_()
+        found = loss(network.relative, orientation, where, descriptors)
+        losses.append(found if isinstance(found, Tensor) else found[0])
+        losses[-1].backward()
+        gradients.append([orientation.grad, *(one.grad.clone() for one in network.relative.parameters())])
+    torch.testing.assert_close(losses[1], losses[0])
+    for one, other in zip(*gradients, strict=True):
+        torch.testing.assert_close(other, one, rtol=1e-4, atol=1e-5)
 
 
 def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int) -> Tensor:
