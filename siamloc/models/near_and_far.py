@@ -29,6 +29,10 @@ class NearAndFarLoss(ScheduledLoss):
     near two others that are far from each other, or neither near nor far. So a miner is called for one image at a time,
     with label 1, among those near it, also with label 1, and those far from it, with label 0. None of these miners
     compares two anchor images, so that nothing is lost.
+
+    Pairs and triplets are chosen and compared in main memory, in many small steps, which would take longer on a GPU.
+    So a training step on a GPU waits for it four times: for the descriptors, for them again in `active`, and for the
+    gradients in both directions.
     """
 
     def __init__(self, name: str, published: str, settings: Triplet | Circle | MultiSimilarity) -> None:
@@ -60,33 +64,32 @@ class NearAndFarLoss(ScheduledLoss):
         """
         check_batch(descriptors, origins)
         with torch.autocast(device_type=descriptors.device.type, enabled=False):
-            found = descriptors.float()
-            return self.loss(found, indices_tuple=self._picked(found.detach(), origins))
+            found, picked = self._picked(descriptors, origins)
+            return self.loss(found, indices_tuple=picked).to(descriptors.device, non_blocking=True)
 
-    def _picked(self, descriptors: Tensor, origins: Origins) -> tuple[Tensor, ...]:
-        """Return the pairs that count, or triplets if the miner returns those.
+    def _picked(self, given: Tensor, origins: Origins) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Return descriptors in main memory, and the pairs that count, or triplets if the miner returns those.
 
         Pairs are the first and second images of the positive pairs, then those of the negative pairs.
         """
-        apart = origins.distances()
-        itself = torch.eye(len(apart), dtype=torch.bool, device=apart.device)
-        near, far = (apart <= self.near) & ~itself, apart > self.far
+        together = torch.cat([given.float(), origins.distances()], dim=1).cpu()
+        found, apart = together.split([given.shape[1], len(given)], dim=1)
+        apart = apart.detach()
+        near, far = (apart <= self.near).fill_diagonal_(False), apart > self.far
         if self.miner is None:
-            return (*near.nonzero().T, *far.nonzero().T)
-        # Many small steps, which would take longer on a GPU.
-        near, far, descriptors = near.cpu(), far.cpu(), descriptors.cpu()
+            return found, (*near.nonzero().T, *far.nonzero().T)
         both = near.any(dim=1) & far.any(dim=1)  # a miner compares the two
         if not bool(both.any()):
-            return (torch.zeros(0, dtype=torch.int64, device=apart.device),) * 4
-        mined = []
+            return found, (torch.zeros(0, dtype=torch.int64),) * 4
+        mined, descriptors = [], found.detach()
         for image in both.nonzero().flatten().tolist():
             others = (near[image] | far[image]).nonzero().flatten()
             same = near[image, others].long()
-            found = self.miner(descriptors[image : image + 1], torch.ones_like(same[:1]), descriptors[others], same)
+            rows = self.miner(descriptors[image : image + 1], torch.ones_like(same[:1]), descriptors[others], same)
             # Of a triplet the first, of two pairs the first of each, is the image itself.
-            firsts = (0,) if len(found) == _TRIPLETS else (0, 2)
-            mined.append([rows + image if at in firsts else others[rows] for at, rows in enumerate(found)])
-        return tuple(torch.cat(column).to(apart.device) for column in zip(*mined, strict=True))
+            firsts = (0,) if len(rows) == _TRIPLETS else (0, 2)
+            mined.append([one + image if at in firsts else others[one] for at, one in enumerate(rows)])
+        return found, tuple(torch.cat(column) for column in zip(*mined, strict=True))
 
 
 class TripletLoss(NearAndFarLoss):
@@ -112,8 +115,8 @@ class TripletLoss(NearAndFarLoss):
         With a miner, only triplets that it picks count.
         """
         with torch.no_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
-            found, distance = descriptors.float(), self.loss.distance
-            picked = self._picked(found, origins)
+            found, picked = self._picked(descriptors, origins)
+            distance = self.loss.distance
             if len(picked) == _TRIPLETS:
                 image, near, far = picked
             else:
@@ -121,7 +124,8 @@ class TripletLoss(NearAndFarLoss):
                 image, near, far = picked[0][one], picked[1][one], picked[3][other]
             apart = distance(found)
             gaps = distance.margin(apart[image, near], apart[image, far])
-            return (gaps + self.loss.margin > 0).sum() / max(len(gaps), 1)
+            share = (gaps + self.loss.margin > 0).sum() / max(len(gaps), 1)
+        return share.to(descriptors.device, non_blocking=True)
 
 
 class _PairLoss(NearAndFarLoss):
@@ -136,14 +140,14 @@ class _PairLoss(NearAndFarLoss):
         miner, only pairs that it picks count; 0 if there are none.
         """
         with torch.enable_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
-            found = descriptors.detach().float()
-            picked = self._picked(found, origins)
+            found, picked = self._picked(descriptors.detach(), origins)
             pairs = (*picked[:2], picked[0], picked[2]) if len(picked) == _TRIPLETS else picked
             alike = self.loss.distance(found).requires_grad_()
             cost = self.loss.loss_method(alike, pairs)["loss"]["losses"].sum()
             (slope,) = torch.autograd.grad(cost, alike)
         of_pairs = slope[torch.cat([pairs[0], pairs[2]]), torch.cat([pairs[1], pairs[3]])]
-        return (of_pairs.abs() > _LEAST_SLOPE * self.steepest).sum() / max(len(of_pairs), 1)
+        share = (of_pairs.abs() > _LEAST_SLOPE * self.steepest).sum() / max(len(of_pairs), 1)
+        return share.to(descriptors.device, non_blocking=True)
 
 
 class CircleLoss(_PairLoss):
