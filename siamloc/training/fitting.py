@@ -87,8 +87,8 @@ def fit(
 
     Afterwards the network holds the same weights as `siamloc.models.load(run)`: the best by the validation, chosen by
     `Training.monitor`, or the last if nothing is validated. Everything that can be checked is checked before the run's
-    folder is touched. If several processes train together (`trainer={"devices": 2, "strategy": "ddp"}`, torchrun,
-    SLURM), each calls `fit`, and only the first writes.
+    folder is touched. torch's random generators are left as they were. If several processes train together
+    (`trainer={"devices": 2, "strategy": "ddp"}`, torchrun, SLURM), each calls `fit`, and only the first writes.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -104,6 +104,8 @@ def fit(
             added to those of the training. {"precision": "auto"} is the fastest precision of the device: bfloat16 for
             most of the network if it has instructions for that.
         resume: continue from the last checkpoint of the run; only `epochs`, `workers` and file locations may differ.
+            The training ends as one that never stopped: on a CPU bit for bit, on a GPU with {"deterministic": True}
+            in `trainer`.
         overwrite: replace a run: files that siamloc wrote into the folder are removed, all other files stay.
         protocol: roles of the data, as plain values, recorded for reference; the sequences of the frames if None.
         debug: inspect the training instead, and leave the network unchanged: "one_batch" makes a single step, and
@@ -368,7 +370,8 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
         steps = next(one for one in trainer.checkpoint_callbacks if isinstance(one, StepCheckpoints))
         # With several processes, one could stop a step before the others, which would then wait for it.
         asking = first_interrupt_asks(steps) if trainer.world_size == 1 else nullcontext()
-        with kept_memory(), interrupts_raised(), torch.random.fork_rng(devices=[]), asking:
+        device = trainer.strategy.root_device
+        with kept_memory(), interrupts_raised(), torch.random.fork_rng([device] * (device.type == "cuda")), asking:
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
         if steps.asked:  # in the last epoch, when nothing was left to stop
             raise KeyboardInterrupt(f"the training finished before it could be stopped: {run.folder}")

@@ -32,10 +32,10 @@ _USUAL = (signal.default_int_handler, stop_once)
 class StepCheckpoints(Checkpoint):
     """Write the last checkpoint every few steps, and when the training is asked to stop.
 
-    A training that continues from there ends with the same weights, curves and chosen checkpoint, bit by bit, as one
-    that never stopped: batches, their augmentation and dropout follow from the numbers of the epoch and the batch, and
-    the checkpoint holds the sums since the epoch began. At the end of an epoch nothing is written here, since the
-    checkpoint of the epoch follows.
+    A training that continues from there ends with the same weights, curves and chosen checkpoint as one that never
+    stopped, bit for bit on a CPU, and on a GPU with the trainer's deterministic=True: batches, their augmentation and
+    dropout follow from the numbers of the epoch and the batch, and the checkpoint holds the sums since the epoch began.
+    At the end of an epoch nothing is written here, since the checkpoint of the epoch follows.
 
     Args:
         path: of the checkpoint.

@@ -189,15 +189,17 @@ def quiet() -> Iterator[None]:
 
 
 class _Seeds(Callback):
-    """Seed the random generator of layers such as dropout from the seed, the epoch and the batch."""
+    """Seed the random generators of layers such as dropout, of the CPU and the GPU, from seed, epoch and batch."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Seed the generator."""
+        """Seed the generators."""
         key = content_key([self._seed, trainer.current_epoch, batch_idx, trainer.global_rank], 15)
-        torch.manual_seed(int(key, 16))
+        torch.default_generator.manual_seed(int(key, 16))
+        if trainer.strategy.root_device.type == "cuda":
+            torch.cuda.manual_seed(int(key, 16))  # of this GPU; `torch.manual_seed` would seed all
 
 
 def _listed(value: Any) -> list[Any]:

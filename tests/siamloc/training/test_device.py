@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -14,7 +15,7 @@ from siamloc.models import ContrastiveLoss, MetricCalibratedLoss, SoftContrastiv
 from siamloc.models.places import PlaceModule
 from siamloc.models.siamese import SiameseModule
 from siamloc.training import batches, compiled
-from siamloc.training.trainer import on_gpu
+from siamloc.training.trainer import _Seeds, on_gpu
 
 PAIRS = {"batch_size": 4, "monitor": "loss", "pairs": {"label": "room", "epoch_pairs": 10}}
 PLACES = {"pairs": {"places": 4, "images": 2, "radius": 1.0, "epoch_batches": 2}}
@@ -125,6 +126,26 @@ def test_what_a_gpu_is(monkeypatch):
     assert on_gpu(None)
     assert on_gpu({"accelerator": "gpu"})
     assert not on_gpu({"accelerator": "cpu"})
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_a_training_seeds_the_generators_of_its_device_and_no_others(monkeypatch, device):
+    seeded = []
+    monkeypatch.setattr(torch.cuda, "manual_seed", seeded.append)
+    monkeypatch.setattr(torch.cuda, "manual_seed_all", None)
+    strategy = SimpleNamespace(root_device=torch.device(device))
+    training = SimpleNamespace(current_epoch=1, global_rank=0, strategy=strategy)
+    with torch.random.fork_rng(devices=[]):
+        _Seeds(0).on_train_batch_start(training, None, None, 2)
+        assert seeded == ([torch.initial_seed()] if device == "cuda" else [])
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_the_random_state_of_the_gpu_stays_as_it_was(fit):
+    before = torch.cuda.get_rng_state()
+    fit("run", trainer={"accelerator": "gpu"}, **PAIRS)
+    assert torch.equal(torch.cuda.get_rng_state(), before)
 
 
 @pytest.fixture
