@@ -60,13 +60,14 @@ from siamloc.training.run_folder import (
 from siamloc.training.seen_frames import note_frames
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import debug_trainer, fast_layout, on_gpu, quiet, run_trainer, steps_of
+from siamloc.training.trainer import debug_trainer, fast_layout, on_gpu, on_host, quiet, run_trainer, steps_of
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
 
 
 @takes(Training)
+@on_host()
 def fit(
     network: nn.Module,
     images: PanoramaLibrary,
@@ -199,6 +200,7 @@ def fit(
     return run
 
 
+@on_host()
 def learn(
     module: NetworkModule,
     data: EpochDataModule,

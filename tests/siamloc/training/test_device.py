@@ -148,6 +148,16 @@ def test_the_random_state_of_the_gpu_stays_as_it_was(fit):
     assert torch.equal(torch.cuda.get_rng_state(), before)
 
 
+@pytest.mark.parametrize("settings", [PAIRS, PLACES], ids=["pairs", "places"])
+def test_the_default_device_changes_nothing(fit, monkeypatch, settings):
+    plain = fit("plain", **settings)
+    net = network()
+    monkeypatch.setitem(globals(), "network", lambda: net)
+    with torch.device("meta"):
+        there = fit("there", **settings)
+    assert same(plain[1], there[1])
+
+
 @pytest.fixture
 def without_autocast(monkeypatch):
     """The device meta has none."""
