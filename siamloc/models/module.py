@@ -54,7 +54,7 @@ class NetworkModule(LightningModule):
         self.loss = loss
         self.optimizer = Optimizer() if optimizer is None else optimizer
         self._drive = DriveFigures(recall_radius)
-        self.compiled: Callable[[Tensor], Tensor] | None = None  # the compiled network, if steps are compiled
+        self.compiled: Callable[..., Any] | None = None  # calls a part of the network, compiled, if steps are compiled
         self._by_stage = self.optimizer.frozen_stages > 0 or self.optimizer.stage_decay < 1
         self._frozen: FrozenStages | None = None
         if self._by_stage and self.optimizer.frozen_stages >= (count := sum(map(bool, weights_by_stage(network)))):
@@ -82,9 +82,9 @@ class NetworkModule(LightningModule):
         """Compute the descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1]."""
         return self.network(panorama)
 
-    def computed(self, images: Tensor) -> Tensor:
-        """Compute descriptors in a step, in training with the compiled network if there is one."""
-        return (self.compiled if self.training and self.compiled is not None else self.network)(images)
+    def computed(self, part: Callable[..., Any], *inputs: Tensor) -> Any:
+        """Call the network or a part of it in a step, in training compiled if steps are compiled."""
+        return self.compiled(part, *inputs) if self.training and self.compiled is not None else part(*inputs)
 
     def log_step(self, loss: Tensor) -> None:
         """Log the loss of a training step; the progress bar reads it at once, so show it there only on the CPU."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -85,7 +86,9 @@ class PlaceModule(NetworkModule):
             figures["accuracy"] = self.loss.accuracy(seen, origins.room)
         if orientation is not None:
             with torch.autocast(device_type=orientation.device.type, enabled=False):  # its sums need full precision
-                more, figures["relative"] = relative_loss(required_comparing(self.network), orientation.float(), *mine)
+                relative = required_comparing(self.network)
+                compare = partial(self.computed, relative)
+                more, figures["relative"] = relative_loss(relative, orientation.float(), *mine, compare)
             total = loss + more
         for name, figure in figures.items():  # read at the end of the epoch: no step waits for the device
             self._figures.setdefault(name, []).append(figure)
@@ -111,10 +114,10 @@ class PlaceModule(NetworkModule):
         """Return descriptors, and orientation parts if displacements are learned."""
         images, network = as_float(batch["images"]), self.comparing_network
         if network is None:
-            return self.computed(images), None
+            return self.computed(self.network, images), None
         if "theta" not in batch:
             raise DataError("a network built with relative=True learns from headings: a batch needs theta as well")
-        return network.with_orientation(images)
+        return self.computed(network.with_orientation, images)
 
     def on_train_epoch_end(self) -> None:
         """Log the figures of the training epoch."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -182,7 +183,11 @@ def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor, Ten
 
 
 def relative_loss(
-    relative: RelativePose, orientation: Tensor, origins: Origins, descriptors: Tensor
+    relative: RelativePose,
+    orientation: Tensor,
+    origins: Origins,
+    descriptors: Tensor,
+    compare: Callable[..., Relative] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Return the loss of comparing pairs of a batch, and the mean error of the displacements within reach.
 
@@ -195,6 +200,7 @@ def relative_loss(
         orientation: parts of the images (N, K, F).
         origins: of the images (N), with their headings.
         descriptors: (N, D), to find similar images.
+        compare: computes what `relative` does, such as a compiled form of it; `relative` itself if None.
     """
     assert origins.theta is not None
     query, known, counts = compared(origins, descriptors)
@@ -211,7 +217,7 @@ def relative_loss(
         column = 2 * math.pi / relative.columns
         steps = relative.steps(orientation[query], orientation[known])
         near &= (_wrap(turn + steps * column) / column).abs() <= _ALIGNED
-    found = relative(orientation[query], orientation[known], steps)
+    found = (compare or relative)(orientation[query], orientation[known], steps)
     error = torch.stack([ahead, left, turn], dim=1) - found.pose
     error = torch.cat([error[:, :2], _wrap(error[:, 2:])], dim=1)
     squared = (error[:, None] @ found.information @ error[..., None])[:, 0, 0]

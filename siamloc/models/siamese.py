@@ -119,7 +119,7 @@ class SiameseModule(NetworkModule):
         label = batch["label"]
         check_labels(label, len(batch["first"]))
         images = as_float(torch.cat([batch["first"], batch["second"]]))
-        descriptors = checked_descriptors(self.computed(images), 2 * len(label))
+        descriptors = checked_descriptors(self.computed(self.network, images), 2 * len(label))
         d0, d1 = descriptors.chunk(2)
         loss = checked_loss(self.loss(d0, d1, label), self.loss)
         distance = pair_distance(d0.detach(), d1.detach())

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from siamloc.errors import ConfigError
 from siamloc.models.module import NetworkModule
-from siamloc.models.network_stages import comparing_weights
 
 BACKEND = "inductor"
 
@@ -21,25 +20,17 @@ BACKEND = "inductor"
 Wanted = Literal["auto"] | bool
 
 
-def compiles(wanted: Wanted, on_gpu: bool, network: nn.Module | None = None) -> Wanted:
+def compiles(wanted: Wanted, on_gpu: bool) -> Wanted:
     """Decide whether to compile the network of a training: if requested; with "auto" only on a GPU.
 
-    A network that learns displacements is not compiled.
-
     Raises:
-        ConfigError: compiling is requested, but the compiler is missing or the network learns displacements.
+        ConfigError: compiling is requested, but the compiler is missing.
 
     Example:
         >>> compiles("auto", on_gpu=False)
         False
     """
     if wanted is False or (wanted == "auto" and not on_gpu):
-        return False
-    if network is not None and comparing_weights(network):
-        if wanted != "auto":
-            raise ConfigError(
-                "compile=true does not work with model.relative=true (relative=True): leave one of them out"
-            )
         return False
     missing = _missing(on_gpu)
     if missing is not None and wanted != "auto":
@@ -64,8 +55,9 @@ def _missing(on_gpu: bool) -> str | None:
 def compiled(module: NetworkModule, wanted: Wanted) -> Iterator[None]:
     """Let training steps use the compiled network; validation and later calls use the network as it is.
 
-    Each batch size is compiled separately. Names of weights, checkpoints and hooks stay as they are. With "auto", a
-    network that cannot be compiled is used as it is, and a note is printed.
+    The network, or each of the two parts of one that learns displacements, is compiled once, for the size of a whole
+    batch; a smaller last batch takes the network as it is. Names of weights, checkpoints and hooks stay as they are.
+    With "auto", a network that cannot be compiled is used as it is, and a note is printed.
 
     Raises:
         ConfigError: the network cannot be compiled, which shows in the first step.
@@ -76,12 +68,17 @@ def compiled(module: NetworkModule, wanted: Wanted) -> Iterator[None]:
     from torch._dynamo.exc import TorchDynamoException
     from torch._inductor.exc import InductorError
 
-    network = module.network
-    fast = torch.compile(lambda images: network(images), backend=BACKEND, dynamic=False)
+    parts: dict[Callable[..., Any], tuple[Callable[..., Any], int]] = {}
 
-    def call(images: Tensor) -> Tensor:
+    def call(part: Callable[..., Any], *inputs: Tensor) -> Any:
+        if part not in parts:
+            made = torch.compile(lambda *given: part(*given), backend=BACKEND, dynamic=False)
+            parts[part] = made, len(inputs[0])
+        fast, whole = parts[part]
+        if len(inputs[0]) < whole:
+            return part(*inputs)
         try:
-            found: Tensor = fast(images)
+            return fast(*inputs)
         except (TorchDynamoException, InductorError) as error:
             reason = " ".join([line.strip() for line in str(error).splitlines() if line.strip()][:2])
             if wanted != "auto":
@@ -90,8 +87,7 @@ def compiled(module: NetworkModule, wanted: Wanted) -> Iterator[None]:
                 ) from error
             print(f"note: training without torch.compile, which fails here: {reason}", file=sys.stderr)
             module.compiled = None
-            return network(images)  # type: ignore[no-any-return]
-        return found
+            return part(*inputs)
 
     module.compiled = call
     try:

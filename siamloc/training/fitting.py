@@ -153,7 +153,7 @@ def fit(
     train, validated = usable(images, frames, validation, settings)
     check_headings(network, train, settings)
     change, augmented = augmentation_of(augmentation, images.circular, settings, trainer)
-    faster = compiles(settings.compile, on_gpu(trainer), network)
+    faster = compiles(settings.compile, on_gpu(trainer))
     if resume and settings.monitor == "auto" and same_kind_of_pairs(run, settings):
         settings = replace(settings, monitor=monitor_of(run))
     monitor = monitored(settings, train, validated, network, loss)
@@ -231,7 +231,7 @@ def learn(
         note: prints notes for the user, once everything is checked.
     """
     network, first = module.network, process_rank() == 0
-    faster = compiles(settings.compile, on_gpu(trainer), network)
+    faster = compiles(settings.compile, on_gpu(trainer))
     layout = fast_layout(network, used["trainer"]["precision"] == "auto")
     last = run.checkpoints / "last.ckpt"
     with quiet(), alone(run.folder) if first else nullcontext():

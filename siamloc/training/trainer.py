@@ -185,6 +185,7 @@ def quiet() -> Iterator[None]:
         "smaller than the logging interval",
         "is not empty",
         "before the epoch ended",
+        "The .grad attribute of a Tensor that is not a leaf",  # torch's compiler reads it
     )
     with warnings.catch_warnings():
         for text in unfounded:

@@ -20,7 +20,6 @@ from siamloc.models.places import PlaceModule
 from siamloc.models.pretrained_network import without_layer
 from siamloc.models.registry import Optimizer
 from siamloc.models.relative import FREEDOM, REACH, Relative, RelativePose, _inverse, compared, relative_loss
-from siamloc.training.compiled import compiles
 
 SIZE, COLUMNS, VALUES = (32, 128), 16, 64
 COLUMN = 2 * math.pi / COLUMNS
@@ -327,8 +326,6 @@ def test_weights_that_compare_travel_where_they_fit(network, tmp_path, capsys):
 def test_what_does_not_go_with_it_is_refused(network):
     with pytest.raises(ConfigError, match="learned from batches of places, and these are pairs"):
         siamloc.models.SiameseModule(network)
-    with pytest.raises(ConfigError, match=r"compile=true does not work with model\.relative=true"):
-        compiles(True, False, network)
     batch = {"images": torch.rand(4, 3, *SIZE)}
     where = origins(4)
     batch |= {name: getattr(where, name) for name in ("xy", "building", "room", "frame")}

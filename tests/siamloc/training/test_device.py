@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 
@@ -82,6 +83,33 @@ def test_a_compiled_network_learns_the_same_under_the_same_names(fit, monkeypatc
     fit("compiled", **{**more, "compile": False, "epochs": 2}, resume=True)
 
 
+@pytest.mark.parametrize(
+    ("settings", "relative"), [(PAIRS, False), (PLACES, False), (PLACES, True)], ids=["pairs", "places", "relative"]
+)
+def test_the_modern_network_is_one_graph_compiled_once(frames, tmp_path, monkeypatch, settings, relative):
+    """Pairs have a smaller last batch. A network that learns displacements has two parts, each a graph of its own."""
+    graphs = []
+    monkeypatch.setattr(compiled, "BACKEND", lambda graph, inputs: graphs.append(graph) or graph.forward)
+    drive = frames.with_columns(theta=np.full(len(frames), 0.1))
+    images = PanoramaLibrary(drive, tmp_path / "cache", image_size=(16, 64))
+    monday, tuesday = (drive.select(sequence=day) for day in ("monday", "tuesday"))
+    recipe = siamloc.training.recipe("modern")
+    further = {name: recipe.training[name] for name in ("average", "clip", "optimizer")}
+    siamloc.training.fit(
+        recipe.build((16, 64), relative=relative),
+        images,
+        monday,
+        run=tmp_path / "run",
+        validation=tuesday,
+        epochs=2,
+        compile=True,
+        trainer=dict(recipe.trainer),
+        **further,
+        **settings,
+    )
+    assert len(graphs) == 1 + relative
+
+
 def test_looking_at_a_batch_sees_the_compiled_network(fit, monkeypatch, capfd):
     monkeypatch.setattr(compiled, "BACKEND", "aot_eager")
     fit("one", compile=True, debug="one_batch", **PLACES)
@@ -99,7 +127,7 @@ def test_a_network_that_cannot_be_compiled_is_one_sentence_or_a_note(fit, monkey
     module = PlaceModule(network())
     images = torch.rand(2, 3, 16, 64, generator=torch.Generator().manual_seed(0))
     with compiled.compiled(module, "auto"):
-        assert torch.equal(module.computed(images), module.network(images))
+        assert torch.equal(module.computed(module.network, images), module.network(images))
         assert module.compiled is None
     assert "note: training without torch.compile, which fails here" in capfd.readouterr().err
 
