@@ -32,6 +32,11 @@ FURTHER = {
     "tracked": "filter between frames",
 }
 """Estimates of a query's pose other than that of the nearest map frame, and how each is made."""
+FINEST = ("tracked", "refined")
+"""The estimates that stand for the whole evaluation where there are any, the first of them that was made."""
+
+REMARKS = ("rooms", "positions")
+"""Keys of `skipped` in a result whose text is a remark on what was measured, rather than why it was not."""
 
 _OF_ESTIMATES = ("est_x", "est_y", "est_theta", "error", "heading_error", "match")
 _SCHEMA = "siamloc-results"
@@ -51,7 +56,7 @@ def finest(columns: Columns) -> tuple[Columns, str | None]:
 
     The finest are poses by comparison, or tracked between map frames. Without either, the table itself and None.
     """
-    for name in ("tracked", "refined"):
+    for name in FINEST:
         if f"{name}_error" in columns:
             own = {key: columns[f"{name}_{key}"] for key in _OF_ESTIMATES if f"{name}_{key}" in columns}
             return {**columns, **own}, name

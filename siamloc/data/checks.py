@@ -15,6 +15,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.files import file_hash
 
+_SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
 _PROBED = 32  # images of a data set that are opened for their size
 _FITS, _FAILS = 0.9, 0.7  # how well headings follow the direction of travel, from 0 (not at all) to 1
 _TURN = 2 * np.pi
@@ -24,8 +25,8 @@ _TURN = 2 * np.pi
 def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str]:
     """Check a data set for faults that go unnoticed until the results are poor.
 
-    Checked are headings (degrees instead of radians, clockwise, x and y exchanged), missing positions and labels,
-    jumps and stops of a drive, times, the sizes of the images, and duplicate images.
+    Checked are headings (degrees instead of radians, clockwise, x and y exchanged), missing positions and labels, steps
+    that no robot indoors makes, jumps and stops of a drive, times, the sizes of the images, and duplicate images.
 
     Args:
         frames: the data set.
@@ -189,6 +190,12 @@ def _drives(frames: FrameTable) -> Iterator[str]:
         steps = np.linalg.norm(np.diff(known.xy, axis=0), axis=1)
         moves = steps[steps > 0]
         usual = float(np.median(moves)) if len(moves) else 0.0
+        if len(moves) > 10 and not _SHORTEST < usual < _LONGEST and frames.unit == "m":
+            other, factor = ("millimetres", "divide by") if usual > _LONGEST else ("kilometres", "multiply by")
+            yield (
+                f"the usual step of {drive} is {usual:.3g} m, which no robot indoors makes between two images: if x "
+                f"and y are {other}, {factor} 1000, or name their unit (data.unit)."
+            )
         still = int((steps <= usual / 20).sum())
         if still > len(own) / 5 and len(own) > 2:
             yield (

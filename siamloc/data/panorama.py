@@ -120,17 +120,33 @@ class PolarRing(Settings):
     inside_up: bool = False
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the columns (H, W) and rows (H, W) to sample. See `OmnidirectionalCamera`."""
+        """Return the columns (H, W) and rows (H, W) to sample. See `OmnidirectionalCamera`.
+
+        Raises:
+            ConfigError: a ring that is too thin, or of which less than half lies in the image.
+        """
         rows, columns = image_size
         cx, cy = self.centre if self.centre is not None else ((columns - 1) / 2, (rows - 1) / 2)
         outer = self.outer if self.outer is not None else min(cx, cy, columns - 1 - cx, rows - 1 - cy)
         inner = self.inner if self.inner is not None else outer / 5
         if not 0 <= inner < outer:
             raise ConfigError(f"the ring needs 0 <= inner < outer radius, got inner {inner} and outer {outer} px")
+        if outer - inner < 1:
+            raise ConfigError(
+                f"the ring from {inner:g} to {outer:g} px is thinner than a pixel: give "
+                f"unwrap.inner and unwrap.outer in pixels of images of {columns} x {rows}"
+            )
         share = (np.arange(view.height) + 0.5) / view.height
         radius = inner + share * (outer - inner) if self.inside_up else outer - share * (outer - inner)
         angle = _image_angle(column_azimuth(view.width), self.forward, self.mirrored)
-        return cx + radius[:, None] * np.sin(angle), cy - radius[:, None] * np.cos(angle)
+        x, y = cx + radius[:, None] * np.sin(angle), cy - radius[:, None] * np.cos(angle)
+        inside = ((x >= 0) & (x <= columns - 1) & (y >= 0) & (y <= rows - 1)).mean()
+        if inside < 0.5:
+            raise ConfigError(
+                f"only {inside:.0%} of the ring around ({cx:g}, {cy:g}) from {inner:g} to {outer:g} px lie in an "
+                f"image of {columns} x {rows} px: correct unwrap.centre, unwrap.inner or unwrap.outer"
+            )
+        return x, y
 
 
 @dataclass(frozen=True)

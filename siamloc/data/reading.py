@@ -21,6 +21,7 @@ from siamloc.settings import Settings, Size
 READERS: dict[str, Callable[..., FrameTable]] = {"cold": read_cold, "folder": read_folder, "manifest": read_manifest}
 
 _PATHS = ("root", "places", "manifest")
+_VIRTUAL = (("proc",), ("sys",))  # folders at the root of Linux that hold no files but the system's state
 
 
 @typed
@@ -61,6 +62,9 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
     given = {key: value for key, value in where.items() if value is not None}
     source = {key: str(Path(value).expanduser().absolute()) if key in _PATHS else value for key, value in given.items()}
+    for key in _PATHS:
+        if key in source and Path(source[key]).resolve().parts[1:2] in _VIRTUAL:
+            raise ConfigError(f"data.{key}={source[key]} lies in a view of the running system, not in a folder of data")
     named = name or next((Path(source[key]).stem for key in _PATHS if key in source), kind)
     return replace(READERS[kind](**given), unit=unit, source={"kind": kind, "name": named, **source})
 

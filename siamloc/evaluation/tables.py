@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-from siamloc.results import FURTHER
+from siamloc.results import FURTHER, REMARKS
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -40,7 +40,7 @@ def text_of(
         if part in parts:
             lines += write(name, {"unit": unit, **parts[part]})
     lines += [_cost(method, taken) for method, taken in (costs or {}).items()]
-    lines += [f"{what} left out: {reason}" for what, reason in skipped.items()]
+    lines += [reason if what in REMARKS else f"{what} left out: {reason}" for what, reason in skipped.items()]
     if located:
         lines.append(f"located without a score: {located} queries, in located.csv")
     return "\n".join(lines)

@@ -17,7 +17,7 @@ from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Markup, count, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.robustness import robustness_section
-from siamloc.results import Columns
+from siamloc.results import Columns, finest
 
 _MOST_METHODS = 8
 
@@ -61,7 +61,7 @@ def _localization(parts: list[Part]) -> Markup:
     by_unit: dict[str, dict[str, Columns]] = {}
     for title, evaluation in evaluations.items():
         if evaluation.queries is not None and len(evaluation.queries["error"]):
-            by_unit.setdefault(evaluation.unit, {})[title] = evaluation.queries
+            by_unit.setdefault(evaluation.unit, {})[title] = finest(evaluation.queries)[0]
     curves = [
         inline(compared_curves(columns, unit), f"compared-{i}", "cumulative errors of all evaluations")
         for i, (unit, columns) in enumerate(by_unit.items())

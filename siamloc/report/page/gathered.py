@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.files import real_path
-from siamloc.results import FURTHER, Columns, read_results, read_rows, rows_by_label
+from siamloc.results import FINEST, FURTHER, Columns, read_results, read_rows, rows_by_label
 from siamloc.runs import Run, run_with, runs_in
 
 ALL = "all"
@@ -81,6 +81,13 @@ class Evaluation:
         """The measures of localization, in the whole map or hierarchical, if any."""
         measures = self.results["measures"]
         return measures.get("absolute") or measures.get("hierarchical")
+
+    @property
+    def finest(self) -> tuple[dict[str, Any] | None, str | None]:
+        """The measures of the finest estimates of the queries, and their name; of `absolute` and None without any."""
+        measures = self.results["measures"]
+        name = next((name for name in FINEST if measures.get(f"absolute_{name}")), None)
+        return (self.absolute, None) if name is None else (measures[f"absolute_{name}"], name)
 
     @property
     def measured(self) -> bool:

@@ -14,7 +14,7 @@ from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Content, Markup, count, join, number, percent, plural, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.plan import Plan, error_classes
-from siamloc.results import FURTHER, Columns
+from siamloc.results import FURTHER, REMARKS, Columns
 
 _KNOWN_MEASURES = (
     *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration", "mapping", "compact"),
@@ -34,8 +34,9 @@ def key_figures(evaluation: Evaluation) -> Markup | None:
     tiles: list[tuple[str, str]] = []
     absolute, rooms, unit = evaluation.absolute, evaluation.rooms, evaluation.unit
     if absolute is not None:
-        overall = absolute["overall"]
-        tiles.append((f"{number(overall['error']['mean'], 2)} {unit}", "mean error"))
+        finest, estimate = evaluation.finest
+        overall = (finest or absolute)["overall"]
+        tiles.append((f"{number(overall['error']['mean'], 2)} {unit}", f"mean error{_comma(estimate or '')}"))
         tiles.append((f"{number(overall['floor']['mean'], 2)} {unit}", "floor: distance to the nearest map frame"))
         middle = tables.middle_recall(overall)
         if middle is not None:
@@ -88,8 +89,7 @@ def summary(evaluation: Evaluation) -> Markup | None:
     by_room = tag("details", tag("summary", "By room"), tables.summary(evaluation, "room")) if len(rooms) > 1 else None
     skipped = evaluation.results.get("skipped") or {}
     notes = [
-        # Queries in rooms that the map lacks are searched nevertheless.
-        tag("p.caption", reason if name == "rooms" else f"{name.replace('_', ' ')} left out: {reason}")
+        tag("p.caption", reason if name in REMARKS else f"{name.replace('_', ' ')} left out: {reason}")
         for name, reason in skipped.items()
     ]
     floor = (
@@ -262,7 +262,7 @@ def _worst_item(plan: Plan, row: int, rank: int, uris: Mapping[str, str]) -> Mar
     facts = [str(columns["lighting"][row]), str(columns["room"][row])]
     if "heading_error" in columns and np.isfinite(columns["heading_error"][row]):
         facts.append(f"heading {number(float(columns['heading_error'][row]), 1)}° off")
-    error = tag("b", f"{number(float(distances[0]), 2)} {plan.unit}")
+    error = tag("b", f"{number(float(columns['error'][row]), 2)} {plan.unit}")
     button = tag("button", "show on the plan", type="button", data_query=row)
     head = tag("div.head", tag("span.rank", rank), error, tag("span", " · ".join(filter(None, facts))), button)
     return tag("li", head, tag("div.triple", *pictures))

@@ -45,6 +45,8 @@ def summary(evaluation: Evaluation, by: str = "lighting") -> Markup:
 def comparison(evaluations: Mapping[str, tuple[Evaluation, str]]) -> Markup:
     """Return a table with a row per evaluation, over all queries and with the mean error under each lighting.
 
+    Errors are those of an evaluation's finest estimates.
+
     Args:
         evaluations: evaluations by title, with the anchor of their part of the page.
     """
@@ -52,15 +54,17 @@ def comparison(evaluations: Mapping[str, tuple[Evaluation, str]]) -> Markup:
     units = list(dict.fromkeys(e.unit for e, _ in evaluations.values() if e.absolute is not None))
     unit = f" [{units[0]}]" if len(units) == 1 else ""
     protocols = {str(e.results.get("protocol")) for e, _ in evaluations.values()}
-    heads = ["run", "protocol", "map", "queries", "unit"]
-    heads = [name for name in heads if {"protocol": len(protocols) > 1, "unit": len(units) > 1}.get(name, True)]
+    finer = any(e.finest[1] for e, _ in evaluations.values())
+    shown = {"protocol": len(protocols) > 1, "unit": len(units) > 1, "estimate": finer}
+    heads = [name for name in ("run", "protocol", "map", "queries", "unit", "estimate") if shown.get(name, True)]
     heads += [f"mean{unit}", *(f"mean, {label}" for label in lightings)]
     heads += [f"{name}{unit}" for name in ("median", "95 %", "floor", "excess")]
     heads += ["recall@1", "heading [deg]", "room retrieved"]
     rows = []
     for title, (evaluation, anchor) in evaluations.items():
         absolute, rooms = evaluation.absolute, evaluation.rooms
-        overall = _group(absolute, ALL, "lighting")
+        finest, estimate = evaluation.finest
+        overall = _group(finest, ALL, "lighting")
         cells: list[Content] = []
         if len(protocols) > 1:
             cells.append(str(evaluation.results.get("protocol") or NOTHING).replace("_", " "))
@@ -68,8 +72,10 @@ def comparison(evaluations: Mapping[str, tuple[Evaluation, str]]) -> Markup:
         cells.append(count((overall or (rooms or {}).get("overall") or {}).get("queries", 0)))
         if len(units) > 1:
             cells.append(evaluation.unit if absolute else NOTHING)
+        if finer:
+            cells.append(estimate or "single frame")
         cells.append(_length(overall, "error", "mean"))
-        cells += [_length(_group(absolute, label, "lighting"), "error", "mean") for label in lightings]
+        cells += [_length(_group(finest, label, "lighting"), "error", "mean") for label in lightings]
         cells += [_length(overall, "error", key) for key in ("median", "p95")]
         cells += [_length(overall, key, "mean") for key in ("floor", "excess")]
         cells.append(_middle_recall(overall, evaluation.unit))

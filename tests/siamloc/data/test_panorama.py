@@ -230,7 +230,7 @@ def test_other_sizes_and_elevations():
 
 
 def test_what_lies_outside_the_image_is_black():
-    panorama = unwrap(np.full((100, 100), 200, np.uint8), PolarRing(inner=10, outer=200))
+    panorama = unwrap(np.full((100, 100), 200, np.uint8), PolarRing(inner=10, outer=80))
     assert panorama[0].max() == 0
     assert panorama[-1].min() == 200
 
@@ -256,6 +256,10 @@ def test_impossible_unwrapping():
     image = np.zeros((100, 100, 3), np.uint8)
     with pytest.raises(ConfigError, match=r"inner < outer radius, got inner 80 and outer 60 px"):
         unwrap(image, PolarRing(inner=80, outer=60))
+    with pytest.raises(ConfigError, match=r"ring from 0.2 to 1 px is thinner than a pixel.* images of 100 x 100"):
+        unwrap(image, PolarRing(outer=1))
+    with pytest.raises(ConfigError, match=r"only 0% of the ring around \(49.5, 49.5\) from 20000 to 100000 px lie in"):
+        unwrap(image, PolarRing(outer=100_000))
     with pytest.raises(ConfigError, match=r"looks up to 60 degrees, .* above 45\.6 degrees: lower the view's top"):
         unwrap(image, HyperbolicMirror(eccentricity=1.4), PanoramaView(top=60))
     for shape in [(1, 100), (0, 0, 3), (100,)]:

@@ -48,6 +48,13 @@ def test_missing_place_is_a_data_error(kind, tmp_path):
         siamloc.data.read(kind, **where)
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="only Linux shows its processes as files")
+def test_a_view_of_the_running_system_is_no_data_set(tmp_path):
+    (tmp_path / "link").symlink_to("/proc/self")
+    with pytest.raises(ConfigError, match=r"data.root=.*link lies in a view of the running system"):
+        siamloc.data.read("folder", root=tmp_path / "link")
+
+
 @pytest.mark.parametrize("kind", ["manifest", "folder", "cold"])
 def test_the_source_reads_the_same_frames_from_anywhere(kind, tmp_path, monkeypatch):
     name = "t1_x2_y3_a0.jpeg"

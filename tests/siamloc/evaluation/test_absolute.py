@@ -181,3 +181,38 @@ def test_errors() -> None:
     other = evaluate_absolute(known, descriptors[::-1], queries.take(slice(None, None, -1)))
     with pytest.raises(DataError, match="baseline 'hog' answered other queries"):
         with_baseline(result, "hog", other)
+
+
+def on_a_path(name: str, n: int, **columns: object) -> FrameTable:
+    """A drive around a square of 8 m, one frame every 32 / n m."""
+    along = np.arange(n) / n * 4
+    corner = np.array([[0.0, 0.0], [8, 0], [8, 8], [0, 8], [0, 0]])
+    xy = np.stack([np.interp(along, np.arange(5), corner[:, axis]) for axis in (0, 1)], axis=1)
+    return FrameTable(
+        **{"path": [f"{name}/{i}" for i in range(n)], "x": xy[:, 0], "y": xy[:, 1], "sequence": [name] * n, **columns}
+    )
+
+
+@pytest.mark.parametrize(
+    ("drift", "says"),
+    [(np.zeros((100, 2)), False), (np.full((100, 2), 1.5), True), (np.linspace(0, 4, 100)[:, None] * [1, 0], True)],
+    ids=["as the map's", "own origin", "drift"],
+)
+def test_a_drive_whose_positions_disagree_with_the_map_s_is_remarked(drift: np.ndarray, says: bool) -> None:
+    known, queries = on_a_path("monday", 150), on_a_path("tuesday", 100)
+    seen = scenes.describe(queries, seed=3, noise=0.1)
+    moved = queries.with_columns(x=queries.x + drift[:, 0], y=queries.y + drift[:, 1])
+    result = evaluate_absolute(VisualMap(scenes.describe(known, seed=1, noise=0.1), known, {"name": "p"}), seen, moved)
+    assert ("positions" in result.skipped) == says
+    assert ("tuesday look like map frames" in result.table()) == says
+    assert "left out" not in result.table()
+
+
+def test_wrong_matches_are_no_drive_of_another_origin() -> None:
+    known, queries = on_a_path("monday", 150), on_a_path("tuesday", 100)
+    rng = np.random.default_rng(0)
+    # Long runs of queries are taken for the same wrong place, as in corridors that look alike.
+    wrong = np.repeat(rng.uniform(0, 8, (10, 2)), 10, axis=0)
+    seen = np.column_stack([wrong, np.zeros(100)]).astype("f4")
+    result = evaluate_absolute(VisualMap(scenes.describe(known, noise=0.0), known, {"name": "p"}), seen, queries)
+    assert "positions" not in result.skipped

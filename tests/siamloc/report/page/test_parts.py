@@ -99,6 +99,21 @@ def test_the_filter_says_what_it_was_made_with(page: Element) -> None:
     assert "3 map frames" in part(page, "interpolated").text
 
 
+def test_refined_errors_are_those_of_the_headline_the_worst_queries_and_the_comparison(tmp_path: Path) -> None:
+    run, plain = rich.write_refined(tmp_path / "run"), rich.write_run(tmp_path / "plain")
+    page = report(tmp_path, run / "evaluation" / "network", plain / "evaluation" / "network")
+    figures = page.all("ul", class_="figures")[0]
+    assert "0.06 m" in figures.text and "mean error, refined" in figures.text
+    (first, second) = page.all("ol", class_="triples")[0].all("div", class_="head")[:2]
+    assert first.one("b").text == "0.50 m" and second.one("b").text == "0.05 m"
+    (refined, single) = rows(page.all("section", class_="compared")[0], "comparison").values()
+    assert "refined" in refined and "0.057" in refined
+    assert (
+        "single frame" in single
+        and f"{measures(plain, 'network')['absolute']['overall']['error']['mean']:.3f}" in single
+    )
+
+
 def test_expected_errors_are_those_of_the_results(run: Path, page: Element) -> None:
     found, section = measures(run, "network")["calibration"], part(page, "expected")
     assert {"cloudy", "night", "sunny", "all queries", "equal"} <= words(section)
