@@ -210,6 +210,8 @@ def report(config: DictConfig) -> None:
     from siamloc.report import write_report
     from siamloc.runs import newest_run
 
+    if config.runs is not None and not config.runs:
+        raise ConfigError("runs=[] names no run: name several as runs=[A,B], or leave it out for the newest")
     several = [config.runs] if isinstance(config.runs, str) else list(config.runs or [])
     if several and config.run is not None:
         raise ConfigError(f"give run={config.run} or runs=[...], not both")
@@ -326,10 +328,12 @@ def demo(config: DictConfig) -> None:
     """Simulate, train, map, evaluate, export, localize, report."""
     from siamloc.data.frames import image_files
     from siamloc.runs import Run
+    from siamloc.training.run_folder import check_folder
 
     run, data, begin = Run(config.run), Path(config.data), time.monotonic()
     if run.record.is_file() and not config.overwrite:
         raise ConfigError(f"{run.folder} holds a run already: replace it with overwrite=true, or choose another run=")
+    check_folder(run, resume=False, overwrite=config.overwrite)  # before a minute of rendering
     overwrite = ["overwrite=true"] if config.overwrite else []
     mini = ["building=mini", f"seed={config.seed}", f"out={data}"]
     runs = "cloudy1,cloudy2,cloudy3,night1,night2,sunny1,sunny2"

@@ -214,6 +214,8 @@ def _check_words(words: list[str]) -> None:
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
+    if "--resolve" in words and not {"-c", "--cfg"} & set(words):
+        raise ConfigError("--resolve shows a configuration with its references resolved: add --cfg job")
     parser = OverridesParser.create()
     for before, word in zip(["", *words], words, strict=False):
         if word.startswith("-") or before.startswith("-"):

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from siamloc.data.frames import FrameTable
 
@@ -29,6 +28,8 @@ def implausible_offsets(known: FrameTable, queries: FrameTable, matches: NDArray
     Yields:
         A sentence for each drive of which most queries are displaced.
     """
+    from scipy.spatial import cKDTree
+
     distinct = np.unique(known.xy, axis=0)
     if len(distinct) < 2:
         return

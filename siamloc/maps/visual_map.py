@@ -72,6 +72,8 @@ class VisualMap:
     def __post_init__(self) -> None:
         descriptors = self.descriptors
         if not isinstance(descriptors, Packed):
+            if (kind := np.asarray(descriptors).dtype).kind not in "buif":
+                raise DataError(f"a map needs descriptors that are real numbers, got values of type {kind}")
             descriptors = _own(np.asarray(descriptors, dtype=np.float32), descriptors)
             descriptors.flags.writeable = False
         if descriptors.ndim != 2 or 0 in descriptors.shape:

@@ -19,6 +19,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.full_precision import full_precision
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.network import Network
+from siamloc.models.outputs import checked_descriptors
 from siamloc.models.relative import RelativePose
 from siamloc.models.room_classifier import NamedRooms, RoomClassifier
 from siamloc.models.weights_file import state_hash
@@ -258,9 +259,10 @@ def describe(network: nn.Module, batch: Any, chunk: int = CHUNK) -> NDArray[np.f
         chunk: images per pass; bounds the memory and changes results only by rounding.
 
     Raises:
-        DataError: another shape or type, values that are not finite or outside [0, 1].
+        DataError: another shape or type, values that are not finite or outside [0, 1], or a network that returns
+            anything but a descriptor for each image.
     """
-    return _described(network, lambda images: (network(images),), batch, chunk)[0]
+    return _described(network, lambda images: (checked_descriptors(network(images), len(images)),), batch, chunk)[0]
 
 
 def _described(

@@ -10,13 +10,14 @@ import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError
 from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import as_float, comparing, identity_of, margin_of, orienting
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
 from siamloc.models.network_stages import FrozenStages, comparing_weights, weights_by_stage
+from siamloc.models.outputs import checked_descriptors, name_of
 from siamloc.models.registry import Optimizer
 
 ensure_torchvision()
@@ -239,37 +240,3 @@ def cosine_share(step: int, steps: int, warm_up: float) -> float:
     if step < growing:
         return (step + 1) / (growing + 1)
     return (1 + math.cos(math.pi * min((step - growing) / (steps - growing), 1))) / 2
-
-
-def name_of(thing: object) -> str:
-    """Return the qualified name of a function, or of the class of an object."""
-    return str(getattr(thing, "__qualname__", type(thing).__qualname__))
-
-
-def shown(value: Any) -> str:
-    """Describe the output of a network or a loss for an error message."""
-    return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
-
-
-def checked_descriptors(descriptors: Any, images: int) -> Tensor:
-    """Check the output of a network for a number of images, and return it.
-
-    Raises:
-        DataError: it is not one descriptor per image.
-    """
-    if not isinstance(descriptors, Tensor) or descriptors.ndim != 2 or len(descriptors) != images:
-        raise DataError(
-            f"the network must give one descriptor per image, shape ({images}, D), got {shown(descriptors)}"
-        )
-    return descriptors
-
-
-def checked_loss(loss: Any, kind: object) -> Tensor:
-    """Check the output of a loss, and return it as a scalar.
-
-    Raises:
-        DataError: it is not one number.
-    """
-    if not isinstance(loss, Tensor) or loss.numel() != 1:
-        raise DataError(f"the loss {name_of(kind)} must give one number, got {shown(loss)}")
-    return loss.squeeze()

@@ -14,9 +14,10 @@ from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import as_float, required_comparing
 from siamloc.models.drive_figures import RECALL_RADIUS
-from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
+from siamloc.models.module import NetworkModule
 from siamloc.models.network_stages import comparing_weights
 from siamloc.models.origins import Origins
+from siamloc.models.outputs import checked_descriptors, checked_loss
 from siamloc.models.registry import Optimizer
 from siamloc.models.relative import relative_loss
 
@@ -72,7 +73,7 @@ class PlaceModule(NetworkModule):
         mine = origins, descriptors.detach()
         if self._trainer is not None and self.trainer.world_size > 1:
             descriptors, origins = self._of_all(descriptors, origins)
-        loss = checked_loss(self.loss(descriptors, origins), self.loss)
+        loss = checked_loss(self.loss(descriptors, origins), self.loss, descriptors.requires_grad)
         seen = descriptors.detach()
         total = loss
         apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)

@@ -16,8 +16,9 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.models.describing import as_float, margin_of
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
-from siamloc.models.module import NetworkModule, checked_descriptors, checked_loss
+from siamloc.models.module import NetworkModule
 from siamloc.models.network_stages import comparing_weights
+from siamloc.models.outputs import checked_descriptors, checked_loss
 from siamloc.models.registry import Optimizer
 from siamloc.models.statistics import PairStatistics
 
@@ -121,7 +122,7 @@ class SiameseModule(NetworkModule):
         images = as_float(torch.cat([batch["first"], batch["second"]]))
         descriptors = checked_descriptors(self.computed(self.network, images), 2 * len(label))
         d0, d1 = descriptors.chunk(2)
-        loss = checked_loss(self.loss(d0, d1, label), self.loss)
+        loss = checked_loss(self.loss(d0, d1, label), self.loss, descriptors.requires_grad)
         distance = pair_distance(d0.detach(), d1.detach())
         statistics.update(descriptors.detach(), distance, loss.detach(), batch["same"], label)
         if batch_index == 0:

@@ -19,8 +19,8 @@ from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import comparing, describe
-from siamloc.models.module import name_of
 from siamloc.models.origins import Origins
+from siamloc.models.outputs import name_of
 from siamloc.models.places import BatchLoss
 from siamloc.models.siamese import Loss
 from siamloc.training.batches import EpochDataModule
@@ -204,8 +204,6 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
         shape = " x ".join(map(str, image.shape[1:]))
         first_line = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise DataError(f"the network cannot take panoramas of {shape}: {first_line}") from error
-    if descriptor.ndim != 2 or len(descriptor) != 1:
-        raise DataError(f"the network must give descriptors of shape (B, D), got {descriptor.shape} for one image")
     length = float((descriptor.astype("float64") ** 2).sum() ** 0.5)
     if unit and abs(length - 1) > _UNIT_ROUNDING:
         raise ConfigError(

@@ -128,7 +128,7 @@ RECIPES: dict[str, Recipe] = {
     "modern": _MODERN,
     "fine_tuning": replace(
         _MODERN,
-        model={**_MODERN.model, "head": "magnitudes", "canonical": True, "weights": "siamloc"},
+        model={**_MODERN.model, "head": "magnitudes", "canonical": True, "relative": True, "weights": "siamloc"},
         training={
             **_MODERN.training,
             "epochs": 2,

@@ -192,3 +192,19 @@ def test_a_training_is_looked_at_by_a_key_and_stops_by_one(manifest, tmp_path, c
     assert "patience=2 counts epochs without a better validation" in capsys.readouterr().err
     assert main([*given, "checkpoint_every=0"]) == 2
     assert "checkpoint_every must be a whole number from 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (["train", "--resolve"], "add --cfg job"),
+        (["report", "runs=[]"], "runs=[] names no run"),
+        (["demo", "run={file}", "data={data}"], "is a file: choose a new or empty folder as run="),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_anything_is_written(given, says, tmp_path, capsys):
+    file, data = tmp_path / "file", tmp_path / "data"
+    file.write_text("mine")
+    assert main([word.format(file=file, data=data) for word in given]) == 2
+    assert says in capsys.readouterr().err
+    assert not data.exists()

@@ -203,3 +203,9 @@ def test_maps_and_tasks_do_not_load_torch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("values", [np.full((3, 2), "a"), np.full((3, 2), 1j), np.full((3, 2), 1.0, object)])
+def test_descriptors_are_real_numbers(values):
+    with pytest.raises(DataError, match="descriptors that are real numbers, got values of type"):
+        VisualMap(values, FrameTable(path=["a", "b", "c"]))

@@ -216,6 +216,14 @@ def test_a_loss_for_each_pair_and_features_for_each_pixel_are_refused():
         SiameseModule(torch.nn.Identity()).training_step(draw_pairs(), 0)
 
 
+def test_a_loss_without_a_gradient_is_refused_in_training():
+    module = make(loss=lambda d0, d1, y: (d0 - d1).detach().norm())
+    with pytest.raises(DataError, match=r"gives a number without a gradient.* without detach\(\), item\(\) or NumPy"):
+        module.training_step(draw_pairs(), 0)
+    with torch.no_grad():
+        module.validation_step(draw_pairs(), 0)
+
+
 def test_a_batch_with_missing_columns_is_refused():
     batch = draw_pairs()
     del batch["same"]
