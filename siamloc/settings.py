@@ -138,14 +138,24 @@ def checked(value: Any, kind: Any, key: str) -> Any:
     Raises:
         ConfigError: naming the key, what it should be, and what it is.
     """
-    fits, found = _fit(value, kind, key)
-    if not fits:
-        only_too_large = _beyond(value) and _fit(_within(value), kind, key)[0]
-        most = f", at most {LARGEST:,} in size" if only_too_large else ""
-        only_too_small = isinstance(value, float) and 0 < value < SMALLEST and _fit(SMALLEST, kind, key)[0]
-        least = f", at least {SMALLEST:g}" if only_too_small else ""
-        raise ConfigError(f"{key} must be {words_for(kind)}{most or least}, got {shortened(repr(value))}")
-    return found
+    if wrong := complaint(value, kind):
+        raise ConfigError(f"{key} {wrong}")
+    return _fit(value, kind)[1]
+
+
+def complaint(value: Any, kind: Any) -> str:
+    """Return the end of a sentence about a value that does not fit its annotation; an empty text if it fits.
+
+    >>> complaint(-1, Positive)
+    'must be a number above 0, got -1'
+    """
+    if _fit(value, kind)[0]:
+        return ""
+    only_too_large = _beyond(value) and _fit(_within(value), kind)[0]
+    most = f", at most {LARGEST:,} in size" if only_too_large else ""
+    only_too_small = isinstance(value, float) and 0 < value < SMALLEST and _fit(SMALLEST, kind)[0]
+    least = f", at least {SMALLEST:g}" if only_too_small else ""
+    return f"must be {words_for(kind)}{most or least}, got {shortened(repr(value))}"
 
 
 def shortened(text: str, most: int = 120) -> str:
@@ -200,17 +210,17 @@ _WORDS = {
 _LISTS = (tuple, list, Sequence)
 
 
-def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
+def _fit(value: Any, kind: Any) -> tuple[bool, Any]:
     """Return whether a value fits an annotation, and the value in that form."""
     origin, parts = get_origin(kind), get_args(kind)
     if kind is Any:
         return True, value
     if origin is Annotated:
-        fits, found = _fit(value, parts[0], key)
+        fits, found = _fit(value, parts[0])
         return fits and all(rule.holds(found) for rule in parts[1:] if isinstance(rule, Rule)), found
     if origin in (Union, types.UnionType):
         for part in _by_keys(parts, value):
-            fits, found = _fit(value, part, key)
+            fits, found = _fit(value, part)
             if fits:
                 return True, found
         return False, value
@@ -221,7 +231,7 @@ def _fit(value: Any, kind: Any, key: str) -> tuple[bool, Any]:
     if origin is Literal:
         return isinstance(value, str | int) and not isinstance(value, bool) and value in parts, value
     if origin in _LISTS:
-        return _fit_list(value, origin, parts, key)
+        return _fit_list(value, origin, parts)
     if origin in (dict, Mapping) or kind in (dict, Mapping):
         return isinstance(value, Mapping), dict(value) if isinstance(value, Mapping) else value
     if isinstance(kind, type) and issubclass(kind, Settings):
@@ -247,14 +257,14 @@ def _by_keys(parts: tuple[Any, ...], value: Any) -> list[Any]:
     return [part for part in parts if part is best or part not in groups]
 
 
-def _fit_list(value: Any, origin: Any, parts: tuple[Any, ...], key: str) -> tuple[bool, Any]:
+def _fit_list(value: Any, origin: Any, parts: tuple[Any, ...]) -> tuple[bool, Any]:
     if isinstance(value, str | bytes) or not isinstance(value, Sequence):
         return False, value
     fixed = origin is tuple and parts[-1] is not Ellipsis
     kinds = parts if fixed else [parts[0]] * len(value)
     if len(kinds) != len(value):
         return False, value
-    found = [_fit(item, kind, key) for item, kind in zip(value, kinds, strict=True)]
+    found = [_fit(item, kind) for item, kind in zip(value, kinds, strict=True)]
     return all(fits for fits, _ in found), tuple(item for _, item in found)
 
 

@@ -2,81 +2,108 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import numpy as np
 import yaml
 
 from siamloc.errors import DataError, hint
 from siamloc.files import read_text
+from siamloc.settings import Rule, Seed, complaint
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import HALF_WALL, SIDES, Building, Item, Opening, Path, Room
-from siamloc.simulate.rules import FLAG, LIST, MAPPING, TEXT, WORD, Rule, must_be, number, numbers, one_of, row, whole
 from siamloc.simulate.textures import SURFACES
 
-_SURFACE = one_of(SURFACES)
-#: Rules for the entries of a building file. A key without a value counts as absent.
+_Metres = Annotated[float, Rule("a number", lambda value: abs(value) < 1e6)]
+_Length = Annotated[float, Rule("a number above 0", lambda value: 0 < value < 1e6)]
+_NotNegative = Annotated[float, Rule("a number of at least 0", lambda value: 0 <= value < 1e6)]
+_Pair = Annotated[tuple[_Metres, _Metres], Rule("a list of 2 numbers", lambda value: True)]
+_Colour = Annotated[
+    tuple[_NotNegative, _NotNegative, _NotNegative], Rule("a list of 3 numbers of at least 0", lambda value: True)
+]
+_Lengths = Annotated[tuple[_Length, _Length, _Length], Rule("a list of 3 numbers above 0", lambda value: True)]
+_Hundred = Annotated[int, Rule("a whole number from 0 to 100", lambda value: 0 <= value <= 100)]
+# For text that becomes part of a file name or of a list whose columns are separated by spaces.
+_Word = Annotated[
+    str | int,
+    Rule(
+        "a word of letters, digits, '.', '-' and '_'",
+        lambda value: re.fullmatch(r"\w[\w.-]*", str(value)) is not None,
+    ),
+]
+_List = Annotated[list[Any], Rule("a list", lambda value: True)]
+_Mapping = Annotated[dict[str, Any], Rule("a mapping", lambda value: True)]
+_Surface: Any = Literal[tuple(SURFACES)]
+_WOODS = (*SURFACES, "plain", "plastic", "metal", "fabric", "cork")
+_Side: Any = Literal[tuple(SIDES)]
+#: Types of the entries of a building file. A key without a value counts as absent.
 _BUILDING = {
-    "name": WORD,
-    "part": one_of(("a", "b")),
-    "materials": one_of(("standard", "drawn")),
-    "north": number(),
-    "height": number(above=0),
-    "rooms": MAPPING,
-    "doors": LIST,
-    "paths": MAPPING,
+    "name": _Word,
+    "part": Literal["a", "b"],
+    "materials": Literal["standard", "drawn"],
+    "north": _Metres,
+    "height": _Length,
+    "rooms": _Mapping,
+    "doors": _List,
+    "paths": _Mapping,
 }
 _ROOM = {
-    "code": WORD,
-    "x": numbers(2),
-    "y": numbers(2),
-    "height": number(above=0),
-    "floor": _SURFACE,
-    "walls": _SURFACE,
-    "ceiling": _SURFACE,
-    "paint": numbers(3, at_least=0),
-    "wainscot": row(material=_SURFACE, height=number(at_least=0)),
-    "lamps": row(kind=one_of(("panel", "tube", "round")), count_along_x=whole(0, 100), count_along_y=whole(0, 100)),
-    "windows": LIST,
-    "items": LIST,
+    "code": _Word,
+    "x": _Pair,
+    "y": _Pair,
+    "height": _Length,
+    "floor": _Surface,
+    "walls": _Surface,
+    "ceiling": _Surface,
+    "paint": _Colour,
+    "wainscot": Annotated[
+        tuple[_Surface, _NotNegative], Rule("a list [material, height], such as [tiles_wall, 1.2]", lambda value: True)
+    ],
+    "lamps": Annotated[
+        tuple[Literal["panel", "tube", "round"], _Hundred, _Hundred],
+        Rule("a list [kind, count along x, count along y], such as [tube, 2, 1]", lambda value: True),
+    ],
+    "windows": _List,
+    "items": _List,
 }
 _DOOR = {
-    "between": must_be("a list of two rooms", lambda value: isinstance(value, list) and len(value) == 2),
-    "at": number(),
-    "width": number(above=0),
-    "height": number(above=0),
-    "bottom": number(at_least=0),
-    "kind": one_of(("leaf", "glass", "open", "pane")),
-    "hinge": one_of(("low", "high")),
-    "into": TEXT,
+    "between": Annotated[tuple[Any, Any], Rule("a list of two rooms", lambda value: True)],
+    "at": _Metres,
+    "width": _Length,
+    "height": _Length,
+    "bottom": _NotNegative,
+    "kind": Literal["leaf", "glass", "open", "pane"],
+    "hinge": Literal["low", "high"],
+    "into": str | int,
 }
 _WINDOW = {
-    "wall": one_of(SIDES),
-    "at": number(),
-    "width": number(above=0),
-    "sill": number(),
-    "head": number(),
+    "wall": _Side,
+    "at": _Metres,
+    "width": _Length,
+    "sill": _Metres,
+    "head": _Metres,
 }
 _ITEM = {
-    "kind": one_of(KINDS),
-    "against": one_of(SIDES),
-    "off": number(),
-    "facing": number(),
-    "size": numbers(3, above=0),
-    "z": number(),
+    "kind": Literal[tuple(KINDS)],
+    "against": _Side,
+    "off": _Metres,
+    "facing": _Metres,
+    "size": _Lengths,
+    "z": _Metres,
 }
-#: Rules for the options of a kind.
+#: Types of the options of a kind.
 OPTIONS = {
-    "colour": numbers(3, at_least=0),
-    "content": one_of(("mixed", "books", "binders", "empty")),
-    "count": whole(1, 100),
-    "drawers": FLAG,
-    "picture": whole(0, 2**32 - 1),
-    "screens": whole(0, 100),
-    "wall_units": FLAG,
-    "wood": one_of((*SURFACES, "plain", "plastic", "metal", "fabric", "cork")),
+    "colour": _Colour,
+    "content": Literal["mixed", "books", "binders", "empty"],
+    "count": Annotated[int, Rule("a whole number from 1 to 100", lambda value: 1 <= value <= 100)],
+    "drawers": bool,
+    "picture": Seed,
+    "screens": _Hundred,
+    "wall_units": bool,
+    "wood": Literal[_WOODS],
 }
 _OUTWARDS = {"north": 1, "south": -1, "east": 1, "west": -1}
 
@@ -123,25 +150,28 @@ class _Parser:
         line = where if isinstance(where, int) else getattr(where, "line", 0)
         return DataError(f"{self.source}, line {line}: {message}" if line else f"{self.source}: {message}")
 
-    def entry(self, entry: Any, rules: Mapping[str, Rule], what: str, needs: tuple[str, ...] = ()) -> dict[str, Any]:
-        """Return the values of an entry, checked against its rules."""
-        if broken := MAPPING(entry):
-            raise self.error(entry, f"{what} {broken}")
+    def entry(self, entry: Any, types: Mapping[str, Any], what: str, needs: tuple[str, ...] = ()) -> dict[str, Any]:
+        """Return the values of an entry, checked against their types."""
+        if wrong := complaint(entry, _Mapping):
+            raise self.error(entry, f"{what} {wrong}")
         given = {key: value for key, value in entry.items() if value is not None}
         for key in entry:
-            if key not in rules:
-                raise self.error(entry, f"{what} has an unknown key {key!r}; {hint(str(key), rules)}")
-            if key in given and (broken := rules[key](given[key])):
-                raise self.error(entry, f"{what}: {key} {broken}")
+            if key not in types:
+                raise self.error(entry, f"{what} has an unknown key {key!r}; {hint(str(key), types)}")
+            if key in given and get_origin(types[key]) is Literal:
+                self.choice(entry, given[key], get_args(types[key]), f"{what}: {key}")
+            elif key in given and (wrong := complaint(given[key], types[key])):
+                raise self.error(entry, f"{what}: {key} {wrong}")
         for key in needs:
             if key not in given:
                 raise self.error(entry, f"{what} needs {key!r}")
         return given
 
     def choice(self, where: Any, value: Any, valid: Iterable[str], what: str) -> str:
-        if broken := one_of(list(valid))(value):
-            raise self.error(where, f"{what} {broken}")
-        return str(value)
+        valid = list(valid)
+        if not isinstance(value, str) or value not in valid:
+            raise self.error(where, f"{what} {value!r} is unknown; {hint(str(value), valid)}")
+        return value
 
     def building(self, content: Any, seed: int) -> Building:
         given = self.entry(content, _BUILDING, "a building")
@@ -158,8 +188,8 @@ class _Parser:
         items = [self.item(item, room) for room, entry in found.values() for item in entry.get("items", ())]
         paths = {str(name): self.path(str(name), points) for name, points in given.get("paths", {}).items()}
         name = str(given.get("name", FilePath(self.source).stem))
-        if broken := WORD(name):
-            raise self.error(content, f"the building's name {broken}: give it one as 'name'")
+        if wrong := complaint(name, _Word):
+            raise self.error(content, f"the building's name {wrong}: give it one as 'name'")
         return Building(
             name=name,
             seed=int(seed),
@@ -176,8 +206,8 @@ class _Parser:
     def room(self, name: str, entry: Any, height: float) -> tuple[Room, dict[str, Any]]:
         what = f"room {name!r}"
         given = self.entry(entry, _ROOM, what, needs=("x", "y"))
-        if "code" not in given and (broken := WORD(name)):
-            raise self.error(entry, f"{what}: without a 'code' of its own, its name {broken}")
+        if "code" not in given and (wrong := complaint(name, _Word)):
+            raise self.error(entry, f"{what}: without a 'code' of its own, its name {wrong}")
         for axis in ("x", "y"):
             low, high = given[axis]
             if high - low < 0.8:
@@ -303,13 +333,13 @@ class _Parser:
 
     def item(self, entry: Any, room: Room) -> Item:
         what = f"room {room.name!r}: an item"
-        if broken := MAPPING(entry):
-            raise self.error(entry, f"{what} {broken}")
+        if wrong := complaint(entry, _Mapping):
+            raise self.error(entry, f"{what} {wrong}")
         kind = self.choice(entry, entry.get("kind"), KINDS, f"room {room.name!r}: item")
         spec = KINDS[kind]
         what = f"room {room.name!r}: {kind}"
         side = entry.get("against")
-        place = {"at": numbers(2) if side is None else number()}
+        place = {"at": _Pair if side is None else _Metres}
         options = {key: OPTIONS[key] for key in spec.options}
         given = self.entry(entry, {**_ITEM, **place, **options}, what, needs=("at",))
         size = tuple(float(value) for value in given.get("size", spec.size))
@@ -352,8 +382,8 @@ class _Parser:
         if not isinstance(points, list) or len(points) < 2:
             raise self.error(points, f"path {name!r} needs at least two points [x, y]")
         for point in points:
-            if broken := numbers(2)(point):
-                raise self.error(point if hasattr(point, "line") else points, f"path {name!r}: a point {broken}")
+            if wrong := complaint(point, _Pair):
+                raise self.error(point if hasattr(point, "line") else points, f"path {name!r}: a point {wrong}")
         values = np.array(points, dtype=np.float64)
         return Path(name, values, tuple(getattr(point, "line", 0) for point in points))
 
