@@ -44,7 +44,16 @@ def lacking(error: ModuleNotFoundError) -> str | None:
     package = (error.name or "").partition(".")[0]
     if package in _OURS:
         return None
-    return f"this needs {package}, which is not installed here: pip install 'siamloc[{_EXTRAS.get(package, 'train')}]'"
+    return f"this needs {package}, which is not installed here: {installing(_EXTRAS.get(package, 'train'))}"
+
+
+def installing(extra: str) -> str:
+    """Return how to install an extra: from the folder of the source, since no index holds the package.
+
+    >>> installing("live")
+    "run pip install '.[live]' in the folder of siamloc's source"
+    """
+    return f"run pip install '.[{extra}]' in the folder of siamloc's source"
 
 
 def hint(name: str, valid: Iterable[str]) -> str:

@@ -47,37 +47,17 @@ def text_of(
 
 
 def _localization(name: str, first: Measures, baselines: Mapping[str, Measures]) -> list[str]:
-    """Return a row per method and lighting: errors, floor, excess, recall@1, rooms, and their denominators."""
+    """Return the tables of errors and of rooms, a row per method and lighting, and their denominators."""
     methods: dict[str, Measures] = {name: first}
     for further, sign in FURTHER.items():
         if f"absolute_{further}" in first:
             methods[f"{name} + {sign}"] = {"absolute": first[f"absolute_{further}"]}
     methods |= baselines
-    with_heading = _any_heading(methods)
-    table = _table("method", "lighting")
-    absolute = first.get("absolute")
+    absolute, lines = first.get("absolute"), []
     if absolute is not None:
-        unit = absolute["unit"]
-        for head in ("mean", "median", "95 %", "floor", "excess"):
-            _number_column(table, f"{head}\n[{unit}]")
-        _number_column(table, "hit\nrate")
-        for radius in absolute["radii"]:
-            _number_column(table, f"recall@1\n{radius:g} {unit}")
-        if with_heading:
-            _number_column(table, "heading\n[deg]")
-        _number_column(table, "queries")
+        lines.append(_text(_errors(methods, absolute)))
     if "room_retrieval" in first:
-        for head in ("room\nretrieved", "room in\ntop 5", "mAP", "chance"):
-            _number_column(table, head)
-        if absolute is None:
-            _number_column(table, "queries")
-    if "room_pairs" in first:
-        _number_column(table, "pairs\nsame")
-        _number_column(table, "pairs\ndifferent")
-    for method, measures in methods.items():
-        for lighting in _lightings(measures):
-            table.add_row(method, lighting, *_cells(measures, lighting, first, with_heading))
-    lines = [_text(table)]
+        lines += [""] * bool(lines) + [_text(_rooms(methods, "room_pairs" in first))]
     if absolute is not None:
         lines.append(f"map: {absolute['map_frames']} frames")
         for recall in absolute["overall"]["recall"]:
@@ -96,36 +76,52 @@ def _localization(name: str, first: Measures, baselines: Mapping[str, Measures])
     return lines
 
 
-def _cells(measures: Measures, lighting: str, first: Measures, with_heading: bool) -> Iterator[str]:
-    def group(name: str) -> Measures | None:
-        part = measures.get(name)
-        if part is None:
-            return None
-        return part["overall"] if lighting == "all" else part["lighting"].get(lighting)
+def _errors(methods: Mapping[str, Measures], absolute: Measures) -> Table:
+    """Return the errors, floor and recall of methods, a row for each lighting."""
+    unit = absolute["unit"]
+    headings = any("heading_error" in one.get("absolute", {}).get("overall", {}) for one in methods.values())
+    table = _table("method", "lighting")
+    for head in ("mean", "median", "95 %", "floor", "excess"):
+        _number_column(table, f"{head}\n[{unit}]")
+    recalls = [f"recall@1\n{radius:g} {unit}" for radius in absolute["radii"]]
+    for head in ("hit\nrate", *recalls, *["heading\n[deg]"] * headings, "queries"):
+        _number_column(table, head)
+    for method, lighting, group in _groups(methods, "absolute"):
+        error = group["error"]
+        cells = [_number(value) for value in (error["mean"], error["median"], error["p95"])]
+        cells += [_number(group["floor"]["mean"]), _number(group["excess"]["mean"])]
+        cells.append(_percent(group["hit_rate"][0]["rate"] if "hit_rate" in group else None))  # not of finer poses
+        cells += [_percent(recall["recall"]) for recall in group["recall"] if recall["k"] == 1]
+        cells += [_number(group.get("heading_error", {}).get("mean"), 1)] * headings
+        table.add_row(method, lighting, *cells, str(group["queries"]))
+    return table
 
-    absolute, rooms, pairs = group("absolute"), group("room_retrieval"), group("room_pairs")
-    if absolute is not None:
-        error = absolute["error"]
-        for value in (error["mean"], error["median"], error["p95"]):
-            yield _number(value)
-        yield _number(absolute["floor"]["mean"])
-        yield _number(absolute["excess"]["mean"])
-        yield _percent(absolute["hit_rate"][0]["rate"]) if "hit_rate" in absolute else "-"  # not for finer poses
-        yield from (_percent(recall["recall"]) for recall in absolute["recall"] if recall["k"] == 1)
-        if with_heading:
-            yield _number(absolute["heading_error"]["mean"], 1) if "heading_error" in absolute else "-"
-        yield str(absolute["queries"])
-    elif "absolute" in first:
-        yield from ["-"] * (7 + len(first["absolute"]["radii"]) + with_heading)
-    if "room_retrieval" in first:
-        values = (
-            (rooms["accuracy"], rooms["top"]["5"], rooms["mean_average_precision"], rooms["chance"]) if rooms else ()
-        )
-        yield from map(_percent, values) if rooms else ["-"] * 4
-        if "absolute" not in first:
-            yield str(rooms["queries"]) if rooms else "-"
-    if "room_pairs" in first:
-        yield from (_percent(pairs["same"]), _percent(pairs["different"])) if pairs else ("-", "-")
+
+def _rooms(methods: Mapping[str, Measures], judged: bool) -> Table:
+    """Return how often methods find the room, a row for each lighting, and with `judged` how well they judge pairs."""
+    table = _table("method", "lighting")
+    pairs = ["pairs\nsame", "pairs\ndifferent"] * judged
+    for head in ("room\nretrieved", "room in\ntop 5", "mAP", "chance", *pairs, "queries"):
+        _number_column(table, head)
+    for method, lighting, group in _groups(methods, "room_retrieval"):
+        shares = [group["accuracy"], group["top"]["5"], group["mean_average_precision"], group["chance"]]
+        if judged:
+            of_pairs = methods[method].get("room_pairs")
+            own = (
+                (of_pairs["overall"] if lighting == "all" else of_pairs["lighting"].get(lighting)) if of_pairs else None
+            )
+            shares += [own["same"], own["different"]] if own else [None, None]
+        table.add_row(method, lighting, *map(_percent, shares), str(group["queries"]))
+    return table
+
+
+def _groups(methods: Mapping[str, Measures], part: str) -> Iterator[tuple[str, str, Measures]]:
+    """Yield each method that measured a part, each lighting of its queries, and the measures of both."""
+    for method, measures in methods.items():
+        if part in measures:
+            for lighting in _lightings(measures[part]):
+                found = measures[part]
+                yield method, lighting, found["overall"] if lighting == "all" else found["lighting"][lighting]
 
 
 def _cost(name: str, taken: Measures) -> str:
@@ -154,7 +150,7 @@ def _hierarchical(name: str, measures: Measures) -> list[str]:
     heading = "heading_error" in measures["overall"]
     for head in ["loss", "node\nfound", "frames\ncompared", "with\nnodes", *["heading\n[deg]"] * heading, "queries"]:
         _number_column(table, head)
-    for label in _lightings({"absolute": measures}):
+    for label in _lightings(measures):
         group = measures["overall"] if label == "all" else measures["lighting"][label]
         errors = [group["error"]["mean"], group["error"]["p95"], group["floor"]["mean"], group["excess"]["mean"]]
         apart = ("given_right", "given_wrong", "perfect_coarse", "absolute")
@@ -223,7 +219,7 @@ def _buildings(name: str, measures: Measures) -> list[str]:
     table = _table("lighting")
     for head in (*(f"of {label}" for label in labels), "all", "queries"):
         _number_column(table, head)
-    for lighting in _lightings({"absolute": measures}):
+    for lighting in _lightings(measures):
         group = measures["overall"] if lighting == "all" else measures["lighting"][lighting]
         shares = [_counted(group["building"].get(label)) for label in labels]
         table.add_row(lighting, *shares, _counted(group), str(group["queries"]))
@@ -267,15 +263,9 @@ _WRITERS: dict[str, Callable[[str, Measures], list[str]]] = {
 }
 
 
-def _lightings(measures: Measures) -> list[str]:
-    """Return the lightings of all queries: some may have a room but no position, or vice versa."""
-    parts = [measures[name]["lighting"] for name in ("absolute", "room_retrieval") if name in measures]
-    labels = sorted({label for part in parts for label in part})
+def _lightings(part: Measures) -> list[str]:
+    labels = sorted(part["lighting"])
     return [*labels, "all"] if len(labels) != 1 else labels
-
-
-def _any_heading(methods: Mapping[str, Measures]) -> bool:
-    return any("heading_error" in measures.get("absolute", {}).get("overall", {}) for measures in methods.values())
 
 
 def _table(*heads: str) -> Table:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.errors import SiamlocError
+from siamloc.errors import SiamlocError, installing
 
 Array = NDArray[Any]
 Point = Sequence[float]
@@ -196,7 +196,7 @@ def embree() -> tuple[Any, Any]:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
     except ImportError as error:
-        raise SiamlocError('rendering needs the package embreex: pip install "siamloc[simulate]"') from error
+        raise SiamlocError(f"rendering needs the package embreex: {installing('simulate')}") from error
     return EmbreeScene, TriangleMesh
 
 

@@ -239,7 +239,7 @@ def test_without_the_framework_the_extra_is_named(world):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "pip install 'siamloc[live]'" in done.stderr
+    assert "pip install '.[live]'" in done.stderr
 
 
 def test_nothing_of_it_runs_on(world):
