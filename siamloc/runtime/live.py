@@ -194,6 +194,8 @@ class Live:
             for candidate in told["candidates"]:  # viewers need not know the folders
                 candidate["image"] = Path(candidate["image"]).name
             state.update({key: value for key, value in told.items() if key != "image"})
+            if location.lost:  # nothing is claimed: the candidates are all that is known
+                state.update(dict.fromkeys(("x", "y", "theta", "room", "error_m", "off_by", "covariance")))
             state["picture"] = self._localizer.bundle.thumbnail(location.candidates[0].row) is not None
             if not math.isnan(location.x):
                 with self._lock:

@@ -95,8 +95,8 @@ function drawRobot(state) {
     drawn("path", layers.truth, { class: "truth", d: `M${x - arm} ${y}H${x + arm}M${x} ${y - arm}V${y + arm}` });
   }
   if (!known(state.x)) return;
-  const robot = drawn("g", layers.robot, { transform: `translate(${state.x} ${state.y})`, class: state.lost ? "lost" : "" });
-  const shape = state.lost ? null : ellipse(state);
+  const robot = drawn("g", layers.robot, { transform: `translate(${state.x} ${state.y})` });
+  const shape = ellipse(state);
   if (shape) {
     const turn = { rx: shape[0], ry: shape[1], transform: `rotate(${shape[2] * 180 / Math.PI})` };
     drawn("ellipse", robot, { ...turn, class: "halo" });
@@ -143,10 +143,8 @@ function show(state) {
   picture("match", state.picture ? `/map/${best.row}.jpg` : null, "no pictures in this bundle: export it with thumbnails=true");
   $("match-name").textContent = best.image;
   $("room").textContent = state.room || "–";
-  $("room").className = $("position").className = lost ? "lost-text" : "";
   $("position").textContent = known(state.x) ? `${number(state.x, 2)}, ${number(state.y, 2)}` : "unknown";
   $("heading").textContent = known(state.theta) ? `${Math.round(state.theta * 180 / Math.PI)}°` : "–";
-  // When the robot is lost, the error expected of a correct match is meaningless.
   $("error").textContent = lost ? "unknown" : known(state.error_m) ? `${number(state.error_m, 2)} ${unit}` : "–";
   $("off-card").hidden = !known(state.off_by);
   $("off").textContent = `${number(state.off_by, 2)} ${unit}`;

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -254,6 +255,21 @@ def test_nothing_of_it_runs_on(world):
             break
         time.sleep(0.1)
     assert threading.active_count() <= before
+
+
+def test_a_lost_robot_is_nowhere(world, monkeypatch):
+    folder, _ = world
+    localizer = runtime.Localizer(folder / "bundle")
+    locate = localizer.locate
+    monkeypatch.setattr(localizer, "locate", lambda *given, **more: replace(locate(*given, **more), lost=True))
+    with runtime.Live(localizer, folder / "drive", port=0, fps=0) as page:
+        assert page.join(30)
+        events = Events(page)
+        state = next(events)
+        events.close()
+    assert state["lost"] is True
+    assert len(state["candidates"]) == 3
+    assert {state[key] for key in ("x", "y", "theta", "room", "error_m", "off_by", "covariance")} == {None}
 
 
 @pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="there is no chromium here")
