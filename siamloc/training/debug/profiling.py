@@ -45,12 +45,17 @@ class _TimedEffect:
         self.seconds += self._clock() - start
         return result
 
-    def draw(self, generator: torch.Generator, batch: Tensor) -> dict[str, Tensor]:
-        return dict(self._timed(self._effect.draw, generator, batch))
+    def draw(self, *given: Any) -> Any:
+        return self._timed(self._effect.draw, *given)
 
-    def apply(self, batch: Tensor, params: Mapping[str, Tensor]) -> Tensor:
-        found: Tensor = self._timed(self._effect.apply, batch, params)
-        return found
+    def program(self, *given: Any) -> Any:
+        return self._timed(self._effect.program, *given)
+
+    def play(self, *given: Any) -> Any:
+        return self._timed(self._effect.play, *given)
+
+    def apply(self, *given: Any) -> Any:
+        return self._timed(self._effect.apply, *given)
 
 
 class _Phases(Callback):
