@@ -107,6 +107,10 @@ class Pretend(TorchDispatchMode):
         _current.remove(self)
         self._undo.close()
 
+    @classmethod
+    def _should_skip_dynamo(cls):
+        return False  # torch would wrap each call otherwise, which takes longer than the operations
+
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         return self.run(func, args, kwargs or {})
 
