@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
+from functools import cache
 from pathlib import Path
 from unittest import mock
 
@@ -24,7 +25,6 @@ import torch
 from torch import Tensor
 from torch.utils import backend_registration
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves, tree_map
 
 if not hasattr(backend_registration, "_setup_privateuseone_for_python_backend"):
     pytest.skip("this version of torch takes no devices that are written in Python", allow_module_level=True)
@@ -120,16 +120,15 @@ class Pretend(TorchDispatchMode):
 
     def run(self, func, args, kwargs):
         """Run an operation on tensors of any device."""
-        leaves = tree_leaves((args, kwargs))
-        given = [leaf for leaf in leaves if isinstance(leaf, Tensor)]
-        here = [tensor for tensor in given if isinstance(tensor, PretendTensor)]
-        wanted = next((leaf.type for leaf in leaves if isinstance(leaf, torch.device)), None)
-        packet = func.overloadpacket
+        given = [*_leaves(args), *_leaves(tuple(kwargs.values()))]
+        here = [value for value in given if isinstance(value, PretendTensor)]
+        wanted = next((value.type for value in given if isinstance(value, torch.device)), None)
         if not here and wanted != NAME:
             pin = kwargs.get("pin_memory")
             found = func(*args, **{**kwargs, "pin_memory": False} if pin else kwargs)
             return pinned(found) if pin else found
-        if torch._C._dispatch_has_kernel_for_dispatch_key(func.name(), "CompositeImplicitAutograd"):
+        packet = func.overloadpacket
+        if _composed(func):
             with self._again():  # in inference mode, composed operations arrive whole
                 found = func.decompose(*args, **kwargs)
             if found is not NotImplemented:
@@ -140,16 +139,16 @@ class Pretend(TorchDispatchMode):
         else:
             _check_devices(func, args, given, here)
             self._note(func, args, kwargs)
-        args_on_cpu, kwargs_on_cpu = tree_map(_on_cpu, (args, kwargs))
-        kwargs_on_cpu.pop("pin_memory", None)
+        args_on_cpu = _mapped(_on_cpu, args)
+        kwargs_on_cpu = {name: _mapped(_on_cpu, value) for name, value in kwargs.items() if name != "pin_memory"}
         if packet in _CONVOLUTIONS and torch.backends.cudnn.allow_tf32:
-            args_on_cpu = tree_map(_as_tf32, args_on_cpu)
-        with torch.inference_mode(False):
+            args_on_cpu = _mapped(_as_tf32, args_on_cpu)
+        with torch.inference_mode(False) if torch.is_inference_mode_enabled() else nullcontext():
             found = func(*args_on_cpu, **kwargs_on_cpu)
             if fetched:
                 return args[0] if packet is aten.copy_ else found
             known = {id(tensor.held): tensor for tensor in here}  # of operations in place
-            return tree_map(lambda value: _on_device(value, known), found)
+            return _mapped(lambda value: _on_device(value, known), found)
 
     def _again(self):
         """Record operations within one, too."""
@@ -178,17 +177,30 @@ class Pretend(TorchDispatchMode):
 
     def _note(self, func, args, kwargs):
         """Record an operation that is no transfer, and whether it waits."""
-        packet = func.overloadpacket
-        name = str(packet).removeprefix("aten.")
-        view = any(part.alias_info and not part.alias_info.is_write for part in func._schema.returns)
-        if not view and name not in ("_unsafe_view", "_reshape_alias") and "empty" not in name:
+        name, launches, waits = _kind(func)
+        if launches:
             self.operations[name] += 1
-        waits = name in _WAITS.split() or (name == "repeat_interleave" and kwargs.get("output_size") is None)
-        if packet in _INDEXED:
+        if name == "repeat_interleave":
+            waits = kwargs.get("output_size") is None
+        if func.overloadpacket in _INDEXED:
             indices = [index for index in args[1] if index is not None]
             waits = any(index.dtype in (torch.bool, torch.uint8) or index.device.type == "cpu" for index in indices)
         if waits:
             self.waits[f"{name} at {_line()}"] += 1
+
+
+@cache
+def _kind(func):
+    """Return the name of an operation, whether it launches a kernel, and whether it always waits."""
+    name = str(func.overloadpacket).removeprefix("aten.")
+    view = any(part.alias_info and not part.alias_info.is_write for part in func._schema.returns)
+    nothing = view or name in ("_unsafe_view", "_reshape_alias") or "empty" in name
+    return name, not nothing, name in _WAITS.split()
+
+
+@cache
+def _composed(func):
+    return torch._C._dispatch_has_kernel_for_dispatch_key(func.name(), "CompositeImplicitAutograd")
 
 
 _current = []
@@ -206,12 +218,23 @@ def pinned(values):
 
 def _check_devices(func, args, given, here):
     """Raise RuntimeError for tensors in main memory next to those on the device, except for numbers and indices."""
-    others = [tensor for tensor in given if not isinstance(tensor, PretendTensor) and tensor.ndim]
+    tensors = [value for value in given if isinstance(value, Tensor)]
+    others = [tensor for tensor in tensors if not isinstance(tensor, PretendTensor) and tensor.ndim]
     if func.overloadpacket in _INDEXED:
         others = [tensor for tensor in others if not any(tensor is index for index in args[1])]
     if here and others:
-        shapes = ", ".join(f"{tuple(tensor.shape)} on {tensor.device}" for tensor in given)
+        shapes = ", ".join(f"{tuple(tensor.shape)} on {tensor.device}" for tensor in tensors)
         raise RuntimeError(f"{func} got tensors on two devices ({shapes}) at {_line()}")
+
+
+def _leaves(values):
+    return [leaf for value in values for leaf in (_leaves(value) if isinstance(value, list | tuple) else (value,))]
+
+
+def _mapped(change, value):
+    if isinstance(value, list | tuple):
+        return type(value)([_mapped(change, part) for part in value])
+    return change(value)
 
 
 def _on_cpu(value):
@@ -298,6 +321,6 @@ def _autocast(target, full):
             return value.to(wanted) if floating and value.dtype != wanted else value
 
         with torch._C._ExcludeDispatchKeyGuard(key):
-            return target(*tree_map(converted, args), **tree_map(converted, kwargs))
+            return target(*_mapped(converted, args), **{name: converted(value) for name, value in kwargs.items()})
 
     return call
