@@ -7,7 +7,7 @@ import pytest
 
 import analytic
 import siamloc
-from siamloc.models import CrossEntropyLoss, as_descriptor
+from siamloc.models import as_descriptor
 from tests.gpu.conftest import SIZE
 from tests.gpu.pretend import NAME
 
