@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
+
+from foundation.errors import hint
+
+__all__ = ["AnalyticError", "hint", "known"]
 
 
 class AnalyticError(ValueError):
@@ -33,16 +36,3 @@ def known(name: object, valid: Iterable[str], what: str) -> str:
     if not isinstance(name, str) or name not in options:
         raise AnalyticError(f"unknown {what} {name!r}: {hint(name, options)}")
     return name
-
-
-def hint(name: object, valid: Iterable[object]) -> str:
-    """Return the end of an error message about an unknown name: the closest valid spelling, then all of them.
-
-    Example:
-        >>> hint("manhatan", ["manhattan", "cosine"])
-        "did you mean 'manhattan'? valid: manhattan, cosine"
-    """
-    options = [str(option) for option in valid]
-    close = get_close_matches(str(name), options, n=1, cutoff=0.5)
-    listed = ", ".join(options) if options else "none"
-    return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {listed}"

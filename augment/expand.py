@@ -24,7 +24,8 @@ from torch import Tensor
 
 from augment.combinations import Variant, variants
 from augment.errors import AugmentError
-from augment.expansion_files import COLUMNS, TABLE, Row, name_in, prepare, write_bytes, write_table
+from augment.expansion_files import COLUMNS, TABLE, Row, name_in, prepare, write_table
+from foundation.files import write_bytes
 
 Job = tuple[int, Path, list[Path], list[Variant]]  # frame, source, its outputs, the variants to be made
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]

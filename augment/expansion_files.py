@@ -1,23 +1,19 @@
 """The files next to the images of an expanded data set: the table of parameters, the settings, and leftovers.
 
-A run that was killed may leave a table with an incomplete last line, and temporary files. Resuming removes both.
+A run that was killed may leave a table with an incomplete last line. Resuming removes it.
 """
 
 from __future__ import annotations
 
 import csv
 import json
-import os
-import re
-import tempfile
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from augment.errors import AugmentError
+from foundation.files import is_temporary, write_json, write_text
 
 TABLE = "augmentation.csv"
 SETTINGS = "augmentation.json"
@@ -27,7 +23,6 @@ VERSION = 1
 Row = dict[str, str]
 
 _HEADER = (",".join(COLUMNS) + "\n").encode()
-_TEMPORARY = re.compile(r"\.(.+)\.[a-z0-9_]{8}\.tmp")  # as `write_bytes` names them
 
 
 def read_table(path: str | Path) -> list[Row]:
@@ -61,9 +56,7 @@ def prepare(
     """Prepare the folder and return the rows of the images that an earlier call finished, by image."""
     wanted = json.loads(json.dumps({"schema": VERSION, **options, "frames": len(sources)}))  # as it will be read again
     settings = folder / SETTINGS
-    entries = _entries(folder) if folder.exists() else []
-    names = _names_by_folder(folder, targets) if entries else {}
-    if any(not _is_temporary(entry, names[folder]) for entry in entries):
+    if folder.exists() and not all(map(is_temporary, folder.iterdir())):
         if not resume:
             raise AugmentError(f"{folder} is not empty: choose another folder, or go on with resume=true")
         if not settings.is_file():
@@ -88,38 +81,9 @@ def prepare(
                 f"{table} says that {row['image']} was made of {row['source']}, which is not what is asked for now: "
                 "resume with the same images and outputs, or choose another folder"
             )
-    _remove_temporaries(names)
-    write_bytes(settings, (json.dumps(wanted, indent=2) + "\n").encode())
+    write_json(settings, wanted)
     write_table(table, rows)  # drops an incomplete line, so that further lines can be appended
     return {row["image"]: row for row in rows}
-
-
-def _names_by_folder(folder: Path, targets: list[list[Path]]) -> Mapping[Path, set[str]]:
-    """Return the names of all files that an expansion writes, by folder."""
-    names: dict[Path, set[str]] = defaultdict(set)
-    names[folder] = {TABLE, SETTINGS}
-    for row in targets:
-        for target in row:
-            names[target.parent].add(target.name)
-    return names
-
-
-def _is_temporary(entry: os.DirEntry[str], names: set[str]) -> bool:
-    """Whether a killed run left this file behind while writing one of these names."""
-    found = _TEMPORARY.fullmatch(entry.name)
-    return found is not None and found[1] in names and entry.is_file(follow_symlinks=False)
-
-
-def _remove_temporaries(names: Mapping[Path, set[str]]) -> None:
-    for folder, own in names.items():
-        for entry in _entries(folder) if folder.is_dir() else ():
-            if _is_temporary(entry, own):
-                Path(entry).unlink()
-
-
-def _entries(folder: Path) -> list[os.DirEntry[str]]:
-    with os.scandir(folder) as entries:
-        return list(entries)
 
 
 def _read_settings(path: Path) -> dict[str, Any]:
@@ -143,19 +107,4 @@ def write_table(path: Path, rows: Iterable[Row]) -> None:
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_bytes(path, text.getvalue().encode())
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all: under a temporary name that is renamed at the end."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        with suppress(FileNotFoundError):
-            temporary.unlink()
+    write_text(path, text.getvalue())

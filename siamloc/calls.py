@@ -5,7 +5,7 @@
     ... def cut(frames: FrameTable, k: Count = 2, folder: str | Path | None = None) -> None: ...
     >>> cut("abc")
     Traceback (most recent call last):
-    siamloc.errors.ConfigError: frames must be a FrameTable, got 'abc'
+    foundation.errors.ConfigError: frames must be a FrameTable, got 'abc'
 
 The names in an annotation are looked up when the call is made. A class that is only imported for type checking is
 recognized by its name. Arguments whose annotations cannot be checked by value (arrays, callables, type variables) pass.

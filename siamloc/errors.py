@@ -3,39 +3,29 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
+from collections.abc import Sequence
 
+from foundation.errors import ConfigError, DataError, FormatError, SiamlocError, StorageError, hint
+
+__all__ = [
+    "ON_ERROR",
+    "ConfigError",
+    "DataError",
+    "FormatError",
+    "SiamlocError",
+    "StorageError",
+    "check_policy",
+    "hint",
+    "lacking",
+    "leave_out",
+    "logger",
+]
 logger = logging.getLogger("siamloc")
 
 ON_ERROR = ("skip", "raise")
 
 
-class SiamlocError(Exception):
-    """Base of every error that siamloc raises on purpose.
-
-    The message says what was expected, what was found, which file or key it concerns, and what to do. The command
-    line prints it on one line and exits with status 2.
-    """
-
-
-class DataError(SiamlocError, ValueError):
-    """Files, tables or images that cannot be used as they are."""
-
-
-class ConfigError(SiamlocError, ValueError):
-    """A parameter or a configuration key that has no meaning, or that contradicts another one."""
-
-
-class FormatError(SiamlocError, ValueError):
-    """A file that siamloc wrote and cannot read back: cut short, altered, or of another version."""
-
-
-class StorageError(SiamlocError, OSError):
-    """The disk refused: full, read-only, or gone."""
-
-
-_OURS = ("siamloc", "analytic", "augment")
+_OURS = ("siamloc", "analytic", "augment", "foundation")
 _EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live"}
 
 
@@ -54,14 +44,6 @@ def installing(extra: str) -> str:
     "run pip install '.[live]' in the folder of siamloc's source"
     """
     return f"run pip install '.[{extra}]' in the folder of siamloc's source"
-
-
-def hint(name: str, valid: Iterable[str]) -> str:
-    """Return a hint with the valid spellings, the nearest one first, for the end of an error message."""
-    options = [str(option) for option in valid]
-    close = get_close_matches(str(name), options, n=1, cutoff=0.5)
-    listed = ", ".join(options) if options else "none"
-    return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {listed}"
 
 
 def check_policy(on_error: str) -> None:

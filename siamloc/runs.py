@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.locks import locked
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import clear_temporaries, plain, read_json, real_path, storage_errors, write_json
-from siamloc.locks import held
+from siamloc.files import plain, read_json, real_path, storage_errors, write_json
 from siamloc.results import versions
 from siamloc.settings import checked
 
@@ -224,7 +224,7 @@ class Run:
         """
         if not self.record.is_file():
             return
-        with held(self.record, wait=True):  # several commands may work on a run at once
+        with locked(self.folder / ".run.lock"):  # several commands may work on a run at once
             record = self.load_record()
             written = {*record["written"], *(self._inside(name) for name in names)}
             if written != set(record["written"]):
@@ -251,11 +251,6 @@ class Run:
         self._remove([self.record])
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
-
-    def clear_temporaries(self) -> None:
-        """Remove the half-written files that a killed process left of those in the record."""
-        names = [self.record.name, *(name for name in self.load_record()["written"] if self._holds(name))]
-        clear_temporaries(self.folder / name for name in names)
 
     def foreign(self, names: Iterable[str]) -> list[str]:
         """List those of the names that belong to files that siamloc did not write into this run."""

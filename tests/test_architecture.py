@@ -15,7 +15,7 @@ else:
     import tomli as tomllib
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("analytic", "augment", "siamloc")
+PACKAGES = ("analytic", "augment", "foundation", "siamloc")
 OUTER = (
     *("siamloc.evaluation", "siamloc.report", "siamloc.runtime", "siamloc.simulate", "siamloc.pretraining"),
     "siamloc.reproduce",
@@ -23,6 +23,7 @@ OUTER = (
 FORBIDDEN = {
     "analytic": ("augment", "siamloc"),
     "augment": ("analytic", "siamloc"),
+    "foundation": ("analytic", "augment", "siamloc"),
     "siamloc.data": (*OUTER, "siamloc.models", "siamloc.training", "siamloc.maps"),
     "siamloc.models": (*OUTER, "siamloc.data", "siamloc.training", "siamloc.maps"),
     "siamloc.training": (*OUTER, "siamloc.maps"),

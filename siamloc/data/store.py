@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,15 +15,15 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.locks import locked
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
-from siamloc.errors import ConfigError, DataError, FormatError, StorageError, leave_out, logger
+from siamloc.errors import ConfigError, DataError, FormatError, leave_out, logger
 from siamloc.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
 from siamloc.progress import track
 
 VERSION = 1
 
 _HEADER_BYTES = 192
-_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL)
 
 
 @dataclass(frozen=True)
@@ -148,11 +147,10 @@ def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
     _require_a_folder(paths)
     with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(folder):
+        with _building(folder):
             store = _load(folder, len(paths))
             if store is not None:
                 return store
-            _remove_stale(folder)
             with atomic_folder(folder) as temporary:
                 _write(temporary, paths, preprocessing, workers, on_error)
     store = _load(folder, len(paths))
@@ -260,44 +258,14 @@ def _header(shape: tuple[int, ...]) -> bytes:
 
 
 @contextmanager
-def _locked(folder: Path, wait: bool = True) -> Iterator[bool]:
-    """Hold the lock of a store, and yield whether it was acquired; the system frees it if the process dies."""
-    from filelock import FileLock, Timeout
-
-    lock = FileLock(_lock_of(folder), mode=0o666)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        if wait:
+def _building(folder: Path) -> Iterator[None]:
+    """Wait until no other process builds the store, and keep others from it."""
+    lock = folder.with_name(f".{folder.name}.lock")
+    with locked(lock, wait=False) as free, ExitStack() as stack:
+        if not free:
             logger.warning("another process is building the store %s; waiting for it", folder)
-            lock.acquire()
-    except OSError as error:
-        if error.errno not in _NO_LOCKS:
-            raise
-        raise StorageError(
-            f"the file system of {folder.parent} has no locks: keep panoramas elsewhere, with cache=FOLDER or the "
-            "environment variable SIAMLOC_CACHE"
-        ) from error
-    try:
-        yield lock.is_locked
-    finally:
-        lock.release()
-
-
-def _remove_stale(folder: Path) -> None:
-    """Remove what killed builds left behind: of this store, whose lock is held here, and of others not being built."""
-    for path in folder.parent.glob(".*.tmp"):
-        owner = folder.with_name(path.name[1:].split(".", 1)[0])
-        if owner == folder:
-            shutil.rmtree(path, ignore_errors=True)
-            continue
-        with _locked(owner, wait=False) as mine:
-            if mine:
-                shutil.rmtree(path, ignore_errors=True)
-
-
-def _lock_of(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name}.lock")
+            stack.enter_context(locked(lock))
+        yield
 
 
 def _default_workers() -> int:

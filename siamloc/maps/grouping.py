@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from analytic import clustering
 from analytic.mapper import IncrementalMapper, Parameters
+from foundation.locks import LOCK, locked
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import read_json, storage_errors, write_json, write_text
-from siamloc.locks import held
 from siamloc.maps.coarse import CoarseLayer, naming
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
@@ -141,7 +141,7 @@ class Built:
         folder = Path(folder)
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        with storage_errors(folder), held(folder, wait=True):
+        with storage_errors(folder), locked(folder / LOCK):
             # Removed first and written last: an interruption leaves no layer next to the explanation of another.
             (folder / "layer.npz").unlink(missing_ok=True)
             placing = {"seconds": self.seconds.tolist(), "reasons": list(self.reasons), "map": self.map_digest}

@@ -58,7 +58,7 @@ def reproduce(
     Example:
         >>> reproduce("figure_3_11", scale="long")
         Traceback (most recent call last):
-        siamloc.errors.ConfigError: unknown scale 'long': valid: smoke, short, full
+        foundation.errors.ConfigError: unknown scale 'long': valid: smoke, short, full
     """
     chosen = recipe(id) if isinstance(id, str) else id
     check_scale_and_data(scale, data)

@@ -17,23 +17,14 @@ import cv2
 from siamloc.calls import typed
 from siamloc.data.names import parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import (
-    atomic_path,
-    content_key,
-    read_json,
-    remove_leftover,
-    storage_errors,
-    temporary_of,
-    write_json,
-    write_text,
-)
+from siamloc.files import content_key, read_json, storage_errors, write_bytes, write_json, write_text
 from siamloc.progress import track
 from siamloc.simulate.camera import HEIGHT, Exposure, OmnidirectionalCamera, PanoramaCamera, make_camera
 from siamloc.simulate.config import SimulateConfig
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.load import load_building
 from siamloc.simulate.mesh import embree
-from siamloc.simulate.preview import PICTURES, write_preview
+from siamloc.simulate.preview import write_preview
 from siamloc.simulate.processes import processors, rendering_processes
 from siamloc.simulate.render import frames, meter
 from siamloc.simulate.run import Run, draw_run
@@ -106,7 +97,6 @@ def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summar
     begin = time.monotonic()
     building = load_building(config.building, config.seed)
     folder = config.out / building.name
-    _remove_leftovers(folder)
     if config.preview:
         pictures = write_preview(building, config, folder / "preview")
         return Summary(folder, {}, {}, 0, time.monotonic() - begin, pictures)
@@ -171,15 +161,6 @@ def _without_lines(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_without_lines(item) for item in value]
     return value
-
-
-def _remove_leftovers(folder: Path) -> None:
-    """Remove files left behind by killed commands."""
-    written = {"camera.json", "places.lst", *PICTURES}
-    for path in folder.rglob(".*.tmp.*"):
-        name = temporary_of(path)
-        if name in written or parse_name(name):
-            remove_leftover(path)
 
 
 def _is_whole(path: Path) -> bool:
@@ -300,5 +281,4 @@ def _write(path: Path, picture: Array, quality: int) -> None:
     done, coded = cv2.imencode(".jpeg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise ConfigError(f"OpenCV cannot encode {path.name} as JPEG: its build lacks the codec")
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(coded.tobytes())
+    write_bytes(path, coded.tobytes())

@@ -17,12 +17,13 @@ from torch import nn
 
 import augment
 from augment.torchvision_compat import ensure_torchvision
+from foundation.locks import alone
 from siamloc.calls import takes
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.files import alone, plain
+from siamloc.files import plain
 from siamloc.memory import kept_memory
 from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.checkpoint import check_architecture, load

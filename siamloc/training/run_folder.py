@@ -6,10 +6,11 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from foundation.locks import LOCK
 from siamloc.data.places import PlaceSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.files import temporary_of
+from siamloc.files import is_temporary
 from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import LOSS_SETTINGS, whole_model
 from siamloc.runs import Run
@@ -72,7 +73,7 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
 
 def _others(run: Run) -> list[str]:
     """Return the contents of a folder, except leftovers of a process that was killed right at the start of a run."""
-    return sorted(path.name for path in run.folder.iterdir() if temporary_of(path) != run.record.name)
+    return sorted(path.name for path in run.folder.iterdir() if not is_temporary(path) and path.name != LOCK)
 
 
 def check_debug(run: Run, debug: str, resume: bool) -> None:
@@ -196,7 +197,6 @@ def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool
         elif run.record.is_file():
             run.clear()
         run.start(used, names)
-    run.clear_temporaries()
 
 
 def names_written(*, validated: bool) -> list[str]:

@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -8,6 +10,7 @@ import torch
 import augment
 from augment.expand import expand, headings, replay
 from augment.expansion_files import COLUMNS, read_table
+from foundation.files import is_temporary
 from tests.augment.pictures import panoramas
 
 
@@ -133,37 +136,16 @@ def test_resuming_from_a_table_cut_within_a_letter(images, tmp_path):
     assert contents(out) == whole
 
 
-def leave(folder, name, letters="a1b2_c3d"):
-    (folder / f".{name}.{letters}.tmp").write_bytes(b"half a file")
-
-
-def test_resuming_removes_what_killed_runs_left_and_nothing_else(images, tmp_path):
-    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 2)
-    expand(images, targets, out)
-    whole = contents(out)
-    for folder, name in ((out, "augmentation.csv"), (out, "augmentation.json"), (out / "v001", "2.png")):
-        leave(folder, name)
-    expand(images, targets, out, resume=True)
-    assert contents(out) == whole
-    leave(out, "mine.png")
-    leave(out / "v001", "7.png")
-    leave(out / "v001", "2.png", "backup")
-    (out / "v001" / "notes.tmp").write_text("mine")
-    others = contents(out)
-    with pytest.raises(augment.AugmentError, match="was expanded with seed=0, now asked for 5"):
-        expand(images, targets, out, resume=True, seed=5)
-    expand(images, targets, out, resume=True)
-    assert contents(out) == others
-    assert len(others) == len(whole) + 4
+KILLED = "import os, sys; from foundation import files; block = files.atomic_path(sys.argv[1]); block.__enter__(); os._exit(9)"
 
 
 @pytest.mark.parametrize("resume", [False, True])
 def test_a_run_killed_before_its_settings_were_written_leaves_an_empty_folder(images, tmp_path, resume):
     out = tmp_path / "out"
-    out.mkdir()
-    leave(out, "augmentation.json")
+    subprocess.run([sys.executable, "-c", KILLED, str(out / "augmentation.json")], check=False)
+    assert len(list(out.iterdir())) == 1
     assert expand(images, outputs(out, 3, 1), out, resume=resume).written == 3
-    assert not list(out.rglob("*.tmp"))
+    assert not [path for path in out.rglob("*") if is_temporary(path)]
 
 
 def test_a_stopped_expansion_keeps_what_it_made(images, tmp_path):

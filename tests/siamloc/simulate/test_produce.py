@@ -16,7 +16,6 @@ import pytest
 
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
-from siamloc.locks import held
 from siamloc.simulate import SimulateConfig, Summary, load_building, produce, simulate
 from siamloc.simulate.load import building_folder
 
@@ -88,41 +87,6 @@ def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeyp
     assert summary.rendered == 3
     assert hashes(tmp_path) == hashes(written)
     assert small(out=tmp_path).rendered == 0
-
-
-KILLED = """
-import os, sys
-from siamloc.files import atomic_path
-with atomic_path(sys.argv[1]):
-    os._exit(9)
-"""
-
-
-def leave_behind(path: Path) -> Path:
-    """Return the temporary file that a process leaves when it is killed while writing."""
-    before = set(path.parent.glob(".*")) if path.parent.is_dir() else set()
-    subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False)
-    (left,) = set(path.parent.glob(".*")) - before
-    return left
-
-
-def test_leftovers_of_killed_runs_are_removed_and_nothing_else(tmp_path: Path) -> None:
-    sequence = tmp_path / "mini" / "part_a" / "seq2_cloudy1"
-    image = "t5.000000_x1.000000_y1.100000_a0.000000.jpeg"
-    names = ["camera.json", "localization/places.lst", f"omni_cam/{image}"]
-    leftovers = [leave_behind(sequence / name) for name in names]
-    elsewhere = leave_behind(sequence.with_name("seq2_night1") / "omni_cam" / image)
-    at_work = leave_behind(sequence.with_name("seq2_night2") / "omni_cam" / image)
-    own = [leave_behind(sequence / "notes.json"), sequence / ".cut.tmp.jpeg", sequence / "omni_cam" / "notes.txt",
-           sequence / "omni_cam" / "photo.jpeg"]  # fmt: skip
-    for path in own[1:]:
-        path.write_text("mine")
-    with held(at_work):  # as the process does that writes it
-        assert small(out=tmp_path, frames=1).rendered == 1
-    assert not any(path.exists() for path in (*leftovers, elsewhere))
-    assert all(path.exists() for path in (*own, at_work))
-    assert small(out=tmp_path, frames=1, quality=50, overwrite=True).rendered == 1
-    assert all(path.exists() for path in own)
 
 
 def test_images_of_somebody_else_are_never_replaced(tmp_path: Path) -> None:

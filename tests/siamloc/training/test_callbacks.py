@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import errno
 import resource
-import signal
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,29 +14,14 @@ import torch
 import siamloc
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, StorageError
-from siamloc.runs import Run
 from siamloc.training.callbacks import AtomicCheckpoints
 from tests.siamloc.training.test_place_batches import SETTINGS
 
 ensure_torchvision()
 from lightning.pytorch import Callback  # noqa: E402
 
+
 # Writes a checkpoint and is stopped for ever where the whole file would get its name.
-KILLED = """
-import sys
-import time
-from siamloc import files
-from siamloc.training.callbacks import AtomicCheckpoints
-
-def wait(_):
-    print("written", flush=True)
-    time.sleep(600)
-
-files.os.fsync = wait
-AtomicCheckpoints().save_checkpoint({"state": 1}, sys.argv[1])
-"""
-
-
 @contextmanager
 def files_of_at_most(size: int) -> Iterator[None]:
     """Let the operating system cut files short, as a full disk does."""
@@ -67,7 +49,7 @@ def test_a_disk_that_is_full_when_the_file_is_synced_is_one_sentence(tmp_path, m
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "full")
 
-    monkeypatch.setattr("siamloc.files.os.fsync", full)
+    monkeypatch.setattr("foundation.files.os.fsync", full)
     with pytest.raises(StorageError, match=r"no space left on the disk while writing .*last\.ckpt"):
         AtomicCheckpoints().save_checkpoint({"epoch": 1}, tmp_path / "last.ckpt")
     assert list(tmp_path.iterdir()) == []
@@ -80,23 +62,6 @@ def test_other_failures_of_torch_keep_their_words(tmp_path, monkeypatch):
     monkeypatch.setattr(torch, "save", fail)
     with pytest.raises(RuntimeError, match=r"^something else$"):
         AtomicCheckpoints().save_checkpoint({}, tmp_path / "last.ckpt")
-
-
-def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path):
-    run = Run(tmp_path / "run")
-    run.start({}, ["checkpoints/last.ckpt"])
-    path = run.checkpoints / "last.ckpt"
-    with subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "written\n"
-        process.send_signal(signal.SIGKILL)
-        process.wait(timeout=60)
-    assert len(list(run.checkpoints.iterdir())) == 1
-    kept = {path, *(run.checkpoints / name for name in (".hidden", "notes.tmp.ckpt", ".other.ckpt.abc.tmp.ckpt"))}
-    for file in kept:
-        file.touch()
-    run.clear_temporaries()
-    assert set(run.checkpoints.iterdir()) == kept
 
 
 class Fixed(torch.nn.Module):

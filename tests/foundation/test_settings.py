@@ -7,9 +7,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from siamloc.calls import takes
-from siamloc.errors import ConfigError
-from siamloc.settings import (
+from foundation.errors import ConfigError
+from foundation.settings import (
     Count,
     Natural,
     NotNegative,
@@ -20,6 +19,7 @@ from siamloc.settings import (
     Size,
     defaults_of,
 )
+from siamloc.calls import takes
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from siamloc import files
-from siamloc.errors import ConfigError, FormatError, StorageError, hint
-from siamloc.files import (
-    alone,
+from foundation import files
+from foundation.errors import FormatError, StorageError, hint
+from foundation.files import (
     atomic_files,
     atomic_folder,
     atomic_path,
     content_key,
     file_hash,
+    is_temporary,
     plain,
     read_json,
     real_path,
@@ -155,25 +155,44 @@ def test_files_appear_together_or_not_at_all(tmp_path):
 
 KILLED = """
 import os, sys
-from siamloc import files
+from foundation import files
 with getattr(files, sys.argv[1])(sys.argv[2]) as temporary:
-    os.system(f"touch {temporary}/half" if temporary.is_dir() else f"echo half > {temporary}")
+    (temporary / "half").touch() if temporary.is_dir() else temporary.write_text("half")
     os._exit(9)
 """
+WRITES = "import sys; from foundation.files import write_text; write_text(sys.argv[1], 'whole')"
+
+
+def run(code, *words):
+    subprocess.run([sys.executable, "-c", code, *map(str, words)], check=False)
 
 
 @pytest.mark.parametrize("kind", ["atomic_path", "atomic_folder", "atomic_files"])
-def test_what_a_killed_process_left_is_taken_over(tmp_path, kind):
-    path = tmp_path / "target"
-    subprocess.run([sys.executable, "-c", KILLED, kind, str(path)], check=False)
-    assert [path for path in tmp_path.rglob("*") if "tmp" in path.name], "nothing was left to be taken over"
-    with getattr(files, kind)(path) as temporary:
-        left = list(temporary.iterdir()) if temporary.is_dir() else temporary.read_bytes()
-        assert not left
-        if temporary.is_dir():
-            (temporary / "whole").touch()
-    assert [item.name for item in tmp_path.iterdir()] == ["target"]
-    assert path.is_file() or [item.name for item in path.iterdir()] == ["whole"]
+def test_what_a_killed_process_left_goes_when_another_writes_into_the_folder(tmp_path, kind):
+    run(KILLED, kind, tmp_path / "target")
+    left = [path for path in tmp_path.rglob("*") if is_temporary(path)]
+    assert left, "nothing was left behind"
+    own = [".half.tmp", ".target.tmp.json", left[0].name + "x.x", left[0].name.replace("-", "-x", 1)]
+    for name in own:
+        (left[0].parent / name).touch()
+    run(WRITES, left[0].parent / "other")
+    assert not any(path.exists() for path in left)
+    assert {path.name for path in left[0].parent.iterdir()} == {"other", *own}
+
+
+def test_what_a_living_process_writes_stays(tmp_path):
+    with atomic_path(tmp_path / "file") as temporary:
+        temporary.write_text("ours")
+        run(WRITES, tmp_path / "other")
+    assert (tmp_path / "file").read_text() == "ours"
+
+
+def test_what_another_machine_writes_stays(tmp_path):
+    run(KILLED, "atomic_path", tmp_path / "target")
+    (left,) = tmp_path.iterdir()
+    theirs = left.rename(left.with_name(left.name.replace(files._HOST, "00000000")))
+    run(WRITES, tmp_path / "other")
+    assert theirs.exists()
 
 
 def test_two_writers_of_one_file_do_not_meet(tmp_path):
@@ -207,14 +226,6 @@ def test_a_folder_is_replaced_as_a_whole_or_stays(tmp_path, monkeypatch):
         (fresh / "new").touch()
     assert [item.name for item in path.iterdir()] == ["new"]
     assert [item.name for item in tmp_path.iterdir()] == ["folder"]
-
-
-def test_one_process_at_a_time_works_in_a_folder(tmp_path):
-    with alone(tmp_path / "run"), pytest.raises(ConfigError, match="another process"), alone(tmp_path / "run"):
-        pass
-    with pytest.raises(ZeroDivisionError), alone(tmp_path / "other"):
-        raise ZeroDivisionError
-    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize("name", ["", "."])

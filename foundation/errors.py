@@ -1,0 +1,43 @@
+"""The exceptions that all packages share, and the spelling hint at the end of their messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class SiamlocError(Exception):
+    """Base of every error that siamloc raises on purpose.
+
+    The message says what was expected, what was found, which file or key it concerns, and what to do. The command
+    line prints it on one line and exits with status 2.
+    """
+
+
+class DataError(SiamlocError, ValueError):
+    """Files, tables or images that cannot be used as they are."""
+
+
+class ConfigError(SiamlocError, ValueError):
+    """A parameter or a configuration key that has no meaning, or that contradicts another one."""
+
+
+class FormatError(SiamlocError, ValueError):
+    """A file that siamloc wrote and cannot read back: cut short, altered, or of another version."""
+
+
+class StorageError(SiamlocError, OSError):
+    """The disk refused: full, read-only, or gone."""
+
+
+def hint(name: object, valid: Iterable[object]) -> str:
+    """Return the end of an error message about an unknown name: the nearest valid spelling, then all of them.
+
+    Example:
+        >>> hint("manhatan", ["manhattan", "cosine"])
+        "did you mean 'manhattan'? valid: manhattan, cosine"
+    """
+    options = [str(option) for option in valid]
+    close = get_close_matches(str(name), options, n=1, cutoff=0.5)
+    listed = ", ".join(options) if options else "none"
+    return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {listed}"

@@ -1,0 +1,298 @@
+"""Writing files whole or not at all, and reading them back with clear errors.
+
+A file is written under a temporary name that contains the number of its process. When a process first writes into a
+folder, it removes the temporary files there that killed processes on this machine left.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import platform
+import re
+import shutil
+import stat
+import threading
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.errors import ConfigError, FormatError, StorageError
+
+PICTURES = (".jpg", ".jpeg", ".png", ".webp")
+"""Endings of the pictures that are written."""
+_HOST = f"{zlib.crc32(platform.node().encode()):08x}"  # may share a folder with other machines
+_TEMPORARY = re.compile(r"\..+\.(?P<host>[0-9a-f]{8})-(?P<process>\d+)-\d+\.tmp(?:\.[^.]+)?")
+_numbers, _clearing, _cleared = count(), threading.Lock(), set[Path]()
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path in the same folder that becomes `path` when the block ends without an error.
+
+    Parent folders are created. After an error nothing is left behind and an older file stays as it was.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    path = Path(path)
+    if not path.name:
+        raise StorageError(f"{str(path)!r} names no file: give it a name")
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise StorageError(f"{path} is a device or a pipe, which a file must not take the place of: name a file")
+    with storage_errors(path):
+        temporary = _temporary(path)
+        temporary.touch(exist_ok=False)
+        try:
+            yield temporary
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def scratch_folder(path: str | Path) -> Iterator[Path]:
+    """Yield an empty temporary folder next to `path` and remove it afterwards; parent folders are created.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    with storage_errors(path):
+        temporary = _temporary(Path(path))
+        temporary.mkdir()
+        try:
+            yield temporary
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """Yield an empty temporary folder next to `path` that becomes `path` when the block ends without an error.
+
+    An older folder is replaced as a whole. After an error nothing is left behind and the older folder stays as it was.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    path = Path(path)
+    with scratch_folder(path) as fresh, scratch_folder(path) as older:
+        yield fresh
+        if not path.exists():
+            fresh.replace(path)
+            return
+        path.replace(older)
+        try:
+            fresh.replace(path)
+        except BaseException:
+            older.replace(path)
+            raise
+
+
+@contextmanager
+def atomic_files(folder: str | Path) -> Iterator[Path]:
+    """Yield an empty temporary folder whose files move into `folder` together when the block ends without an error.
+
+    They replace older files of the same names; all other files in the folder stay. After an error the folder is as it
+    was.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    folder = Path(folder)
+    with scratch_folder(folder / "files") as scratch:
+        yield scratch
+        for path in sorted(scratch.iterdir()):
+            path.replace(folder / path.name)
+
+
+def is_temporary(path: str | Path) -> bool:
+    """Return whether a path is a temporary file or folder of this module."""
+    return _TEMPORARY.fullmatch(Path(path).name) is not None
+
+
+def _temporary(path: Path) -> Path:
+    """Return an unused name next to `path`, in a folder without leftovers of killed processes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    folder = real_path(path.parent)
+    with _clearing:
+        if folder not in _cleared:
+            _cleared.add(folder)
+            for entry in folder.iterdir():
+                if _is_left(entry.name):
+                    with suppress(OSError):  # somebody else's, or gone
+                        shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+    return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}-{next(_numbers)}.tmp{path.suffix}")
+
+
+def _is_left(name: str) -> bool:
+    """Return whether a name is that of a temporary file or folder whose process on this machine has ended."""
+    match = _TEMPORARY.fullmatch(name)
+    if match is None or match["host"] != _HOST:
+        return False
+    if int(match["process"]) == os.getpid():  # an earlier process had the same number
+        return True
+    try:
+        os.kill(int(match["process"]), 0)  # sends nothing
+    except OSError as error:
+        return isinstance(error, ProcessLookupError)
+    return False
+
+
+@contextmanager
+def storage_errors(path: str | Path) -> Iterator[None]:
+    """Turn the operating system's refusals while writing `path` into one clear sentence."""
+    try:
+        yield
+    except StorageError:
+        raise
+    except OSError as error:
+        if error.errno is None:  # such as a time limit
+            raise
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            message = f"no space left on the disk while writing {path}: free some space or write elsewhere"
+        elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+            message = f"writing {path} is not permitted: write elsewhere or change the permissions"
+        elif error.errno in (errno.ENOTDIR, errno.EEXIST):
+            message = f"{path} cannot be written: a file stands where a folder is needed"
+        elif error.errno == errno.EISDIR:
+            message = f"{path} cannot be written: a folder stands where the file is to be"
+        elif error.errno == errno.ENOENT:
+            message = f"{path} cannot be written: its folder is gone, or cannot be made there"
+        else:
+            message = f"{path} cannot be written ({error.strerror or error}): write elsewhere"
+        raise StorageError(message) from error
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write a value as indented JSON, atomically; numpy values become plain ones, NaN becomes null."""
+    text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file in UTF-8, atomically."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file, atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def is_picture(path: str | Path) -> bool:
+    """Whether a file name has the ending of an image."""
+    return Path(path).suffix.lower() in PICTURES
+
+
+def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
+    """Write an image (rows, columns, 3), uint8, RGB, atomically, in the format given by the file name's ending.
+
+    Raises:
+        ConfigError: an ending other than those of JPEG, PNG or WebP.
+        StorageError: the disk is full or refuses.
+    """
+    import cv2
+
+    path = Path(path)
+    if not is_picture(path):
+        raise ConfigError(f"{path} must be a picture, with one of the endings {' '.join(PICTURES)}")
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 88] if path.suffix.lower() in (".jpg", ".jpeg") else []
+    encoded = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(picture[:, :, ::-1]), quality)[1]
+    write_bytes(path, encoded.tobytes())
+
+
+def read_text(path: str | Path, most: int = 64_000_000) -> str:
+    """Read a text file that somebody else may have made: a regular file of at most `most` bytes.
+
+    Raises:
+        OSError: it is missing, or cannot be read.
+        ValueError: it is a device or a pipe, which might never end, or is too long or not text.
+    """
+    path = Path(path)
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise ValueError("it is not a regular file")
+    if about.st_size > most:
+        raise ValueError(f"it has {about.st_size:,} bytes, more than {most:,}")
+    return path.read_text(encoding="utf-8")
+
+
+def read_json(path: str | Path) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        FormatError: the file is missing, cut short, or not JSON.
+    """
+    path = Path(path)
+    if not path.is_file() and path.exists():
+        raise FormatError(f"{path} is not a regular file: give a JSON file")
+    try:
+        return parsed_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise FormatError(f"{path} does not exist") from error
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise FormatError(f"{path} is incomplete or invalid JSON ({error}): write it again") from error
+
+
+def parsed_json(text: str) -> Any:
+    """Parse JSON text from an untrusted source.
+
+    Raises:
+        ValueError: it is not JSON, or nested deeper than can be read.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def plain(value: Any) -> Any:
+    """Convert a value to dictionaries, lists, text, numbers, booleans and None only."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def content_key(value: Any, length: int = 16) -> str:
+    """Return a short hash of a plain value; equal values give equal keys on every machine."""
+    text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:length]
+
+
+def real_path(path: str | Path) -> Path:
+    """Return an absolute path with all links resolved; circular links stay as they are."""
+    return Path(os.path.realpath(path))
+
+
+def file_hash(path: str | Path) -> str:
+    """Return the SHA-256 of a file's contents in hexadecimal."""
+    with Path(path).open("rb") as file:
+        digest = hashlib.sha256()
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,60 @@
+"""Locks against other processes; one ends with the process that holds it, even by a kill."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from foundation.errors import ConfigError
+from foundation.files import storage_errors
+
+LOCK = ".lock"
+"""Name of the lock file in a folder that only one process may write into."""
+
+
+@contextmanager
+def locked(file: Path, *, wait: bool = True) -> Iterator[bool]:
+    """Hold a lock file, which is removed at the end, and yield whether that succeeded.
+
+    Args:
+        file: the lock file, in an existing folder.
+        wait: wait until no other process holds it; otherwise yield False if one does.
+
+    Raises:
+        StorageError: the disk refuses, or its file system has no locks.
+    """
+    from filelock import FileLock, Timeout  # a robot, which locks nothing, need not have it
+
+    lock = FileLock(file, mode=0o666)
+    with storage_errors(file), suppress(Timeout):
+        lock.acquire(timeout=-1 if wait else 0)
+    try:
+        yield lock.is_locked
+    finally:
+        if lock.is_locked:
+            file.unlink(missing_ok=True)  # a process that waits for it makes a new one
+        lock.release()
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Keep other callers of this function out of a folder, which is created, and removed if an error leaves it empty.
+
+    Raises:
+        ConfigError: another process is using the folder.
+        StorageError: the disk refuses.
+    """
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with locked(folder / LOCK, wait=False) as free:
+            if not free:
+                raise ConfigError(
+                    f"another process is writing into {folder}: wait for its end, or choose another folder"
+                )
+            yield
+    except BaseException:
+        with suppress(OSError):  # it is not empty
+            folder.rmdir()
+        raise
