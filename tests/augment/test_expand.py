@@ -136,7 +136,13 @@ def test_resuming_from_a_table_cut_within_a_letter(images, tmp_path):
     assert contents(out) == whole
 
 
-KILLED = "import os, sys; from foundation import files; block = files.atomic_path(sys.argv[1]); block.__enter__(); os._exit(9)"
+KILLED = """
+import os, sys
+from foundation import files
+block = files.atomic_path(sys.argv[1])
+block.__enter__()
+os._exit(9)
+"""
 
 
 @pytest.mark.parametrize("resume", [False, True])

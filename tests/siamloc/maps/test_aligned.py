@@ -7,7 +7,7 @@ import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.maps import CoarseLayer, HierarchicalSearch, NodeRanking, VisualMap, frame_distances, headings, match
 from siamloc.maps import aligned as module
-from siamloc.maps.packing import Packed, packed, shares_values, unpacked
+from siamloc.maps.packing import Packed, packed, shares_values
 
 IMAGES = np.random.default_rng(5).integers(0, 256, (9, 32, 64), dtype=np.uint8)
 NOISY = np.clip(IMAGES[:4] + np.random.default_rng(6).normal(0, 40, (4, 32, 64)), 0, 255).astype(np.uint8)
@@ -169,17 +169,6 @@ def test_a_descriptor_of_ones_own_may_compare_in_its_way(precision, tmp_path):
     ranking = NodeRanking(np.ones((n, 1), dtype=np.int64), np.full(n, 2))
     found = HierarchicalSearch(known, layer, by="vote").search(queries, ranking).found
     assert found.indices[:, 0].tolist() == [3, 3, 3, 3, 4, 5]
-
-
-def test_every_half_becomes_the_same_float32():
-    every = np.arange(1 << 16, dtype=np.uint16).view(np.float16)[None]
-    one = np.ones(1, dtype=np.float32)
-    assert np.array_equal(unpacked(every, one), every.astype(np.float32), equal_nan=True)
-    finite = every[np.isfinite(every)][None]
-    assert np.array_equal(unpacked(finite, one).view(np.int32), finite.astype(np.float32).view(np.int32))
-    assert unpacked(every[:, :0], one).shape == (1, 0)
-    rows = finite[0, : finite.size // 2 * 2].reshape(-1, 2)[:, ::-1]  # not contiguous
-    assert np.array_equal(unpacked(rows, np.ones(len(rows), dtype=np.float32)), rows.astype(np.float32))
 
 
 def test_maps_with_values_that_are_not_finite_are_still_noticed():
