@@ -2,50 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import cached_property
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description, Descriptor
 from analytic.alignment import moments
-from analytic.description import spectrum
 from analytic.descriptors.base import AlignedDescriptor
-from siamloc.maps.packing import Packed, packed
 from siamloc.maps.search import Retrieval, check_excluded, check_neighbours, slices
 
 _PAIRS = 1 << 17  # distances held at once
 _VALUES = 1 << 22  # of some frames, compared at once: 16 MiB, and as much for their spectra
-_UNPACKED = 1 << 19  # of some frames of a packed map, which become float32 for every batch of queries
 
 
 class AlignedIndex:
     """A map's frames, prepared once for comparison at every turn, as `VectorIndex` is for vectors.
 
     The turn of a pair comes from the spectra of both orientation parts. Those of a map are computed at the first
-    comparison; in float32 they take as much memory as the map. For a map at lower precision (`Packed`) they are
-    rounded to eight bits, with a scale for each frequency of each frame, and a few frames at a time become float32;
-    frequency 0, which is the sum of the values and by far the largest, is not rounded. A correlation is a sum of so
-    many rounded products that their errors mostly cancel: almost all pairs keep their turn. Manhattan distances, and
-    any distance between very similar frames, are computed from the map's values at that turn. Other distances come
-    from the correlation and change by 0.01 % on average, by up to 2 % for short descriptors that are just not similar
-    enough. Where values are whole numbers, ties must be exact: these spectra are not rounded, but computed again for
-    every batch of queries.
+    comparison, and take as much memory as the map.
 
     Args:
         descriptor: the descriptor of the map.
-        description: m frames by this descriptor, in float32 or packed.
+        description: m frames by this descriptor.
         distance: a name in `analytic.DISTANCES`.
     """
 
     def __init__(self, descriptor: Descriptor, description: Description, distance: str) -> None:
         self._descriptor, self._description, self._distance = descriptor, description, distance
         held = description.orientation
-        self._packed = isinstance(held, Packed) or isinstance(description.position, Packed)
         self._turned = isinstance(descriptor, AlignedDescriptor) and descriptor.tells_heading and held is not None
-        self._rounded = isinstance(held, Packed) and not getattr(descriptor, "whole", False)
 
     def __len__(self) -> int:
         return len(self._description)
@@ -95,66 +79,22 @@ class AlignedIndex:
         return apart
 
     def _distances(self, queries: Description, within: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
-        if within is None and not self._packed:
+        if within is None:
             return self._descriptor.pairwise(queries, self._description, self._distance)
-        rows = np.arange(len(self)) if within is None else within
-        apart = np.empty((len(queries), len(rows)))
-        for part in self._blocks(len(rows)):
-            apart[:, part] = self._descriptor.pairwise(queries, self._frames(rows[part]), self._distance)
+        apart = np.empty((len(queries), len(within)))
+        for part in slices(len(within), _VALUES // self._description.position.shape[1]):
+            apart[:, part] = self._descriptor.pairwise(queries, self._frames(within[part]), self._distance)
         return apart
 
-    def _blocks(self, count: int) -> Iterator[slice]:
-        return slices(count, (_UNPACKED if self._packed else _VALUES) // self._description.position.shape[1])
-
     def _frames(self, rows: NDArray[np.int64]) -> Description:
-        """Return some frames in float32, with all that is kept for their comparison."""
+        """Return some frames, with all that is kept for their comparison."""
+        known = self._description
         consecutive = rows[-1] - rows[0] == len(rows) - 1
         which = slice(int(rows[0]), int(rows[-1]) + 1) if consecutive else rows  # a slice is not copied
-        if not self._turned:
-            return self._description.take(which)
-        frames = self._turnable(which)
-        frames.kept("squares", lambda _: self._squares[which])
-        if self._distance == "correlation":
-            frames.kept("moments", lambda _: tuple(column[which] for column in self._moments))
-        if self._rounded:
-            frames.kept("spectrum", lambda _: self._unrounded(which))
-        elif not isinstance(self._description.orientation, Packed):
-            frames.kept("spectrum", lambda _: self._description.spectrum[:, which])
+        frames = known.take(which)
+        if self._turned:
+            frames.kept("squares", lambda _: known.squares[which])
+            frames.kept("spectrum", lambda _: known.spectrum[:, which])
+            if self._distance == "correlation":
+                frames.kept("moments", lambda _: tuple(column[which] for column in known.kept("moments", moments)))
         return frames
-
-    def _turnable(self, which: Any) -> Description:
-        """Return some frames in float32, with their orientation parts as position parts too: turned, they are alike."""
-        turnable = self._description.turnable[which]
-        return Description(turnable.reshape(len(turnable), -1), turnable, self._description.identity)
-
-    @cached_property
-    def _squares(self) -> NDArray[np.float64]:
-        return np.concatenate([self._turnable(part).squares for part in self._blocks(len(self))])
-
-    @cached_property
-    def _moments(self) -> tuple[NDArray[np.float64], ...]:
-        found = [moments(self._turnable(part)) for part in self._blocks(len(self))]
-        return tuple(np.concatenate(column) for column in zip(*found, strict=True))
-
-    @cached_property
-    def _rounded_spectra(self) -> tuple[NDArray[np.float32], NDArray[np.int8], NDArray[np.float32]]:
-        """Frequency 0 of all frames (m, F), the others rounded (m, U - 1, 2 F), and the scales of these (m, U - 1)."""
-        held = self._description.turnable
-        m, steps, features = held.shape
-        lowest = np.empty((m, features), dtype=np.float32)
-        others = np.empty((m, steps // 2, 2 * features), dtype=np.int8)
-        scale = np.empty((m, steps // 2), dtype=np.float32)
-        for row in range(m):
-            one = spectrum(held[row : row + 1])[:, 0]
-            lowest[row] = one[0].real
-            short = packed("others", one[1:], "int8")
-            others[row], scale[row] = short["others"].reshape(others.shape[1:]), short["others_scale"]
-        return lowest, others, scale
-
-    def _unrounded(self, which: Any) -> NDArray[np.complex64]:
-        """Return the spectra (U, p, F) of p frames from the rounded ones."""
-        lowest, others, scale = (part[which] for part in self._rounded_spectra)
-        full = np.empty((len(lowest), others.shape[1] + 1, lowest.shape[1]), dtype=np.complex64)
-        full[:, 0] = lowest
-        np.multiply(others, scale[..., None], out=full.view(np.float32)[:, 1:])
-        return full.transpose(1, 0, 2)

@@ -11,13 +11,12 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import AnalyticError, Descriptor
 from analytic.arrays_file import DAMAGE, read_arrays
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
 from siamloc.files import atomic_path, parsed_json
-from siamloc.maps.heading import HeadingPart, descriptor_of, is_analytic, without_images
-from siamloc.maps.packing import Packed, Precision, packed, shares_values
+from siamloc.maps.heading import HeadingPart
+from siamloc.maps.packing import Precision, packed, shares_values, unpacked
 
 _FORMAT = "siamloc-map"
 _VERSION = 2
@@ -48,7 +47,7 @@ def write_map(
     """
     header = {
         "format": _FORMAT,
-        "version": 1 if precision == "float32" else _VERSION,
+        "version": _VERSION,
         "frames": len(descriptors),
         "width": descriptors.shape[1],
         **about,
@@ -76,16 +75,15 @@ def write_map(
                 np.lib.format.write_array(member, array, allow_pickle=False)
 
 
-def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> tuple[dict[str, Any], tuple[Any, Any]]:
+def read_map(content: Path | BinaryIO, path: str | Path) -> tuple[dict[str, Any], tuple[Any, Any]]:
     """Read what `write_map` wrote: the fields of a `VisualMap` by name, and the frames and width that it announces.
 
     Args:
         content: the path, or a seekable file open for reading.
         path: what to call it in error messages.
-        short: whether descriptors of lower precision stay as they are (`Packed`) if they can be compared that way.
 
     Raises:
-        FormatError: a file that is truncated, altered, not a map, or of a newer version.
+        FormatError: a file that is truncated, altered, not a map, or of another version.
     """
     damaged = f"{path} is not a siamloc map, or not a whole one: build it again"
     try:
@@ -94,13 +92,12 @@ def read_map(content: Path | BinaryIO, path: str | Path, short: bool) -> tuple[d
         raise FormatError(damaged) from error
     header = _read_header(path, arrays)
     try:
-        _unpack(header, arrays, short)
+        _unpack(arrays)
     except DAMAGE as error:
         raise FormatError(damaged) from error
     columns: dict[str, Any] = {
         name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")
     }
-    columns.pop("index", None)  # of maps by version 0.1
     try:
         fields = {
             "descriptors": arrays["descriptors"],
@@ -122,37 +119,16 @@ def not_whole(path: str | Path, error: Exception) -> FormatError:
     return FormatError(f"{path} is not a whole siamloc map ({error}): build it again")
 
 
-def _unpack(header: dict[str, Any], arrays: dict[str, Any], short: bool) -> None:
-    """Convert arrays of lower precision to float32 unless they may stay packed; make all of them read-only."""
-    made = _own_descriptor(header) if short else None
-    if made is not None and "orientation_scale" in arrays and made.tells_heading and not made.aligned:
-        # A heading is the turn with the largest correlation, and no scale changes that.
-        header["heading"] = without_images(header["identity"])
-        arrays["heading"] = arrays.pop("orientation")
-        del header["orientation"], arrays["orientation_scale"]
-    turned = header.get("orientation") is not None or "orientation" in arrays
-    stays = short and (not turned or (made is not None and made.aligned))
+def _unpack(arrays: dict[str, Any]) -> None:
+    """Convert arrays of lower precision to float32, and make the large ones read-only."""
     for name in ("descriptors", "orientation"):
         if f"{name}_scale" in arrays:
-            held = Packed(arrays[name], arrays.pop(f"{name}_scale"))
-            arrays[name] = held if stays else held[:]
+            arrays[name] = unpacked(arrays[name], arrays.pop(f"{name}_scale"))
     for name in {"descriptors", "orientation", "heading"} & set(arrays):
-        if not isinstance(arrays[name], Packed):
-            arrays[name].flags.writeable = False  # nothing else refers to it
+        arrays[name].flags.writeable = False  # nothing else refers to it
 
 
-def _own_descriptor(header: Mapping[str, Any]) -> Descriptor | None:
-    """Return the analytic descriptor of a map that has no heading part by another one; None otherwise."""
-    identity = header.get("identity")
-    if "heading" in header or not isinstance(identity, dict) or not is_analytic(identity):
-        return None
-    try:
-        return descriptor_of(identity)
-    except (AnalyticError, TypeError):
-        return None  # describing images reports the error
-
-
-def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> NDArray | Packed | None:
+def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> NDArray | None:
     if "orientation" in arrays or header.get("orientation") is None:
         return arrays.get("orientation")
     return arrays["descriptors"].reshape(header["orientation"])
@@ -166,9 +142,9 @@ def _read_header(path: str | Path, arrays: Mapping[str, NDArray]) -> dict[str, A
         known = False
     if not known:
         raise FormatError(f"{path} is not a siamloc map: give the file that `siamloc map` wrote")
-    if header["version"] > _VERSION:
+    if header["version"] != _VERSION:
+        advice = "update siamloc" if header["version"] > _VERSION else "build it again"
         raise FormatError(
-            f"{path} is a map of format version {header['version']}, this siamloc reads up to {_VERSION}: "
-            "update siamloc"
+            f"{path} is a map of format version {header['version']}, this siamloc reads version {_VERSION}: {advice}"
         )
     return header

@@ -8,11 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from analytic.distances import distance as distance_named
 from siamloc.calls import typed
-from siamloc.maps.packing import Packed
-from siamloc.maps.search import Retrieval, slices
+from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-
-_ROWS = 512  # of a packed map, converted to float32 at once
 
 
 @typed
@@ -89,8 +86,4 @@ def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float6
     """
     if known.aligned:
         return known.aligned_index.distances(queries)
-    apart = distance_named(known.distance)
-    if not isinstance(known.descriptors, Packed):
-        return apart(queries.position, known.descriptors)
-    blocks = (known.descriptors[part] for part in slices(len(known), _ROWS))
-    return np.concatenate([apart(queries.position, block) for block in blocks], axis=1)
+    return distance_named(known.distance)(queries.position, known.descriptors)

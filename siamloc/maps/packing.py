@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -46,86 +45,8 @@ def packed(name: str, values: NDArray, precision: Precision) -> dict[str, NDArra
     return {name: kept, f"{name}_scale": scale.astype(np.float32)}
 
 
-@dataclass(frozen=True, eq=False)
-class Packed:
-    """An array (n, ...) as `packed` stores it, which gives rows as float32 on access.
-
-    A robot's map keeps its descriptors in this form alongside its search index; only the rows nearest to a query are
-    accessed.
-
-    Attributes:
-        values: (n, ...) int8 or float16, read-only.
-        scale: (n,) float32, read-only.
-
-    Raises:
-        ValueError: arrays that do not match each other.
-
-    Example:
-        >>> held = packed("a", np.array([[0.5, -1.0], [0.0, 0.0]]), "int8")
-        >>> short = Packed(held["a"], held["a_scale"])
-        >>> short.shape, short[:1]
-        ((2, 2), array([[ 0.503937, -1.      ]], dtype=float32))
-    """
-
-    values: NDArray[Any]
-    scale: NDArray[np.float32]
-    dtype = np.dtype(np.float32)
-
-    def __post_init__(self) -> None:
-        _check(self.values, self.scale)
-        for name in ("values", "scale"):
-            shown = getattr(self, name).view()
-            shown.flags.writeable = False
-            object.__setattr__(self, name, shown)
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def __getitem__(self, rows: NDArray[Any] | slice | int) -> NDArray[np.float32]:
-        if isinstance(rows, (int, np.integer)):
-            return self[np.array([rows])][0]
-        return unpacked(self.values[rows], self.scale[rows])
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        if copy is False:
-            raise ValueError("rows kept in fewer bytes become float32 only in an array of their own")
-        return self[:].astype(dtype or self.dtype, copy=False)
-
-    def rows(self, rows: NDArray[Any]) -> Packed:
-        """Return some rows, given by index or by a mask, still packed."""
-        return Packed(self.values[rows], self.scale[rows])
-
-    def reshape(self, *shape: Any) -> Packed:
-        """Return the array in another shape with as many rows, as `numpy.ndarray.reshape` does."""
-        return Packed(self.values.reshape(*shape), self.scale)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the array."""
-        return self.values.shape
-
-    @property
-    def ndim(self) -> int:
-        """Number of dimensions."""
-        return self.values.ndim
-
-    @property
-    def size(self) -> int:
-        """Number of elements."""
-        return self.values.size
-
-    @property
-    def nbytes(self) -> int:
-        """Size in memory, in bytes."""
-        return self.values.nbytes + self.scale.nbytes
-
-
-def shares_values(one: NDArray[Any] | Packed, other: NDArray[Any] | Packed) -> bool:
-    """Whether two arrays, both packed or neither, are the same memory in one order, possibly in different shapes."""
-    if isinstance(one, Packed) and isinstance(other, Packed):
-        return shares_values(one.values, other.values) and shares_values(one.scale, other.scale)
-    if isinstance(one, Packed) or isinstance(other, Packed):
-        return False
+def shares_values(one: NDArray[Any], other: NDArray[Any]) -> bool:
+    """Whether two arrays are the same memory in the same order, possibly in different shapes."""
     return (
         one.ctypes.data == other.ctypes.data
         and (one.dtype, one.size) == (other.dtype, other.size)
@@ -134,7 +55,7 @@ def shares_values(one: NDArray[Any] | Packed, other: NDArray[Any] | Packed) -> b
     )
 
 
-def all_finite(values: NDArray[Any] | Packed) -> bool:
+def all_finite(values: NDArray[Any]) -> bool:
     """Whether all values of an array (n, ...) are finite, checked in blocks of rows since maps are large."""
     rows = max(1, _AT_ONCE // max(1, math.prod(values.shape[1:])))
     return all(bool(np.isfinite(values[at : at + rows]).all()) for at in range(0, len(values), rows))
@@ -146,13 +67,9 @@ def unpacked(values: NDArray, scale: NDArray) -> NDArray:
     Raises:
         ValueError: arrays that do not match each other.
     """
-    _check(values, scale)
+    if values.dtype not in (np.int8, np.float16) or scale.shape != values.shape[:1] or scale.dtype != np.float32:
+        raise ValueError(f"values {values.dtype} {values.shape} with a scale {scale.dtype} {scale.shape}")
     full = values.astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # readers of a file check for values that are not finite
         full *= scale.reshape(-1, *[1] * (values.ndim - 1))  # in place: maps are large
     return full.view(np.complex64)[..., 0] if full.ndim == 4 and full.shape[3] == 2 else full
-
-
-def _check(values: NDArray, scale: NDArray) -> None:
-    if values.dtype not in (np.int8, np.float16) or scale.shape != values.shape[:1] or scale.dtype != np.float32:
-        raise ValueError(f"values {values.dtype} {values.shape} with a scale {scale.dtype} {scale.shape}")

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from analytic.distances import DISTANCES
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps.packing import Packed
 from siamloc.settings import Count, checked
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and output
@@ -311,16 +309,16 @@ def _largest(values: NDArray) -> float:
 
 def _checked(array: ArrayLike, what: str) -> tuple[NDArray, float]:
     """Return descriptors (n, D) and their largest absolute value."""
-    values = cast("NDArray", array) if isinstance(array, Packed) else np.asarray(array)
+    values = np.asarray(array)
     if values.dtype.kind not in "biuf":
         raise DataError(f"a search needs {what} descriptors of real numbers, got {values.dtype}")
-    if not isinstance(values, Packed) and values.dtype not in (np.float32, np.float64):
+    if values.dtype not in (np.float32, np.float64):
         values = values.astype(np.float64)
     if values.ndim != 2:
         raise DataError(f"a search needs {what} descriptors of shape (n, D), got shape {values.shape}")
     largest = _largest(values)
     if not np.isfinite(largest):
-        bad = int((~np.isfinite(np.asarray(values))).any(axis=1).sum())
+        bad = int((~np.isfinite(values)).any(axis=1).sum())
         raise DataError(
             f"{bad} of {len(values)} {what} descriptors hold values that are not finite: "
             "look at the model and at these images"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,9 +20,9 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.files import plain
 from siamloc.maps.aligned import AlignedIndex
-from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic, without_images
+from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic
 from siamloc.maps.map_file import not_whole, read_map, write_map
-from siamloc.maps.packing import Packed, Precision, all_finite, shares_values
+from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
 
 
@@ -31,16 +31,14 @@ class VisualMap:
     """Descriptors (n, D) and the frames they describe; immutable. Built by `siamloc.maps.build`.
 
     Attributes:
-        descriptors: (n, D) float32, read-only; a `Packed` array, which unpacks rows on access, if a robot's map was
-            saved at lower precision.
+        descriptors: (n, D) float32, read-only.
         frames: n frames; poses and rooms may be missing, and the tasks that need them raise an error.
         identity: what computed the descriptors (name, parameters, hash of the weights) and, under "images", how images
             became panoramas, as plain values.
         distance: how descriptors are compared: a name in `analytic.DISTANCES`.
         unit: unit of x and y; the frames' unit if None.
         made: what the frames were read from, as plain values; for reference only.
-        orientation: (n, K, F) orientation parts that give the headings, read-only; None for a descriptor without them;
-            a `Packed` array with packed descriptors.
+        orientation: (n, K, F) orientation parts that give the headings, read-only; None for a descriptor without them.
         heading: what gives the headings if the descriptors do not: the network's own heading part or that of another
             descriptor; None if there is neither.
         describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which creates an analytic one
@@ -70,12 +68,10 @@ class VisualMap:
     describes: Descriptor | None = None
 
     def __post_init__(self) -> None:
-        descriptors = self.descriptors
-        if not isinstance(descriptors, Packed):
-            if (kind := np.asarray(descriptors).dtype).kind not in "buif":
-                raise DataError(f"a map needs descriptors that are real numbers, got values of type {kind}")
-            descriptors = _own(np.asarray(descriptors, dtype=np.float32), descriptors)
-            descriptors.flags.writeable = False
+        if (kind := np.asarray(self.descriptors).dtype).kind not in "buif":
+            raise DataError(f"a map needs descriptors that are real numbers, got values of type {kind}")
+        descriptors = _own(np.asarray(self.descriptors, dtype=np.float32), self.descriptors)
+        descriptors.flags.writeable = False
         if descriptors.ndim != 2 or 0 in descriptors.shape:
             raise DataError(f"a map needs descriptors of shape (n, D), n and D at least 1, got {descriptors.shape}")
         if len(descriptors) != len(self.frames):
@@ -132,16 +128,9 @@ class VisualMap:
     @cached_property
     def describer(self) -> Descriptor:
         """The descriptor that describes queries, including the part that gives their headings."""
-        if self.heading is None or self.turned_by_its_own:
+        if self.heading is None or self.heading.own:
             return self.descriptor
         return WithHeading(self.descriptor, self.heading.descriptor)
-
-    @property
-    def turned_by_its_own(self) -> bool:
-        """Whether headings come from a heading part computed by the map's own descriptor."""
-        if self.heading is None or self.heading.own:
-            return self.heading is not None
-        return self.heading.identity == without_images(self.identity)
 
     @property
     def aligned(self) -> bool:
@@ -150,10 +139,7 @@ class VisualMap:
 
     @cached_property
     def description(self) -> Description:
-        """The map as a description that its descriptor can compare; its spectrum is computed once for all queries.
-
-        Comparing all of a packed map makes it float32: `index` and `aligned_index` do not.
-        """
+        """The map as a description that its descriptor can compare; its spectrum is computed once for all queries."""
         return Description(self.descriptors, self.orientation)
 
     @cached_property
@@ -171,19 +157,22 @@ class VisualMap:
         """A hash of the descriptors, the way they are compared, the frames and the identity, not of the headings."""
         digest = hashlib.sha256(json.dumps([self.identity, self.distance], sort_keys=True).encode())
         digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
-        for array in (np.asarray(self.descriptors), self.frames.xy):
+        for array in (self.descriptors, self.frames.xy):
             digest.update(array.tobytes())
         return digest.hexdigest()
 
     def take(self, rows: ArrayLike) -> VisualMap:
         """Return the map of some rows, given by index or by a mask."""
         key: Any = np.atleast_1d(rows)
-        descriptors = _rows(self.descriptors, key)
+        descriptors, orientation = self.descriptors[key], self.orientation
+        if orientation is not None:
+            shared = shares_values(orientation, self.descriptors)
+            orientation = descriptors.reshape(-1, *orientation.shape[1:]) if shared else orientation[key]
         return replace(
             self,
             descriptors=descriptors,
             frames=self.frames.take(key),
-            orientation=self._orientation_beside(descriptors, lambda held: _rows(held, key)),
+            orientation=orientation,
             heading=None if self.heading is None else self.heading.take(key),
         )
 
@@ -329,17 +318,7 @@ class VisualMap:
             StorageError: the disk is full or cannot be written to.
         """
         about = {"identity": self.identity, "distance": self.distance, "unit": self.unit, "made": plain(self.made)}
-        descriptors = np.asarray(self.descriptors)
-        orientation = self._orientation_beside(descriptors, np.asarray)
-        write_map(path, descriptors, self.frames, about, orientation, self.heading, precision)
-
-    def _orientation_beside(self, descriptors: Any, made: Callable[[Any], Any]) -> Any:
-        """Return what is made of the orientation parts: the new descriptors in another shape if these are the same."""
-        if self.orientation is None:
-            return None
-        if shares_values(self.orientation, self.descriptors):
-            return descriptors.reshape(len(descriptors), *self.orientation.shape[1:])
-        return made(self.orientation)
+        write_map(path, self.descriptors, self.frames, about, self.orientation, self.heading, precision)
 
     @classmethod
     @typed
@@ -352,33 +331,26 @@ class VisualMap:
 
         Raises:
             ConfigError: the map was described by another descriptor.
-            FormatError: the file is missing, truncated, altered, not a map, or of a newer version.
+            FormatError: the file is missing, truncated, altered, not a map, or of another version.
         """
         path = Path(path)
         if not path.is_file():
             raise FormatError(f"{path} does not exist: build the map first")
-        loaded = cls._read(path, path)
+        loaded = cls.read(path, path)
         return loaded if descriptor is None else loaded.with_descriptor(descriptor)
 
     @classmethod
-    def read(cls, file: BinaryIO, source: str) -> VisualMap:
-        """Read a map for a robot from an open file that `save` wrote.
-
-        Descriptors of lower precision stay packed, as `siamloc.maps.packing.Packed`. So do the orientation parts of
-        descriptors that are compared at every turn; those that are used only for headings become `heading`.
+    def read(cls, content: Path | BinaryIO, path: str | Path) -> VisualMap:
+        """Read a map that `save` wrote, from its path or from a seekable file open for reading.
 
         Args:
-            file: open for reading, seekable.
-            source: what to call it in error messages.
+            content: the path or the file.
+            path: what to call it in error messages.
 
         Raises:
             FormatError: as for `load`.
         """
-        return cls._read(file, source, short=True)
-
-    @classmethod
-    def _read(cls, content: Path | BinaryIO, path: str | Path, short: bool = False) -> VisualMap:
-        fields, announced = read_map(content, path, short)
+        fields, announced = read_map(content, path)
         try:
             loaded = cls(**fields)
         except (TypeError, ValueError) as error:
@@ -400,33 +372,21 @@ def _own(array: NDArray, given: Any) -> NDArray:
     return array.copy() if shared and array.flags.writeable else array
 
 
-def _rows(array: NDArray | Packed, rows: Any) -> Any:
-    return array.rows(rows) if isinstance(array, Packed) else array[rows]
-
-
-def _checked_orientation(orientation: NDArray | Packed, descriptors: NDArray | Packed) -> NDArray | Packed:
+def _checked_orientation(orientation: Any, descriptors: NDArray) -> NDArray:
     """Return valid orientation parts, as the descriptors in another shape if both are the same values."""
-    array = orientation if isinstance(orientation, Packed) else _own(np.asarray(orientation), orientation)
+    array = _own(np.asarray(orientation), orientation)
     frames = len(descriptors)
     if array.ndim != 3 or len(array) != frames or 0 in array.shape or array.dtype.kind not in "fcu":
         raise DataError(
             f"a map's orientation parts must be numbers of shape ({frames}, K, F), got {array.dtype} {array.shape}"
         )
-    if _in_one_line(array, descriptors):
+    same = array.dtype == descriptors.dtype and array.size == descriptors.size
+    if same and np.array_equal(array.reshape(descriptors.shape), descriptors):
         return descriptors.reshape(array.shape)
     if not all_finite(array):
         raise DataError("a map's orientation parts hold values that are not finite: look at the images")
-    if not isinstance(array, Packed):
-        array.flags.writeable = False
+    array.flags.writeable = False
     return array
-
-
-def _in_one_line(orientation: NDArray | Packed, descriptors: NDArray | Packed) -> bool:
-    """Whether the orientation parts are the descriptors in another shape, so that one copy is enough."""
-    if isinstance(orientation, Packed) or isinstance(descriptors, Packed):
-        return shares_values(orientation, descriptors)
-    same = orientation.dtype == descriptors.dtype and orientation.size == descriptors.size
-    return same and np.array_equal(orientation.reshape(descriptors.shape), descriptors)
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -88,7 +88,7 @@ class Describer:
             turned = known.orientation if known.heading is None else known.heading.values
             known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, turned))
         self.known, self._turning, part = known, None, known.heading
-        if part is not None and not known.turned_by_its_own:
+        if part is not None and not part.own:
             self._turning = analytic_descriptor(part.identity, bundle, orientation=part.values)
 
     @property

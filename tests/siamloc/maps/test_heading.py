@@ -106,7 +106,7 @@ def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
     assert len({bare.digest, *(other.digest for other in others)}) == 5
 
 
-def test_older_maps_have_no_heading_part(tmp_path: Path) -> None:
+def test_a_map_need_not_have_a_heading_part(tmp_path: Path) -> None:
     known = replace(map_with_headings([0.5, -2.0], analytic.descriptor("hog")), heading=None)
     known.save(tmp_path / "map.npz")
     with zipfile.ZipFile(tmp_path / "map.npz") as archive:

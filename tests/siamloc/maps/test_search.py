@@ -10,7 +10,6 @@ from hypothesis.extra.numpy import arrays
 
 from analytic.distances import DISTANCES
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps.packing import Packed, packed
 from siamloc.maps.search import VectorIndex
 from tests.oracles import search as oracle
 
@@ -38,31 +37,6 @@ def test_equals_the_loop_over_all_pairs(distance: str, width: int, k: int) -> No
     np.testing.assert_allclose(found.distances, distances, rtol=1e-9, atol=1e-15)
     if width > 2 or distance not in ("cosine", "correlation"):  # else few directions: all ties up to rounding
         np.testing.assert_array_equal(found.indices, indices)
-
-
-@pytest.mark.parametrize("distance", DISTANCES)
-@pytest.mark.parametrize("precision", ["float16", "int8"])
-@pytest.mark.parametrize("width", [3, 70_000])  # in the wide ones, not even four rows fit into a block
-def test_short_rows_are_searched_as_what_they_stand_for(distance, precision, width):
-    queries, references = gaussian(4, 9, width)
-    held = packed("a", references, precision)
-    short, excluded = Packed(held["a"], held["a_scale"]), np.eye(4, 9, dtype=bool)
-    index, plain = VectorIndex(short, distance), VectorIndex(short[:], distance)
-    for options in ({}, {"excluded": excluded}, {"within": np.array([1, 4, 8])}):
-        found, expected = (one.search(queries, 3, **options) for one in (index, plain))
-        np.testing.assert_array_equal(found.indices, expected.indices)
-        np.testing.assert_array_equal(found.distances, expected.distances)
-
-
-def test_short_rows_that_are_not_finite_or_do_not_fit_are_refused():
-    values, scale = np.ones((3, 2), dtype=np.float16), np.ones(3, dtype=np.float32)
-    with pytest.raises(DataError, match="1 of 3 map descriptors hold values that are not finite"):
-        VectorIndex(Packed(values, np.array([1, np.inf, 1], dtype=np.float32)))
-    for wrong in (scale[:2], scale[:, None], scale.astype(np.float64)):
-        with pytest.raises(ValueError, match="scale"):
-            Packed(values, wrong)
-    with pytest.raises(ValueError, match="values float32"):
-        Packed(values.astype(np.float32), scale)
 
 
 @settings(max_examples=60, deadline=None)

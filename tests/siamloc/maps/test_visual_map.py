@@ -181,7 +181,9 @@ def test_load_refuses_what_is_not_a_whole_map(tmp_path: Path) -> None:
     np.savez(tmp_path / "pickled.npz", header=np.array([{"format": "siamloc-map"}], dtype=object))
     cases[tmp_path / "pickled.npz"] = "not a siamloc map"
     newer = rewritten(good, tmp_path / "newer.npz", header={"version": 3})
-    cases[newer] = "format version 3, this siamloc reads up to 2: update siamloc"
+    cases[newer] = "format version 3, this siamloc reads version 2: update siamloc"
+    older = rewritten(good, tmp_path / "older.npz", header={"version": 1})
+    cases[older] = "format version 1, this siamloc reads version 2: build it again"
     cases[rewritten(good, tmp_path / "short.npz", descriptors=np.ones((2, 3)))] = "got 2 for 6 frames"
     cases[rewritten(good, tmp_path / "lacking.npz", descriptors=None)] = "not a whole siamloc map ('descriptors')"
     cases[rewritten(good, tmp_path / "extra.npz", frame_colour=np.ones(6))] = "not a whole siamloc map"

@@ -17,7 +17,7 @@ from siamloc import evaluation, maps, runtime
 from siamloc.errors import ConfigError, FormatError
 from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import LayerSearch, VisualMap
-from siamloc.maps.packing import Packed, packed, unpacked
+from siamloc.maps.packing import packed, unpacked
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import shortening
 from siamloc.runtime.onnx_file import session_of
@@ -213,51 +213,6 @@ def test_fewer_digits_are_shorter_and_locate_alike(world, tmp_path, precision, s
         assert [one.distance for one in candidates] == nearest.distances[0].tolist()
 
 
-@pytest.mark.parametrize("precision", ["float16", "int8"])
-def test_a_robot_keeps_the_rows_of_a_short_map_short(world, network, tmp_path, precision):
-    images, monday, tuesday = world
-    known = maps.build(network, images, monday, progress=False)
-    bundle = runtime.export(network, known, tmp_path / "b", precision=precision, images=images)
-    localizer, whole = runtime.Localizer(bundle.path), VisualMap.load(tmp_path / "b" / "map.npz")
-    short = localizer.map
-    assert isinstance(short.descriptors, Packed)
-    assert short.descriptors.values.dtype == precision
-    np.testing.assert_array_equal(np.asarray(short.descriptors), whole.descriptors)
-    assert short.digest == whole.digest
-    short.save(tmp_path / "again.npz")
-    np.testing.assert_array_equal(VisualMap.load(tmp_path / "again.npz").descriptors, whole.descriptors)
-    assert short.placed() is short
-    queries = localizer.describe(next(images.batches(tuesday)))
-    for one in (short, short.take([0, 3, 5])):
-        same = whole.take([0, 3, 5]) if one is not short else whole
-        np.testing.assert_array_equal(maps.frame_distances(one, queries), maps.frame_distances(same, queries))
-        np.testing.assert_array_equal(maps.match(one, queries, 2).indices, maps.match(same, queries, 2).indices)
-
-
-def test_a_robot_keeps_the_placed_rows_of_a_short_map_short(world, network, tmp_path):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
-    columns = known.frames.columns()
-    columns["x"] = np.where(np.arange(len(known)) == 1, np.nan, columns["x"])
-    partly = replace(known, frames=siamloc.data.FrameTable(**columns))
-    localizer = runtime.Localizer(runtime.export(network, partly, tmp_path / "b", precision="float16").path)
-    placed = localizer.map.placed()
-    assert isinstance(placed.descriptors, Packed)
-    assert len(placed) == len(known) - 1
-    np.testing.assert_array_equal(placed.descriptors[0], localizer.map.descriptors[0])
-    with pytest.raises(ValueError, match="read-only"):
-        localizer.map.descriptors.values[0] = 0
-
-
-def test_a_short_map_with_an_orientation_part_that_it_does_not_announce(world, network, tmp_path):
-    images, monday, _ = world
-    maps.build(network, images, monday, progress=False).save(tmp_path / "map.npz", "float16")
-    with np.load(tmp_path / "map.npz") as arrays:
-        np.savez(tmp_path / "altered.npz", **arrays, orientation=np.zeros((len(monday), 2, 2), dtype=np.float32))
-    with (tmp_path / "altered.npz").open("rb") as file:
-        assert isinstance(VisualMap.read(file, "altered").descriptors, np.ndarray)
-
-
 def small_graph(bias):
     """Write a fully connected layer of 64 outputs, whose weights a branch uses too, and one with this bias."""
     generator, helper = np.random.default_rng(0), onnx.helper
@@ -435,6 +390,15 @@ def test_rows_keep_their_digits(precision, tmp_path):
     np.testing.assert_allclose(back, spectra, rtol=0, atol=float(np.abs(spectra).max()) * 1e-3)
 
 
+def test_values_and_scales_that_do_not_fit_are_refused():
+    values, scale = np.ones((3, 2), dtype=np.float16), np.ones(3, dtype=np.float32)
+    for wrong in (scale[:2], scale[:, None], scale.astype(np.float64)):
+        with pytest.raises(ValueError, match="scale"):
+            unpacked(values, wrong)
+    with pytest.raises(ValueError, match="values float32"):
+        unpacked(values.astype(np.float32), scale)
+
+
 def test_a_shortened_map_is_read_back(world, tmp_path):
     images, monday, _ = world
     for name in ("hog", "radon_poc", "fs"):
@@ -446,27 +410,6 @@ def test_a_shortened_map_is_read_back(world, tmp_path):
             np.testing.assert_allclose(read.descriptors, known.descriptors, atol=np.abs(known.descriptors).max() / 200)
             assert read.orientation.dtype == known.orientation.dtype
             assert read.description.orientation.shape == known.orientation.shape
-
-
-@pytest.mark.parametrize("name", ["hog", "fs"])
-@pytest.mark.parametrize("precision", ["float16", "int8"])
-def test_what_gives_headings_stays_short_on_the_robot(world, tmp_path, name, precision):
-    images, monday, tuesday = world
-    bundle = runtime.export(
-        described(name),
-        maps.build(described(name), images, monday, progress=False),
-        tmp_path / "b",
-        precision=precision,
-    )
-    whole, localizer = VisualMap.load(tmp_path / "b" / "map.npz"), runtime.Localizer(bundle.path)
-    assert localizer.map.orientation is None
-    assert localizer.map.heading.values.dtype == np.float16
-    assert localizer.map.turned_by_its_own
-    panoramas = np.concatenate(list(images.batches(tuesday)))
-    queries = localizer.describe(panoramas)
-    theta = maps.headings(whole, queries, maps.match(whole, queries))[:, 0]
-    assert [localizer.locate_panorama(one).theta for one in panoramas] == theta.tolist()
-    assert localizer.map.describer is localizer.map.descriptor
 
 
 def test_several_images_at_once_give_the_same_answers(world, network, tmp_path):
