@@ -17,6 +17,7 @@ from siamloc.report.page.pictures import Decoder, Sheets, make_large, make_sheet
 from siamloc.report.page.plan import Plan, make_plan
 
 _MOST_QUERIES = 12_000  # on all plans of a page together; their numbers take 1.3 MB
+_MOST_SMALL = 1500  # small images on a page; they take about 3 MB
 
 
 @dataclass(eq=False)
@@ -87,7 +88,7 @@ def parts_of(runs: list[RunFiles]) -> list[Part]:
     return parts
 
 
-def large_pictures(parts: list[Part], budget: int) -> dict[tuple[int, str], str]:
+def large_pictures(parts: list[Part]) -> dict[tuple[int, str], str]:
     """Return the images of the worst queries, in the form of `make_large`."""
     wanted = [
         (part.decoder, path)
@@ -96,16 +97,10 @@ def large_pictures(parts: list[Part], budget: int) -> dict[tuple[int, str], str]
         for row in part.plan.worst.tolist()
         for path in part.plan.triple(row)
     ]
-    return make_large(wanted, budget)
+    return make_large(wanted)
 
 
-def reserve(parts: list[Part]) -> int:
-    """Return the bytes to reserve for what is written once the images are known: their numbers and notes."""
-    frames = sum(len(part.plan.rows) + len(part.plan.known["x"]) for part in parts if part.plan is not None)
-    return 5 * frames + 2000 * len(parts)
-
-
-def sheets_of(parts: list[Part], budget: int) -> list[Sheets]:
+def sheets_of(parts: list[Part]) -> list[Sheets]:
     """Return a set of sheets per decoder; frames shown by several evaluations are included once."""
     sets: dict[int, list[Part]] = {}
     for part in parts:
@@ -121,7 +116,7 @@ def sheets_of(parts: list[Part], budget: int) -> list[Sheets]:
     for number, (members, order) in enumerate(zip(sets.values(), orders, strict=True)):
         for part in members:
             part.sheets = number
-        sheets.append(make_sheets(members[0].decoder, order, budget * len(order) // total))
+        sheets.append(make_sheets(members[0].decoder, order, max(1, _MOST_SMALL * len(order) // total)))
     return sheets
 
 

@@ -1,10 +1,9 @@
-"""The images of a report: many small ones on a few sheets and some larger ones, all within a byte budget."""
+"""The images of a report: many small ones on a few sheets, and some larger ones."""
 
 from __future__ import annotations
 
 import base64
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,19 +22,8 @@ Picture = NDArray[np.uint8]
 TILES_PER_SHEET = 64
 _SHEET_COLUMNS = 8
 _DEFAULT_SIZE = (128, 512)
-# Pixels and JPEG quality of the small images, from the preferred to the smallest.
-_LEVELS = (
-    (256 * 64, 62),
-    (256 * 64, 45),
-    (192 * 48, 64),
-    (192 * 48, 50),
-    (192 * 48, 38),
-    (128 * 32, 50),
-    (128 * 32, 36),
-)
-_LARGE_LEVELS = ((448 * 112, 72), (384 * 96, 66), (320 * 80, 60), (256 * 64, 50), (192 * 48, 40))
-_SAMPLES = 24
-_GUESS = 3000  # bytes per image if no sample could be read
+_SMALL, _LARGE = (192 * 48, 50), (384 * 96, 66)  # pixels and JPEG quality
+_MOST_LARGE = 180
 
 
 class Decoder:
@@ -90,19 +78,12 @@ class Sheets:
     Attributes:
         size: rows and columns of an image.
         place: number of a file's image, counted through all sheets; -1 for a file that could not be read.
-        wanted: number of requested files; those without a place were left out to save space.
         images: sheets with 8 images per row, as base64-encoded JPEG.
     """
 
     size: tuple[int, int]
     place: dict[str, int]
-    wanted: int
     images: list[str]
-
-    @property
-    def left_out(self) -> int:
-        """Number of files whose images did not fit."""
-        return self.wanted - len(self.place)
 
     def plain(self) -> dict[str, Any]:
         """Return what the page's script needs."""
@@ -110,59 +91,38 @@ class Sheets:
         return {"rows": rows, "columns": columns, "across": _SHEET_COLUMNS, "images": self.images}
 
 
-def make_sheets(decoder: Decoder, paths: Sequence[str], budget: int) -> Sheets:
-    """Put images on sheets: as large as the budget allows, and only the first ones if not all fit at any size.
+def make_sheets(decoder: Decoder, paths: Sequence[str], most: int) -> Sheets:
+    """Put the images of the first files on sheets.
 
     Args:
         decoder: reads the images.
         paths: files, the most important first.
-        budget: maximum total length of `Sheets.images`.
+        most: number of images.
     """
     unique = list(dict.fromkeys(paths))
-    sample = [unique[i] for i in np.unique(np.linspace(0, len(unique) - 1, _SAMPLES).astype(int))] if unique else []
-    for pixels, quality in _LEVELS:
-        tiles = [tile for path in sample if (tile := decoder.read(path, pixels)) is not None]
-        each = len(_encoded_sheet(tiles, quality)) / len(tiles) if tiles else _GUESS
-        room = max(0, int(budget / (1.04 * each)))
-        if room >= len(unique):
-            break
+    pixels, quality = _SMALL
     place: dict[str, int] = {}
-    tiles = []
-    for path in track(unique, min(room, len(unique)), "reading pictures"):
-        if len(tiles) >= room:
-            break
+    tiles: list[Picture] = []
+    for path in track(unique[:most], min(most, len(unique)), "reading pictures"):
         tile = decoder.read(path, pixels)
         place[path] = -1 if tile is None else len(tiles)
         if tile is not None:
             tiles.append(tile)
     images = [_encoded_sheet(tiles[i : i + TILES_PER_SHEET], quality) for i in range(0, len(tiles), TILES_PER_SHEET)]
-    while images and sum(map(len, images)) > budget:
-        # The sample was smaller than the rest: the last sheet holds the least important images.
-        images.pop()
-        kept = len(images) * TILES_PER_SHEET
-        place = {path: number for path, number in place.items() if number < kept}
-    return Sheets(decoder.fitted(pixels), place, len(unique), images)
+    return Sheets(decoder.fitted(pixels), place, images)
 
 
-def make_large(wanted: Sequence[tuple[Decoder, str]], budget: int) -> dict[tuple[int, str], str]:
-    """Return data URIs of images by the decoder's id and the path, as large as the budget allows for all together.
+def make_large(wanted: Sequence[tuple[Decoder, str]]) -> dict[tuple[int, str], str]:
+    """Return data URIs of images by the decoder's id and the path.
 
     Args:
-        wanted: files, each with its decoder, the most important first. A file is left out if it cannot be read, or
-            does not fit even at the smallest size.
-        budget: maximum total length of all URIs, each file counted as often as it is listed.
+        wanted: files, each with its decoder, the most important first: the first 180 that can be read are included.
     """
-    times = Counter((id(decoder), path) for decoder, path in wanted)
-    first = {(id(decoder), path): decoder for decoder, path in wanted}
-    for pixels, quality in _LARGE_LEVELS:
-        pictures = {
-            key: picture for key, decoder in first.items() if (picture := decoder.read(key[1], pixels)) is not None
-        }
-        uris = {key: "data:image/jpeg;base64," + _jpeg(picture, quality) for key, picture in pictures.items()}
-        lengths = np.cumsum([len(uri) * times[key] for key, uri in uris.items()])
-        if not len(lengths) or lengths[-1] <= budget:
-            return uris
-    return {key: uri for (key, uri), length in zip(uris.items(), lengths, strict=True) if length <= budget}
+    uris: dict[tuple[int, str], str] = {}
+    for decoder, path in dict.fromkeys(wanted):
+        if len(uris) < _MOST_LARGE and (picture := decoder.read(path, _LARGE[0])) is not None:
+            uris[id(decoder), path] = "data:image/jpeg;base64," + _jpeg(picture, _LARGE[1])
+    return uris
 
 
 def _encoded_sheet(tiles: Sequence[Picture], quality: int) -> str:

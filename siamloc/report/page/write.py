@@ -9,7 +9,7 @@ from string import Template
 
 from siamloc import __version__
 from siamloc.calls import typed
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError
 from siamloc.files import write_text
 from siamloc.report.page import rooms, sections
 from siamloc.report.page.compact import compact
@@ -19,54 +19,37 @@ from siamloc.report.page.gathered import Evaluation, RunFiles, gather
 from siamloc.report.page.hierarchical import hierarchical
 from siamloc.report.page.mapping import mapping
 from siamloc.report.page.markup import Markup, join, plural, script_data, tag
-from siamloc.report.page.parts import Part, large_pictures, notes_on, parts_of, reserve, sheets_of
+from siamloc.report.page.parts import Part, large_pictures, notes_on, parts_of, sheets_of
 from siamloc.report.page.pictures import Sheets
 from siamloc.report.page.robustness import robustness
 from siamloc.results import FURTHER
 
-MAX_BYTES = 4_900_000
-_LARGE_SHARE = 0.27
 _ASSETS = Path(__file__).parent / "assets"
 
 
 @typed
-def write_report(folders: str | Path | Sequence[str | Path], out: str | Path, max_bytes: int = MAX_BYTES) -> Path:
+def write_report(folders: str | Path | Sequence[str | Path], out: str | Path) -> Path:
     """Write one self-contained HTML page about runs, and return its path.
 
-    The numbers come from the result files only; the images are read from the files named there. Images become smaller,
-    then fewer, until the page fits its size limit; the page notes this.
+    The numbers come from the result files only; the images are read from the files named there. If there are many,
+    some are left out, which the page notes.
 
     Args:
         folders: folders of one run, of several runs, or of single evaluations. Several are compared first, then shown
             one after another.
         out: the file to write.
-        max_bytes: maximum size of the file.
 
     Raises:
         ConfigError: a folder that is missing or holds no evaluation, or a file whose name does not end in .html.
         FormatError: incomplete result files.
-        DataError: too many runs: the page would be too large even without images.
         StorageError: the disk is full or cannot be written to.
     """
     if Path(out).suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"the report is a web page: give it a name ending in .html, not {out}")
     runs = gather([folders] if isinstance(folders, str | Path) else folders)
     parts = parts_of(runs)
-    large = large_pictures(parts, int(max_bytes * _LARGE_SHARE))
-    overview = comparison(parts)
     trained = [sections.training(run, number) for number, run in enumerate(runs)]
-
-    def page_with(sheets: list[Sheets]) -> Markup:
-        return _page(runs, parts, overview, trained, large, sheets)
-
-    room = max_bytes - len(page_with([]).encode()) - reserve(parts)
-    page = page_with(sheets_of(parts, room) if room > 0 else [])
-    size = len(page.encode())
-    if size > max_bytes:
-        raise DataError(
-            f"a page of {plural(len(parts), 'evaluation')} would have {size:,} bytes, more than {max_bytes:,}: "
-            "report on fewer runs at once"
-        )
+    page = _page(runs, parts, comparison(parts), trained, large_pictures(parts), sheets_of(parts))
     out = Path(out)
     write_text(out, page)
     return out

@@ -10,7 +10,7 @@ import pytest
 
 from siamloc.cli import main
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
+from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.files import read_json, write_json
 from siamloc.maps import VisualMap
@@ -65,23 +65,13 @@ def test_without_any_image_the_numbers_stand(tmp_path: Path) -> None:
     assert "could not be read" in notes(page)
 
 
-@pytest.mark.parametrize("limit", [140_000, 200_000, 400_000])
-def test_the_page_keeps_to_its_size_and_says_what_it_left_out(run: Path, tmp_path: Path, limit: int) -> None:
-    page = report(tmp_path, run, max_bytes=limit)
-    assert (tmp_path / "report.html").stat().st_size <= limit
+def test_the_page_says_that_it_left_pictures_out(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "_MOST_SMALL", 20)
+    page = report(tmp_path, run)
+    assert "Some pictures are left out" in notes(page)
     data = pages.data_of(page, "data-0")
-    left_out = data["query"]["picture"].count(-2)
-    assert ("Some pictures are left out" in notes(page)) == (left_out > 0)
-    if limit == 140_000:
-        assert left_out > 0
-        worst = int(np.argmax(data["query"]["error"]))
-        assert data["query"]["picture"][worst] >= 0
-
-
-def test_a_page_that_cannot_be_small_enough(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="more than 20,000: report on fewer runs"):
-        write_report([run], tmp_path / "report.html", max_bytes=20_000)
-    assert not (tmp_path / "report.html").exists()
+    assert data["query"]["picture"].count(-2) > 0
+    assert data["query"]["picture"][int(np.argmax(data["query"]["error"]))] >= 0
 
 
 def test_thousands_of_queries_stay_under_five_megabytes(tmp_path: Path) -> None:
