@@ -16,6 +16,7 @@ __all__ = [
     "StorageError",
     "check_policy",
     "hint",
+    "installing",
     "lacking",
     "leave_out",
     "logger",
