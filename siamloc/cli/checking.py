@@ -12,10 +12,12 @@ from typing import Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
-from siamloc.cli.schema import OF_TRAINING, config_folder
+from siamloc.cli.schema import OF_TRAINING
 from siamloc.cli.settings import OWN, Model, TrainerKeys
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import Settings, Share, Size, Text, checked, fields_of
+from siamloc.jobs.options import choices
+from siamloc.jobs.tasks import task_of
+from siamloc.settings import Share, Size, Text, checked, fields_of
 from siamloc.training.settings import Training
 
 
@@ -65,82 +67,9 @@ def training_of(config: DictConfig) -> Training:
     return Training.of(values)
 
 
-TASKS = ("absolute", "room_retrieval", "hierarchical", "mapping", "compact", "robustness", "buildings")
-_BASELINES: dict[str, Any] = {"plots": bool, "baselines": tuple[str, ...]}
-_MORE: dict[str, dict[str, Any]] = {
-    "absolute": _BASELINES,
-    "room_retrieval": _BASELINES,
-    "robustness": {"names": tuple[str, ...], **_BASELINES},
-    "hierarchical": {"names": tuple[str, ...], "plots": bool},
-    "mapping": {"names": tuple[str, ...], "plots": bool},
-    "compact": {"names": tuple[str, ...], "plots": bool, "clusters": str | None},
-    "buildings": {
-        "names": tuple[str, ...],
-        "plots": bool,
-        "maps": tuple[str, ...] | str | None,
-    },
-}
-"""Keys of the tasks in addition to the settings of their call."""
-
-
-def settings_of(task: Mapping[str, Any]) -> Settings | None:
-    """Return the settings of a task in `conf/task`, as the call of `siamloc.evaluation` takes them.
-
-    Raises:
-        ConfigError: an unknown task or key, a value of the wrong type or out of range, or tasks that cannot be measured
-            together.
-    """
-    from siamloc.evaluation.compact_maps import Compact
-    from siamloc.evaluation.disturbed import Robustness
-    from siamloc.evaluation.hierarchy import Hierarchical
-    from siamloc.evaluation.layers import MapMeasures
-    from siamloc.evaluation.localize import Localization
-
-    names = checked(task.get("names"), tuple[str, ...], "task.names")
-    for name in names:
-        if name not in TASKS:
-            raise ConfigError(f"unknown task {name!r}: {hint(str(name), TASKS)}")
-    if len(names) != 1 and set(names) != {"absolute", "room_retrieval"}:
-        raise ConfigError(f"task.names must be one of {', '.join(TASKS)}, or [absolute, room_retrieval], got {names}")
-    name = names[0]
-    own = {
-        "hierarchical": "coarse",
-        "mapping": "closure_radius",
-        "compact": "clusters",
-        "robustness": "robustness",
-        "buildings": "maps",
-    }
-    if name in own and own[name] not in task:
-        raise ConfigError(f"{name} has its own settings: choose it with task={name}")
-    kinds = {
-        "hierarchical": Hierarchical,
-        "mapping": MapMeasures,
-        "compact": Compact,
-        "robustness": Robustness,
-        "buildings": None,
-    }
-    kind: type[Settings] | None = kinds.get(name, Localization)
-    values: dict[str, Any] = dict(task)
-    more = {key: values.pop(key) for key in _MORE[name] if key in values}
-    for key, value in more.items():
-        checked(value, _MORE[name][key], f"task.{key}")
-    _baselines(more.get("baselines", ()))
-    if kind is Robustness:
-        _known(values, ["robustness"], "task", _MORE[name])
-        values = dict(checked(values["robustness"], Mapping, "task.robustness"))
-    if kind is Hierarchical:
-        coarse = dict(checked(values["coarse"], Mapping, "task.coarse"))
-        checked(coarse.pop("descriptor", None), str | None, "task.coarse.descriptor")
-        values["coarse"] = coarse
-    if kind is None:
-        _known(values, [], "task", _MORE[name])
-        return None
-    return kind.of(values)
-
-
 def _baselines(names: Any) -> None:
-    """Refuse a baseline that is not a descriptor in `conf/descriptor`."""
-    known = sorted(file.stem for file in (config_folder() / "descriptor").glob("*.yaml"))
+    """Refuse a baseline that is not an option of the group of descriptors."""
+    known = choices("descriptor")
     for name in names:
         if name not in known:
             raise ConfigError(f"unknown descriptor {name!r} in task.baselines: {hint(name, known)}")
@@ -189,16 +118,16 @@ def _model(config: DictConfig, values: Mapping[str, Any]) -> None:
 
 
 def _loss(config: DictConfig, values: Mapping[str, Any]) -> None:
-    from siamloc.models.registry import LOSS_SETTINGS
+    from siamloc.models.registry import LOSSES
 
     options = dict(values)
     name = checked(options.pop("name", None), Text, "loss.name")
     if name == "contrastive":
         _known(options, ["name", "margin"], "loss")
-    elif name in LOSS_SETTINGS:
-        LOSS_SETTINGS[name].of(options)
+    elif name in LOSSES:
+        LOSSES[name][0].of(options)
     else:
-        raise ConfigError(f"unknown loss {name!r}: {hint(name, ['contrastive', *LOSS_SETTINGS])}")
+        raise ConfigError(f"unknown loss {name!r}: {hint(name, ['contrastive', *LOSSES])}")
 
 
 def _augment(config: DictConfig, values: Mapping[str, Any]) -> None:
@@ -281,7 +210,7 @@ def _build(config: DictConfig, values: Mapping[str, Any]) -> None:
 
 
 def _task(config: DictConfig, values: Mapping[str, Any]) -> None:
-    settings_of(values)
+    _baselines(getattr(task_of(values), "baselines", ()))
 
 
 def _views(config: DictConfig, values: Mapping[str, Any]) -> None:

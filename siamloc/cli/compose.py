@@ -12,9 +12,10 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from siamloc.cli.help import COMMANDS
-from siamloc.cli.schema import config_folder, register
+from siamloc.cli.schema import register
 from siamloc.cli.sweeps import sweep_suffix
 from siamloc.errors import ConfigError, SiamlocError, hint
+from siamloc.jobs.options import choices, config_folder, groups
 from siamloc.runs import runs_in
 from siamloc.settings import shortened
 
@@ -95,9 +96,9 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
         ConfigError: a key without a value.
     """
     keys = [_key(word) for word in words if not word.startswith("-")]
-    groups = [key for key in keys if (config_folder() / key).is_dir()]
+    chosen = [key for key in keys if key in groups()]
     for key in keys:
-        if "." in key and (config_folder() / key.replace(".", "/")).is_dir():
+        if "." in key and key.replace(".", "/") in groups():
             raise ConfigError(f"{key} is chosen from files: write {key.replace('.', '/')}=NAME, with a slash")
     resumed = command in ("train", "pretrain") and config.get("resume") is True
     if (COMMANDS[command].inherits or resumed) and config.get("run") is not None:
@@ -106,7 +107,7 @@ def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
         config = with_settings_of_the_run(
             config,
             [key.replace("/", ".") for key in keys],
-            [group.replace("/", ".") for group in groups],
+            [group.replace("/", ".") for group in chosen],
             resumed=resumed,
             replaces_map=command == "map",
             required=COMMANDS[command].reads_data and not resumed,
@@ -269,29 +270,23 @@ def _explained(error: Exception, words: list[str], name: str) -> Exception:
     text = " ".join(str(error).split())
     if found := re.search(r"Could not override '([^']+)'", text):
         key = found[1].lstrip("+~").partition("@")[0]
-        if (config_folder() / key).is_dir() and "=" in " ".join(words):
-            inside = sorted(path.name for path in (config_folder() / key).iterdir() if path.is_dir())
-            if inside:
-                return ConfigError(
-                    f"{key} is a group of groups: choose {' or '.join(f'{key}/{one}=NAME' for one in inside)}"
-                )
+        if inside := [group for group in groups() if group.startswith(f"{key}/")]:
+            return ConfigError(f"{key} is a group of groups: choose {' or '.join(f'{one}=NAME' for one in inside)}")
         added = f"; add other arguments of Lightning's Trainer with a plus: +{key}=..."
         more = added if key.startswith("trainer.") else ""
         return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, name, words)}{more}")
     if found := re.search(r"(?:Could not find|In '[^']*': Could not find) '([^']+)'", text):
         group, _, option = found[1].rpartition("/")
-        folder = config_folder() / group
-        options = sorted(path.stem for path in folder.glob("*.yaml")) if folder.is_dir() else []
-        return ConfigError(f"unknown option {group}={option}: {hint(option, options)}")
+        return ConfigError(f"unknown option {group}={option}: {hint(option, choices(group))}")
     return ConfigError(f"{text} (given: {' '.join(words)})")
 
 
 def _nearest_key(key: str, name: str, words: list[str]) -> str:
     from hydra.errors import HydraException
 
-    groups = [word for word in words if (config_folder() / word.partition("=")[0]).is_dir() and "," not in word]
+    chosen = [word for word in words if word.partition("=")[0] in groups() and "," not in word]
     try:
-        config = _hydra_compose(name, groups)
+        config = _hydra_compose(name, chosen)
     except HydraException:  # a group has no such choice
         config = _hydra_compose(name, [])
     node, parents = config, []
@@ -304,5 +299,4 @@ def _nearest_key(key: str, name: str, words: list[str]) -> str:
         return hint(key, [".".join([*parents, str(name)]) for name in node])
     if name != "config":
         return hint(key, map(str, config))
-    folders = [path.relative_to(config_folder()).as_posix() for path in config_folder().rglob("*") if path.is_dir()]
-    return hint(key, sorted({*map(str, config), *folders}))
+    return hint(key, sorted({*map(str, config), *groups()}))

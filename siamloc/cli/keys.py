@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from textwrap import dedent, fill, indent
 from typing import Any
 
 from siamloc.cli.help import COMMANDS
+from siamloc.jobs.options import choices, values_of
 
 
 def command_help(name: str) -> str:
@@ -36,19 +36,17 @@ def keys_of(name: str) -> dict[str, list[str]]:
     They are read from the configuration files and the settings classes, so the list is always complete.
     """
     from siamloc.cli.compose import composed_defaults, folder_of
-    from siamloc.cli.schema import config_folder, nodes_of_config, nodes_of_data
 
-    nodes = nodes_of_config() if name == "config" else nodes_of_data()
     config = composed_defaults(name)
     found: dict[str, list[str]] = {}
     chosen = [*_groups_of(folder_of(name) / f"{name}.yaml"), *(["experiment"] if name == "config" else [])]
     for group in chosen:
-        section, options = group.replace("/", "."), sorted((config_folder() / group).glob("*.yaml"))
+        section, named = group.replace("/", "."), choices(group)
         keys = set(_flat(config, section))
-        for file in options if group != "experiment" else []:
-            for key, value in _loaded(file, nodes).items():
+        for option in named if group != "experiment" else []:
+            for key, value in values_of(group, option).items():
                 keys |= set(_flat(value, f"{section}.{key}"))
-        found[f"{group}={'|'.join(file.stem for file in options)}"] = sorted(keys)
+        found[f"{group}={'|'.join(named)}"] = sorted(keys)
     inside = {key for keys in found.values() for key in keys}
     others = [key for key in _flat(config, "") if key not in inside and key != "experiment"]
     return {**found, "other keys": sorted(others)} if found else {"keys": sorted(others)}
@@ -61,16 +59,6 @@ def _groups_of(file: Path) -> list[str]:
     held: Any = OmegaConf.to_container(OmegaConf.load(file))
     defaults = held.get("defaults", [])
     return [str(key) for entry in defaults if not isinstance(entry, str) for key in entry if "@" not in str(key)]
-
-
-def _loaded(file: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the contents of a file of a group, including those of the settings classes that it names."""
-    from omegaconf import OmegaConf
-
-    held: Any = OmegaConf.to_container(OmegaConf.load(file))
-    named = [entry for entry in held.pop("defaults", []) if isinstance(entry, dict)]
-    pairs = [(key.removesuffix("@_here_").strip("/"), node) for entry in named for key, node in entry.items()]
-    return {key: value for group, node in pairs for key, value in nodes.get(group, {}).get(node, {}).items()} | held
 
 
 def _flat(value: Any, prefix: str) -> list[str]:

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
 from siamloc.cli.checking import training_of
 from siamloc.cli.compose import plain
 from siamloc.cli.inherit import check_named, label_of
-from siamloc.cli.schema import config_folder
 from siamloc.cli.sweeps import sweep_suffix
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
@@ -21,6 +20,7 @@ from siamloc.data.frames import image_files
 from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.files import read_json
+from siamloc.jobs.options import values_of
 from siamloc.maps import ErrorModel, Refinement, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run
@@ -100,7 +100,8 @@ def loss_of(config: DictConfig) -> Any:
         ConfigError: an unknown loss, or one that does not fit the way batches are drawn.
     """
     from siamloc.data.places import PlaceSettings
-    from siamloc.models.batch_losses import LOSSES, make_loss
+    from siamloc.models.batch_losses import make_loss
+    from siamloc.models.registry import LOSSES
 
     options = plain(config.loss)
     in_batch = isinstance(training_of(config).pairs, PlaceSettings)
@@ -135,19 +136,6 @@ def training_folder(config: DictConfig) -> Path:
     names = [data, config.model.branch.name, config.model.head.name, f"seed{config.seed}"]
     folder = Path("runs") / "-".join(names) if config.run is None else Path(config.run)
     return folder / sweep_suffix() if sweep_suffix() else folder
-
-
-def options_of(name: str) -> dict[str, Any]:
-    """Return the options of a descriptor by the name of its configuration file; missing ones have their defaults.
-
-    Raises:
-        ConfigError: an unknown name.
-    """
-    folder = config_folder() / "descriptor"
-    path = folder / f"{name}.yaml"
-    if not path.is_file():
-        raise ConfigError(f"unknown descriptor {name!r}: {hint(name, [p.stem for p in folder.glob('*.yaml')])}")
-    return {str(key): value for key, value in OmegaConf.load(path).items() if key != "defaults"}
 
 
 def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | None = None) -> Descriptor:
@@ -185,7 +173,7 @@ def baselines_of(config: DictConfig, run: Run, main: str) -> dict[str, Descripto
         if size is not None and size != list(config.data.image_size):
             print(f"baseline {name} left out: it takes panoramas of {size[0]} x {size[1]}, unlike {main}")
             continue
-        found[str(name)] = descriptor_of(config, run, options_of(str(name)))
+        found[str(name)] = descriptor_of(config, run, values_of("descriptor", str(name)))
     return found
 
 

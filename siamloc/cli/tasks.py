@@ -11,7 +11,6 @@ from omegaconf import DictConfig
 
 from analytic import Descriptor
 from siamloc import evaluation, maps
-from siamloc.cli.checking import settings_of
 from siamloc.cli.compose import plain
 from siamloc.cli.inherit import label_of, map_file, map_known
 from siamloc.cli.objects import (
@@ -21,7 +20,6 @@ from siamloc.cli.objects import (
     files_in,
     heading_of,
     open_roles,
-    options_of,
     way_of,
 )
 from siamloc.cli.sweeps import of_layer, own_folder
@@ -34,23 +32,25 @@ from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
 from siamloc.files import real_path
+from siamloc.jobs.options import values_of
+from siamloc.jobs.tasks import RobustnessTask, call_settings, task_of
 from siamloc.maps import Built, VisualMap
 from siamloc.runs import Run
 
 
 def result_of(config: DictConfig, run: Run) -> tuple[str, Result]:
     """Measure the configured task; return the name of its folder and the result."""
-    settings = settings_of(plain(config.task))
+    settings = task_of(plain(config.task))
     if isinstance(settings, MapMeasures):
-        return _mapping(config, run, settings)
+        return _mapping(config, run, call_settings(settings, MapMeasures))
     if isinstance(settings, Hierarchical):
-        return _hierarchical(config, run, settings)
+        return _hierarchical(config, run, call_settings(settings, Hierarchical))
     if isinstance(settings, Compact):
-        return _compact(config, run, settings)
-    if isinstance(settings, Robustness):
-        return _robustness(config, run, settings)
+        return _compact(config, run, call_settings(settings, Compact))
+    if isinstance(settings, RobustnessTask):
+        return _robustness(config, run, settings.robustness)
     if isinstance(settings, Localization):
-        return _localization(config, run, settings)
+        return _localization(config, run, call_settings(settings, Localization))
     return _buildings(config, run)
 
 
@@ -95,7 +95,8 @@ def _hierarchical(config: DictConfig, run: Run, settings: Hierarchical) -> tuple
     label, other = _named(config), config.task.coarse.descriptor
     coarse, coarse_label = None, label
     if other is not None and other != label_of(config.descriptor):
-        options = {"name": "network", "run": other} if (Path(other) / "run.json").is_file() else options_of(other)
+        trained = (Path(other) / "run.json").is_file()
+        options = {"name": "network", "run": other} if trained else values_of("descriptor", other)
         coarse_label = f"network-{real_path(other).name}" if "run" in options else label_of(options)
         coarse = maps.build(descriptor_of(config, run, options), images, known.frames, distance=config.distance)
     if (known if coarse is None else coarse).aligned and settings.coarse.by == "representatives":
@@ -133,7 +134,7 @@ def _compact(config: DictConfig, run: Run, settings: Compact) -> tuple[str, Resu
     name, other, clusters = _named(config), config.task.clusters, None
     if other is not None and other != label_of(config.descriptor):
         name = f"{name}-by-{other}"
-        clusters = maps.build(descriptor_of(config, run, options_of(other)), images, known.frames)
+        clusters = maps.build(descriptor_of(config, run, values_of("descriptor", other)), images, known.frames)
     result = evaluation.compact(
         known,
         images,

@@ -17,6 +17,15 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.files import plain
 from siamloc.maps.packing import all_finite, packed
 
+HEADINGS: dict[str, dict[str, Any]] = {
+    "hog": {"rows": 1},
+    "fs": {"rows": 1},
+    "gist": {"blocks": 1, "orientations": 16},
+    "radon_fourier": {},
+}
+"""Descriptors that estimate headings in place of a network's, and their parameters: the position part is not used, so
+that one band, which divides every height, is enough for it."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeadingPart:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 import torch
@@ -11,10 +11,9 @@ from torch import Tensor, nn
 
 from siamloc.calls import takes
 from siamloc.errors import ConfigError, hint
-from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.near_and_far import CircleLoss, MultiSimilarityLoss, NearAndFarLoss, TripletLoss
+from siamloc.models.near_and_far import NearAndFarLoss
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
-from siamloc.models.registry import MetricCalibrated, SoftContrastive
+from siamloc.models.registry import LOSSES, MetricCalibrated, SoftContrastive
 
 
 class SoftContrastiveLoss(ScheduledLoss):
@@ -165,16 +164,6 @@ class MetricCalibratedLoss(ScheduledLoss):
             return cost.sum() / known.sum().clamp(min=1)
 
 
-LOSSES: dict[str, Callable[..., nn.Module]] = {
-    "soft_contrastive": SoftContrastiveLoss,
-    "metric_calibrated": MetricCalibratedLoss,
-    "triplet": TripletLoss,
-    "circle": CircleLoss,
-    "multi_similarity": MultiSimilarityLoss,
-    "cross_entropy": CrossEntropyLoss,
-}
-"""The losses over a batch, by their names in configurations."""
-
 UNIT_LENGTH = (SoftContrastiveLoss, MetricCalibratedLoss, NearAndFarLoss)
 """Losses for descriptors of unit length: near-and-far losses normalize them, so those compared later must be, too."""
 
@@ -189,4 +178,6 @@ def make_loss(name: str, **parameters: Any) -> nn.Module:
     """
     if name not in LOSSES:
         raise ConfigError(f"unknown loss {name!r}: {hint(name, LOSSES)}")
-    return LOSSES[name](settings=parameters)
+    module, _, kind = LOSSES[name][1].partition(".")
+    loss: nn.Module = getattr(import_module(f"siamloc.models.{module}"), kind)(settings=parameters)
+    return loss

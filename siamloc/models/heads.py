@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from siamloc.errors import ConfigError
-from siamloc.models.registry import head_widths
+from siamloc.models.registry import HEADS, head_widths
 
 _SMALLEST = 1e-6
 _POWER = 0.7  # of the magnitudes; stored maps depend on it
@@ -259,14 +259,6 @@ def _random_bits(count: int, seed: int = 0) -> NDArray[np.uint64]:
     return np.random.PCG64(seed).random_raw(count)
 
 
-_KINDS: dict[str, type[Flat] | type[GeneralizedMean] | type[Fourier]] = {
-    "flat": Flat,
-    "gem": GeneralizedMean,
-    "bands": Bands,
-    "fourier": Fourier,
-}
-
-
 def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None) -> Head:
     """Make a head by its name for features of shape (C, h, w).
 
@@ -274,7 +266,8 @@ def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None
         ConfigError: an unknown name, outputs for a head with a fixed number, or features too small for the head.
     """
     widths = head_widths(name, outputs)
-    if name == "magnitudes":
-        usual = min(widths[0], shape[0] * shape[1] * max(1, shape[2] // 2))  # small images have fewer magnitudes
-        return Magnitudes(name, shape, usual if outputs is None else outputs)
-    return _KINDS[name](name, shape, widths[0]) if name in _KINDS else FullyConnected(name, shape, widths)
+    kind = globals()[HEADS[name].kind]
+    if kind is Magnitudes and outputs is None:  # small images have fewer
+        widths = (min(widths[0], shape[0] * shape[1] * max(1, shape[2] // 2)),)
+    head: Head = kind(name, shape, widths[0] if len(widths) == 1 else widths)
+    return head

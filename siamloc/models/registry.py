@@ -31,6 +31,15 @@ class BranchSpec:
     widths: tuple[int, ...] = ()
     normalize: Normalization = "channels"
 
+    @property
+    def summary(self) -> str:
+        """One line for the help."""
+        if self.kind == "residual":
+            return "A small residual network of ours, for training from random weights."
+        if self.kind == "simple":
+            return f"Three convolutions with {', '.join(map(str, self.widths))} outputs ([T] table 5.1)."
+        return "The convolutions of torchvision's network, with or without its ImageNet weights ([T] table 5.1)."
+
 
 PRETRAINED = Path(__file__).parent / "shipped" / "panoramas.safetensors"
 """The weights that ship with siamloc; the model card next to them describes them."""
@@ -52,22 +61,43 @@ BRANCHES: dict[str, BranchSpec] = {
 """The feature extractors of [T] table 5.1, `*_bn` with batch normalization after each convolution; and `panoresnet`,
 our own small residual network for training from random weights."""
 
-HEADS: dict[str, tuple[int, ...]] = {
-    "fc500_500_5": (500, 500, 5),
-    "fc500_100_10": (500, 100, 10),
-    "fc1000_1000_10": (1000, 1000, 10),
-    "fc4096_4096_1000": (4096, 4096, 1000),
-    "fc4096_4096": (4096, 4096),
-    "flat": (256,),
-    "gem": (256,),
-    "bands": (256,),
-    "fourier": (256,),
-    "magnitudes": (2048,),
+
+@dataclass(frozen=True)
+class HeadSpec:
+    """How a head is made.
+
+    Attributes:
+        name: name in configurations.
+        widths: neurons of the layers; the last number is the length of a descriptor, which can be chosen if there is
+            one layer.
+        kind: name of the class in `siamloc.models.heads`.
+        summary: one line for the help.
+    """
+
+    name: str
+    widths: tuple[int, ...]
+    kind: str = "FullyConnected"
+    summary: str = "Fully connected layers ([T] table 5.2)."
+
+
+HEADS: dict[str, HeadSpec] = {
+    spec.name: spec
+    for spec in (
+        HeadSpec("fc500_500_5", (500, 500, 5)),
+        HeadSpec("fc500_100_10", (500, 100, 10)),
+        HeadSpec("fc1000_1000_10", (1000, 1000, 10)),
+        HeadSpec("fc4096_4096_1000", (4096, 4096, 1000)),
+        HeadSpec("fc4096_4096", (4096, 4096), summary="Two layers, as in AlexNet before its class layer."),
+        HeadSpec("flat", (256,), "Flat", "One layer over all features: what is seen where, relative to the robot."),
+        HeadSpec("gem", (256,), "GeneralizedMean", "The generalized mean of each channel, then one layer."),
+        HeadSpec("bands", (256,), "Bands", "The generalized mean of each row of each channel, then one layer."),
+        HeadSpec("fourier", (256,), "Fourier", "Fourier magnitudes along the azimuth, then one layer."),
+        HeadSpec("magnitudes", (2048,), "Magnitudes", "Fourier magnitudes along the azimuth, without weights."),
+    )
 }
-"""Neurons of the fully connected layers: three layers in versions 1 to 4 of [T] table 5.2; two as in AlexNet before its
-class layer, with the descriptor of 4096 numbers in [T] table 5.19; one in the heads with descriptors of unit length,
-whose number of outputs can be chosen. `magnitudes` has no neurons, and this many outputs if its features have that many
-magnitudes."""
+"""Three fully connected layers in versions 1 to 4 of [T] table 5.2; two as in AlexNet before its class layer, with the
+descriptor of 4096 numbers in [T] table 5.19; and heads with descriptors of unit length. The descriptors of the head
+`magnitudes` are shorter than 2048 if the features of small images have fewer magnitudes."""
 
 
 Outputs = Annotated[int, Rule("a whole number from 1 to 65,536", lambda value: 1 <= value <= 65_536)]
@@ -105,9 +135,19 @@ class Optimizer(Settings):
     stage_decay: Annotated[float, Rule("a number above 0, at most 1", lambda value: 0 < value <= 1)] = 1.0
 
 
+OPTIMIZERS: dict[str, tuple[Optimizer, str]] = {
+    "sgd": (Optimizer(), "Stochastic gradient descent with momentum ([T] 5.3.4)."),
+    "adamw": (
+        Optimizer(name="adamw", weight_decay=0.01, schedule="one_cycle"),
+        "AdamW over one cycle of the learning rate, for training from random weights.",
+    ),
+}
+"""Optimizers by name, with one line each for the help."""
+
+
 @dataclass(frozen=True)
 class SoftContrastive(Settings):
-    """The parameters of `SoftContrastiveLoss`.
+    """All pairs of a batch: the nearer two images were taken, the more alike (`SoftContrastiveLoss`).
 
     Attributes:
         temperature: of the softmax over the similarities of descriptors of unit length.
@@ -132,7 +172,7 @@ class SoftContrastive(Settings):
 
 @dataclass(frozen=True)
 class MetricCalibrated(Settings):
-    """The parameters of `MetricCalibratedLoss`.
+    """The distance of descriptors grows with that of the images, up to a cap (`MetricCalibratedLoss`).
 
     Attributes:
         cap: distance from which two images are maximally different, in the unit of the positions.
@@ -195,7 +235,7 @@ class NearAndFar(Settings):
 
 @dataclass(frozen=True)
 class Triplet(NearAndFar):
-    """The parameters of `TripletLoss`.
+    """Each image nearer to its positives than to its negatives, by a margin (`TripletLoss`).
 
     Attributes:
         margin: by how much a negative must be farther away than a positive.
@@ -209,7 +249,7 @@ class Triplet(NearAndFar):
 
 @dataclass(frozen=True)
 class Circle(NearAndFar):
-    """The parameters of `CircleLoss`.
+    """The circle loss over near and far images of a batch (`CircleLoss`).
 
     Attributes:
         m: how far similarities may be from 1 and from 0.
@@ -232,7 +272,7 @@ class Circle(NearAndFar):
 
 @dataclass(frozen=True)
 class MultiSimilarity(NearAndFar):
-    """The parameters of `MultiSimilarityLoss`.
+    """The multi-similarity loss over near and far images of a batch (`MultiSimilarityLoss`).
 
     Attributes:
         alpha: weight of the positives.
@@ -250,7 +290,7 @@ class MultiSimilarity(NearAndFar):
 
 @dataclass(frozen=True)
 class CrossEntropy(Settings):
-    """The parameters of `CrossEntropyLoss`.
+    """The room, named by a layer on the descriptor (`CrossEntropyLoss`), best with pairs=frames.
 
     Attributes:
         temperature: divisor of the room scores. For heads of unit length a small one, such as 0.1, makes clear answers
@@ -262,15 +302,28 @@ class CrossEntropy(Settings):
     temperature: Positive = 1.0
 
 
-LOSS_SETTINGS: dict[str, type[Settings]] = {
-    "soft_contrastive": SoftContrastive,
-    "metric_calibrated": MetricCalibrated,
-    "triplet": Triplet,
-    "circle": Circle,
-    "multi_similarity": MultiSimilarity,
-    "cross_entropy": CrossEntropy,
+@dataclass(frozen=True)
+class Contrastive(Settings):
+    """Pairs of images: near ones alike, others apart by a margin ([T] eq. 5.1).
+
+    Attributes:
+        margin: distance from which a pair of other places costs nothing.
+    """
+
+    WHERE = "loss"
+
+    margin: Positive = 2.0
+
+
+LOSSES: dict[str, tuple[type[Settings], str]] = {
+    "soft_contrastive": (SoftContrastive, "batch_losses.SoftContrastiveLoss"),
+    "metric_calibrated": (MetricCalibrated, "batch_losses.MetricCalibratedLoss"),
+    "triplet": (Triplet, "near_and_far.TripletLoss"),
+    "circle": (Circle, "near_and_far.CircleLoss"),
+    "multi_similarity": (MultiSimilarity, "near_and_far.MultiSimilarityLoss"),
+    "cross_entropy": (CrossEntropy, "cross_entropy.CrossEntropyLoss"),
 }
-"""Parameters of the losses over batches of places, by the names of the losses in configurations."""
+"""The losses over batches of places by name: the class of their parameters, and their own class in `siamloc.models`."""
 
 
 def branch_spec(name: str) -> BranchSpec:
@@ -310,8 +363,9 @@ def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
     """
     if name not in HEADS:
         raise ConfigError(f"unknown head {name!r}: {hint(name, HEADS)}")
+    widths = HEADS[name].widths
     if outputs is None:
-        return HEADS[name]
-    if len(HEADS[name]) > 1:
-        raise ConfigError(f"the head {name} gives {HEADS[name][-1]} numbers, as its name says: leave outputs out")
+        return widths
+    if len(widths) > 1:
+        raise ConfigError(f"the head {name} gives {widths[-1]} numbers, as its name says: leave outputs out")
     return (checked(outputs, Outputs, "outputs"),)

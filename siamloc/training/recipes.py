@@ -28,6 +28,7 @@ class Recipe:
         augmentation: as for `siamloc.training.fit`.
         training: fields of `siamloc.training.Training`.
         trainer: arguments of Lightning's trainer.
+        summary: what the recipe is for, in one line.
 
     Example:
         >>> recipe("modern").training["pairs"]["near"]
@@ -40,6 +41,7 @@ class Recipe:
     loss: Mapping[str, Any] | None = None
     augmentation: Mapping[str, Any] = field(default_factory=lambda: {"name": "none"})
     trainer: Mapping[str, Any] = field(default_factory=dict)
+    summary: str = ""
 
     def build(self, image_size: Sequence[int] | None = None, seed: int = 0, **changes: Any) -> Network:
         """Make the network, optionally for panoramas of another size; see `siamloc.models.build`."""
@@ -107,6 +109,7 @@ _PHOTOGRAPHS = Recipe(
         "average": 0.98,
     },
     trainer={"precision": "auto"},
+    summary="Images of an ordinary camera in the order in which they were taken; needs neither positions nor rooms.",
 )
 
 _MODERN = Recipe(
@@ -122,6 +125,7 @@ _MODERN = Recipe(
         "average": 0.98,
     },
     trainer={"precision": "auto"},
+    summary="Panoramas with positions in metres, a small network from random weights, about five minutes on two cores.",
 )
 
 RECIPES: dict[str, Recipe] = {
@@ -136,6 +140,7 @@ RECIPES: dict[str, Recipe] = {
             "optimizer": {**_MODERN.training["optimizer"], "learning_rate": 0.0002},
             "average": 0.95,
         },
+        summary="As modern, but from the weights that ship with siamloc, with 60 batches instead of 700.",
     ),
     "photographs": _PHOTOGRAPHS,
     "rooms": replace(
@@ -148,9 +153,10 @@ RECIPES: dict[str, Recipe] = {
             "pairs": {**_PHOTOGRAPHS.training["pairs"], "near": 0.0, "epoch_batches": 100},
             "monitor": "room",
         },
+        summary="Images of an ordinary camera with room labels, if you only need the room.",
     ),
 }
-"""Our recipes, by the names of the files in conf/experiment.
+"""Our recipes by name; each is an experiment of the command line.
 
 `modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from
 random weights on batches of places, about five minutes on two processor cores.

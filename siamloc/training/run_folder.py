@@ -12,7 +12,7 @@ from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
 from siamloc.files import is_temporary
 from siamloc.models.checkpoint_file import read_checkpoint
-from siamloc.models.registry import LOSS_SETTINGS, whole_model
+from siamloc.models.registry import LOSSES, whole_model
 from siamloc.runs import Run
 from siamloc.settings import defaults_of
 from siamloc.training.seen_frames import differing_frames
@@ -95,8 +95,8 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     before = {**before, "training": Training.of(before["training"]).plain(), "model": whole_model(before["model"])}
     now = {**now, "model": whole_model(now["model"])}
     before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
-    if before["loss"].get("name") in LOSS_SETTINGS:  # with the keys that older records lack
-        before["loss"] = {**defaults_of(LOSS_SETTINGS[before["loss"]["name"]]), **before["loss"]}
+    if before["loss"].get("name") in LOSSES:  # with the keys that older records lack
+        before["loss"] = {**defaults_of(LOSSES[before["loss"]["name"]][0]), **before["loss"]}
     planned = before["training"]["epochs"]
     scheduled = {
         "learning rate": before["training"]["optimizer"]["schedule"] != "constant",

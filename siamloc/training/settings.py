@@ -8,7 +8,7 @@ from typing import Literal
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.models.registry import Optimizer
+from siamloc.models.registry import Contrastive, Optimizer
 from siamloc.settings import Count, Positive, Probability, Seed, Settings, Workers
 
 Monitor = Literal["auto", "error", "recall", "room", "accuracy", "refined", "loss"]
@@ -58,7 +58,7 @@ class Training(Settings):
     workers: Workers = 0
     pairs: PairSettings | PlaceSettings = field(default_factory=PairSettings)
     optimizer: Optimizer = field(default_factory=Optimizer)
-    margin: Positive = 2.0
+    margin: Positive = Contrastive.margin
     clip: Positive | None = None
     average: Probability | None = None
     monitor: Monitor = "auto"

@@ -3,37 +3,31 @@ from pathlib import Path
 import pytest
 
 from siamloc.cli import main
-from siamloc.cli.compose import composed, config_folder, plain
+from siamloc.cli.compose import composed, plain
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
-from siamloc.models import BRANCHES, HEADS
-
-GROUPS = sorted(path.parent.relative_to(config_folder()).as_posix() for path in config_folder().rglob("*/*.yaml"))
-
-
-def options(group):
-    return sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
+from siamloc.jobs.options import choices, config_folder, groups
 
 
 @pytest.mark.parametrize(
     "override",
     [
         f"{group}={option}"
-        for group in sorted(set(GROUPS))
-        if group not in ("building", "simulate", "demo", "reproduce")
-        for option in options(group)
+        for group in groups()
+        if group not in ("simulate", "demo", "reproduce")
+        for option in choices(group)
     ],
 )
-def test_every_configuration_file_composes(override):
+def test_every_option_of_every_group_composes(override):
     where = ["data.manifest=x"] if override == "data=manifest" else ["data.root=x"]
     data = [] if override.startswith("data=") else ["data=folder"]
     config = composed("train", [*data, override, *where])
     Protocol.of(plain(config.protocol))
 
 
-def test_configured_branches_and_heads_are_the_registered_ones():
-    assert options("model/branch") == sorted(BRANCHES)
-    assert options("model/head") == sorted(HEADS)
+@pytest.mark.parametrize("group", groups())
+def test_every_option_has_a_line_for_the_help(group):
+    assert all(len(line) > 10 and line.endswith(".") for line in choices(group).values()), choices(group)
 
 
 def test_omnidirectional_data_is_unwrapped_by_default():

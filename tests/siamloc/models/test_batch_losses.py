@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.batch_losses import LOSSES, SoftContrastiveLoss, make_loss
+from siamloc.models.batch_losses import SoftContrastiveLoss, make_loss
 from siamloc.models.origins import Origins
+from siamloc.models.registry import LOSSES
 from tests.oracles import mined_losses
 from tests.oracles.soft_contrastive import soft_contrastive_loss
 

@@ -63,7 +63,7 @@ THESIS = {
 
 
 def test_heads_are_those_of_the_thesis_and_five_of_unit_length():
-    assert {name: widths for name, widths in HEADS.items() if len(widths) == 3} == THESIS
+    assert {name: head.widths for name, head in HEADS.items() if len(head.widths) == 3} == THESIS
     assert set(HEADS) - set(THESIS) == {"fc4096_4096", "flat", "gem", "bands", "fourier", "magnitudes"}
 
 

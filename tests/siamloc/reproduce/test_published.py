@@ -10,6 +10,7 @@ import yaml
 import siamloc.reproduce
 from analytic.distances import DISTANCES
 from siamloc.errors import ConfigError
+from siamloc.jobs.options import choices
 from siamloc.reproduce.published import Column, as_printed, measures, published, published_all
 
 ROOT = Path(__file__).parents[3]
@@ -79,8 +80,7 @@ def test_rooms_are_those_of_the_data_set():
 def test_names_are_those_of_the_configuration():
     settings = CONTENTS["settings"]
     for name in ("branch", "head", "descriptor"):
-        files = {path.stem for path in (ROOT / "conf" / settings[name]["key"]).glob("*.yaml")}
-        assert set(settings[name]["names"].values()) <= files
+        assert set(settings[name]["names"].values()) <= set(choices(settings[name]["key"]))
     assert set(settings["distance"]["names"].values()) <= set(DISTANCES)
 
 

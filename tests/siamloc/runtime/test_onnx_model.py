@@ -186,7 +186,7 @@ def test_other_files_are_refused(tmp_path):
             parity(build("simple1", "fc500_500_5", SIZE), tmp_path / name)
 
 
-OF_THE_THESIS = [name for name, widths in HEADS.items() if len(widths) == 3]
+OF_THE_THESIS = [name for name, head in HEADS.items() if len(head.widths) == 3]
 OURS = [name for name in HEADS if name not in (*OF_THE_THESIS, "fc4096_4096")]
 # Each branch with a head, each head with several branches; `benchmarks.parity` exports every combination.
 NETWORKS = [

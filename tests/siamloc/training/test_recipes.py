@@ -8,7 +8,8 @@ import siamloc
 from siamloc.cli.compose import composed, plain
 from siamloc.cli.objects import loss_of, network_of, training_of
 from siamloc.errors import ConfigError
-from siamloc.models.batch_losses import LOSSES, make_loss
+from siamloc.models.batch_losses import make_loss
+from siamloc.models.registry import LOSSES
 from siamloc.training import RECIPES, Training, recipe
 
 

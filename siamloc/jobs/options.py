@@ -1,0 +1,245 @@
+"""The options of each group, from the registries: an entry there for a loss, head, branch or descriptor is enough.
+
+Hydra gets them through its config store, next to the files in `conf/`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from siamloc.errors import ConfigError, hint
+from siamloc.settings import Settings, defaults_of
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of a group, such as vgg16 of model/branch.
+
+    Attributes:
+        values: the keys of the group with their defaults.
+        summary: what the option is, in one line.
+        chooses: options of other groups that it chooses, by group.
+    """
+
+    values: Mapping[str, Any]
+    summary: str
+    chooses: Mapping[str, str] | None = None
+
+    def node(self) -> dict[str, Any]:
+        """Return the option as Hydra reads it from a file."""
+        chosen = [{f"override /{group}": name} for group, name in (self.chooses or {}).items()]
+        return {"defaults": [*chosen, "_self_"], **self.values} if chosen else dict(self.values)
+
+
+Options = dict[str, dict[str, Option]]
+
+
+@lru_cache(maxsize=1)
+def options() -> Options:
+    """Return all options by group and name."""
+    from siamloc.data.panorama import HyperbolicMirror, PanoramaView, PolarRing
+    from siamloc.data.protocol import Protocol
+
+    view = {"top": PanoramaView.top, "bottom": PanoramaView.bottom}
+    unwrap: dict[str, Option] = {
+        "none": Option({"kind": "none"}, "The images are panoramas, or come from an ordinary camera: only resized."),
+        "polar": Option({"kind": "polar", **defaults_of(PolarRing)}, summary_of(PolarRing)),
+        "hyperbolic": Option(
+            {"kind": "hyperbolic", **defaults_of(HyperbolicMirror), **view}, summary_of(HyperbolicMirror)
+        ),
+    }
+    found: Options = {
+        "unwrap": unwrap,
+        "protocol": {"by_sequence": Option(defaults_of(Protocol), "Roles by the names of sequences, or patterns.")},
+        "settings": {f"data_{kind}": Option(values, "") for kind, values in _data()},
+        **_of_networks(),
+        **_of_training(),
+        **_of_maps(),
+    }
+    for name, group, option in _of_recipes():
+        found.setdefault(group, {})[name] = option
+    return found
+
+
+def summary_of(kind: type) -> str:
+    """Return the first line of a class's docstring."""
+    return (kind.__doc__ or "").strip().partition("\n")[0]
+
+
+def _data() -> Iterator[tuple[str, dict[str, Any]]]:
+    from siamloc.data.reading import DataSettings
+
+    every = defaults_of(DataSettings)
+    own = {"manifest": (), "cold": ("places", "camera"), "folder": ()}
+    shared = {key: value for key, value in every.items() if key not in ("manifest", "root", "places", "camera")}
+    for kind, keys in own.items():
+        yield kind, {**shared, **{key: every[key] for key in keys}}
+
+
+def _of_networks() -> Options:
+    from siamloc.models.registry import BRANCHES, HEADS
+
+    return {
+        "model/branch": {
+            name: Option({"name": name, "weights": None}, branch.summary) for name, branch in BRANCHES.items()
+        },
+        "model/head": {
+            name: Option({"name": name, **({"outputs": None} if len(head.widths) == 1 else {})}, head.summary)
+            for name, head in HEADS.items()
+        },
+    }
+
+
+def _of_training() -> Options:
+    from augment.registry import POLICIES
+    from siamloc.data.pairs import PairSettings
+    from siamloc.data.places import PlaceSettings
+    from siamloc.models.registry import LOSSES, OPTIMIZERS, Contrastive
+
+    losses: dict[str, type[Settings]] = {name: kind for name, (kind, _) in LOSSES.items()}
+    losses["contrastive"] = Contrastive
+    return {
+        "loss": {name: Option({"name": name, **defaults_of(kind)}, summary_of(kind)) for name, kind in losses.items()},
+        "optimizer": {name: Option(made.plain(), text) for name, (made, text) in OPTIMIZERS.items()},
+        "pairs": {
+            "default": Option(defaults_of(PairSettings), "Pairs, labelled by room, or by distance if all is one room."),
+            "in_batch": Option(defaults_of(PlaceSettings), "Batches of places: training uses all pairs in a batch."),
+        },
+        "augment": {
+            "none": Option({"name": "none"}, "No augmentation."),
+            **{
+                name: Option({"name": name, "rotate": None}, f"The policy {name} of `augment`, and more rotations.")
+                for name in POLICIES
+                if name != "none"
+            },
+        },
+    }
+
+
+def _of_maps() -> Options:
+    from analytic import DESCRIPTORS, descriptor
+    from analytic.descriptors.registry import parameters
+    from siamloc.jobs.tasks import TASKS
+    from siamloc.maps.grouping import WAYS
+    from siamloc.maps.heading import HEADINGS
+
+    # Whether columns wrap around follows from the data, and the device from `device`.
+    analytic = {
+        name: {key: value for key, value in parameters(name).items() if key not in ("circular", "device")}
+        for name in DESCRIPTORS
+    }
+    none = Option({"name": "none"}, "No headings, unless the descriptor estimates them itself.")
+    return {
+        "descriptor": {
+            "network": Option({"name": "network", "run": None}, "The trained network of a run."),
+            "untrained": Option({"name": "untrained"}, "The network of the run with its initial weights."),
+            "pretrained": Option({"name": "pretrained"}, "The network that ships with siamloc; needs no run."),
+            "thumbnail": Option(
+                {"name": "thumbnail", "rows": 8, "columns": 32}, "The grey image, averaged down to a few pixels."
+            ),
+            **{
+                name: Option({"name": name, **values}, summary_of(type(descriptor(name))))
+                for name, values in analytic.items()
+            },
+        },
+        "heading": {
+            "none": none,
+            **{
+                name: Option({"name": name, **analytic[name], **values}, f"Headings by {name} in place of a network's.")
+                for name, values in HEADINGS.items()
+            },
+        },
+        "build": {
+            "none": Option({"name": "none"}, "No nodes: the map has only its frames."),
+            **{name: Option({"name": name, **defaults_of(way)}, summary_of(way)) for name, way in WAYS.items()},
+        },
+        "task": {name: Option(defaults_of(kind), summary_of(kind)) for name, kind in TASKS.items()},
+    }
+
+
+_BY_GROUP = ("pairs", "optimizer", "loss", "augment")
+
+
+def _of_recipes() -> Iterator[tuple[str, str, Option]]:
+    """Yield the options that a recipe adds to the groups of its settings, and its experiment."""
+    from siamloc.data.places import PlaceSettings
+    from siamloc.models.registry import LOSSES, Optimizer
+    from siamloc.pretraining.settings import RECIPE
+    from siamloc.training.recipes import RECIPES
+
+    for name, recipe in {**RECIPES, "pretraining": RECIPE}.items():
+        training, loss, model = dict(recipe.training), dict(recipe.loss or {}), dict(recipe.model)
+        parts: dict[str, Mapping[str, Any]] = {
+            "pairs": {**defaults_of(PlaceSettings), **training.pop("pairs")},
+            "optimizer": {**defaults_of(Optimizer), **training.pop("optimizer")},
+            "loss": {**defaults_of(LOSSES[loss["name"]][0]), **loss},
+            "augment": recipe.augmentation,
+        }
+        for group, values in parts.items():
+            yield name, group, Option(values, f"That of the recipe {name}.")
+        chosen = {"model/branch": model.pop("branch"), "model/head": model.pop("head")}
+        weights = {"branch": {"weights": model.pop("weights")}} if "weights" in model else {}
+        rest = {"model": {**model, **weights}, "trainer": dict(recipe.trainer), **training}
+        size = {"image_size": list(recipe.image_size)}
+        if recipe is RECIPE:
+            yield name, "settings/recipe", Option({**rest, **size}, "")
+            continue
+        circular = {} if model.get("circular") else {"circular": False}
+        choices = {**dict.fromkeys(_BY_GROUP, name), **chosen}
+        yield name, "experiment", Option({**rest, "data": {**size, **circular}}, recipe.summary, choices)
+
+
+def config_folder() -> Path:
+    """Return the folder of the configuration files: inside the installed package, or next to it in a checkout.
+
+    Raises:
+        ConfigError: the folder is missing.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "conf", package.parent / "conf"):
+        if (folder / "protocol").is_dir():
+            return folder
+    raise ConfigError(f"the configuration files are missing from {package}: install siamloc again")
+
+
+def groups() -> list[str]:
+    """Return the names of all groups, such as "data" and "model/branch"."""
+    folders = {path.parent.relative_to(config_folder()).as_posix() for path in config_folder().rglob("*/*.yaml")}
+    return sorted({*folders, *(group for group in options() if not group.startswith("settings"))} - {"building"})
+
+
+def choices(group: str) -> dict[str, str]:
+    """Return the options of a group, from the registries and from files, with one line about each."""
+    found = {name: option.summary for name, option in options().get(group, {}).items()}
+    for path in (config_folder() / group).glob("*.yaml"):
+        lines = re.findall(r"^# ([^@ ].*)", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        found[path.stem] = f"{re.split(r'[.] (?=[A-Z])', ' '.join(lines))[0].rstrip('.')}."
+    return dict(sorted(found.items()))
+
+
+def values_of(group: str, name: str) -> dict[str, Any]:
+    """Return the values of an option, from its registry or from its file and the option that the file starts from.
+
+    Raises:
+        ConfigError: an unknown option.
+    """
+    if name in options().get(group, {}):
+        return dict(options()[group][name].values)
+    path = config_folder() / group / f"{name}.yaml"
+    if not path.is_file():
+        raise ConfigError(f"unknown {group} {name!r}: {hint(name, choices(group))}")
+    held = yaml.safe_load(path.read_text(encoding="utf-8"))
+    begun: dict[str, Any] = {}
+    for entry in held.pop("defaults", []):
+        if isinstance(entry, str):
+            begun |= values_of(group, entry) if entry != "_self_" else {}
+        elif node := entry.get("/settings@_here_"):
+            begun |= options()["settings"][node].values
+    return begun | held

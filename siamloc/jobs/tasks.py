@@ -1,0 +1,171 @@
+"""The tasks of `siamloc evaluate`: the settings of a call of `siamloc.evaluation`, and further keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from siamloc.errors import ConfigError, hint
+from siamloc.evaluation.compact_maps import Compact
+from siamloc.evaluation.disturbed import Robustness
+from siamloc.evaluation.hierarchy import CoarseRanking, Hierarchical
+from siamloc.evaluation.layers import MapMeasures
+from siamloc.evaluation.localize import Localization
+from siamloc.settings import Settings, Text, checked, fields_of
+
+Kind = TypeVar("Kind", bound=Settings)
+_COMPARED = ("thumbnail", "untrained")
+
+
+@dataclass(frozen=True)
+class LocalizationTask(Localization):
+    """Poses and rooms of the queries.
+
+    Attributes:
+        baselines: descriptors by name, to measure on the same frames.
+        plots: also draw pictures.
+    """
+
+    baselines: tuple[str, ...] = _COMPARED
+    plots: bool = True
+
+
+@dataclass(frozen=True)
+class AbsoluteTask(LocalizationTask):
+    """Poses of the queries alone."""
+
+    names: tuple[str, ...] = ("absolute",)  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class RoomTask(LocalizationTask):
+    """Rooms of the queries alone."""
+
+    names: tuple[str, ...] = ("room_retrieval",)  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class CoarseTask(CoarseRanking):
+    """How the nodes of task=hierarchical are made and ranked.
+
+    Attributes:
+        descriptor: builds and ranks the nodes: a descriptor's name or a run folder; the fine descriptor if None.
+    """
+
+    descriptor: str | None = None
+
+
+@dataclass(frozen=True)
+class HierarchicalTask(Hierarchical):
+    """Two layers: the nodes of build=... first, then the map frames inside the nearest ones.
+
+    Attributes:
+        plots: also draw pictures.
+    """
+
+    names: tuple[str, ...] = ("hierarchical",)
+    coarse: CoarseTask = field(default_factory=CoarseTask)
+    plots: bool = True
+
+
+@dataclass(frozen=True)
+class MappingTask(MapMeasures):
+    """The quality of a coarse layer: silhouettes, rooms, loop closures, time and bytes.
+
+    Attributes:
+        plots: also draw pictures.
+    """
+
+    names: tuple[str, ...] = ("mapping",)
+    plots: bool = True
+
+
+@dataclass(frozen=True)
+class CompactTask(Compact):
+    """Localization in maps of fewer and fewer nodes, next to plain sampling ([C] 5.2-5.4).
+
+    Attributes:
+        clusters: descriptor for grouping frames, by name; None for the one that locates.
+        plots: also draw pictures.
+    """
+
+    names: tuple[str, ...] = ("compact",)
+    clusters: str | None = None
+    plots: bool = True
+
+
+@dataclass(frozen=True)
+class RobustnessTask(Settings):
+    """How errors grow when the query images are disturbed; the map stays clean ([T] 3.4.2).
+
+    Attributes:
+        robustness: how the images are disturbed.
+        baselines: descriptors by name, to measure on the same frames.
+        plots: also draw pictures.
+    """
+
+    WHERE = "task"
+
+    names: tuple[str, ...] = ("robustness",)
+    robustness: Robustness = field(default_factory=Robustness)
+    baselines: tuple[str, ...] = _COMPARED
+    plots: bool = True
+
+
+@dataclass(frozen=True)
+class BuildingsTask(Settings):
+    """Which of several buildings a query is in ([C] 5.3.3, which uses distance=cosine).
+
+    Attributes:
+        maps: run folders with a map of one building each, or map files; if None, protocol.map split by building.
+        plots: also draw pictures.
+    """
+
+    WHERE = "task"
+
+    names: tuple[str, ...] = ("buildings",)
+    maps: tuple[Text, ...] | Text | None = None
+    plots: bool = True
+
+
+TASKS: dict[str, type[Settings]] = {
+    "localization": LocalizationTask,
+    "absolute": AbsoluteTask,
+    "room_retrieval": RoomTask,
+    "hierarchical": HierarchicalTask,
+    "mapping": MappingTask,
+    "compact": CompactTask,
+    "robustness": RobustnessTask,
+    "buildings": BuildingsTask,
+}
+"""The tasks by the names of task=NAME."""
+
+
+def task_of(values: Mapping[str, Any]) -> Settings:
+    """Read the settings of a task, whose class follows from its `names`.
+
+    Raises:
+        ConfigError: an unknown task or key, a value of the wrong type or out of range, or tasks that cannot be measured
+            together.
+    """
+    names = checked(values.get("names", LocalizationTask.names), tuple[str, ...], "task.names")
+    singles = [name for name in TASKS if name != "localization"]
+    for name in names:
+        if name not in singles:
+            raise ConfigError(f"unknown task {name!r}: {hint(str(name), singles)}")
+    if len(names) != 1 and set(names) != {"absolute", "room_retrieval"}:
+        raise ConfigError(f"task.names must be one of {', '.join(singles)}, or [absolute, room_retrieval], got {names}")
+    kind = LocalizationTask if len(names) > 1 else TASKS[names[0]]
+    if "lost_above" in values and "lost_above" not in fields_of(kind):
+        raise ConfigError(f"{names[0]} has its own settings: choose it with task={names[0]}")
+    return kind.of(values)
+
+
+def call_settings(task: Settings, kind: type[Kind]) -> Kind:
+    """Return the settings of a task that its call takes, without the keys that choose the call's arguments."""
+    values = task.plain()
+    known = fields_of(kind)
+    if "coarse" in known:
+        values["coarse"] = {key: values["coarse"][key] for key in fields_of(CoarseRanking)}
+    return kind.of({key: value for key, value in values.items() if key in known})
