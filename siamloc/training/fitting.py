@@ -44,7 +44,7 @@ from siamloc.training.checks import (
     monitored,
     usable,
 )
-from siamloc.training.compiled import compiled, compiles
+from siamloc.training.compiled import compiles
 from siamloc.training.debug import Debug, debug_training
 from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, ValidationDrive, rooms_of
@@ -61,7 +61,7 @@ from siamloc.training.run_folder import (
 from siamloc.training.seen_frames import note_frames
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import debug_trainer, fast_layout, on_gpu, on_host, quiet, run_trainer, steps_of
+from siamloc.training.trainer import computing, debug_trainer, on_gpu, on_host, quiet, run_trainer, steps_of
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
@@ -180,8 +180,7 @@ def fit(
     if debug is not None:
         check_batches(data, module.loss)
         _wake(network)
-        layout = fast_layout(network, used["trainer"]["precision"] == "auto")
-        with quiet(), layout, compiled(module, faster), interrupts_raised():
+        with quiet(), computing(module, settings, used["trainer"]["precision"], faster), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
             debug_training(debug, module, data, run, used, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
@@ -233,7 +232,6 @@ def learn(
     """
     network, first = module.network, process_rank() == 0
     faster = compiles(settings.compile, on_gpu(trainer))
-    layout = fast_layout(network, used["trainer"]["precision"] == "auto")
     last = run.checkpoints / "last.ckpt"
     with quiet(), alone(run.folder) if first else nullcontext():
         if first:
@@ -253,7 +251,7 @@ def learn(
             name = model.get("class") or f"{model['branch']} + {model['head']}"
             print(f"training {name} on {what}, epochs: {settings.epochs}, into {run.folder}", file=sys.stderr)
         start = last if resume and last.is_file() else None
-        with layout, compiled(module, faster):
+        with computing(module, settings, used["trainer"]["precision"], faster):
             _train(lightning, module, data, run, start)
     load(run, network=network)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -11,15 +12,17 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from torch import nn
 
 from augment.torchvision_compat import ensure_torchvision
+from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.files import content_key
+from siamloc.models.module import NetworkModule
 from siamloc.models.network import Network
 from siamloc.runs import Run
 from siamloc.training.batch_norm import OneBatch
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
+from siamloc.training.compiled import Wanted, compiled
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
@@ -34,6 +37,7 @@ TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_
 """Default arguments of `lightning.Trainer` in `fit`."""
 _LAUNCHED = {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID", "TORCHELASTIC_RUN_ID", "OMPI_COMM_WORLD_SIZE"}
 """Environment variables set by the launchers of several machines."""
+_NO_MEMORY = re.compile("out of memory|allocate memory|not enough memory|ALLOC_FAILED")  # of CUDA, CPUs, cuDNN
 OF_STEPS = ("accumulate_grad_batches", "limit_train_batches", "max_steps")
 
 
@@ -108,8 +112,11 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
     try:
         return Trainer(**options, **own)
     except Exception as error:  # Lightning and the device backends may raise anything
-        first_line = next(iter(str(error).strip().splitlines()), type(error).__name__)
-        raise ConfigError(f"the trainer cannot be set up with these trainer keys: {first_line}") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        sentence = f"the trainer cannot be set up with these trainer keys: {reason}"
+        if (wanted := options["accelerator"]) in ("gpu", "cuda") and not torch.cuda.is_available():
+            sentence = f"trainer.accelerator={wanted} needs a GPU, and torch finds none here: use auto or cpu"
+        raise ConfigError(sentence) from error
 
 
 def _check_processes(options: Mapping[str, Any]) -> None:
@@ -140,28 +147,42 @@ def on_gpu(options: Mapping[str, Any] | None) -> bool:
 
 
 def _fast_precision(gpu: bool) -> str:
-    """Return bfloat16 for most of the network if the device has instructions for it, else full precision."""
-    if gpu:
-        fast = torch.cuda.is_bf16_supported(including_emulation=False)
-    else:
-        fast = torch.cpu._is_amx_tile_supported()
+    """Return bfloat16 for most of the network if the device has instructions for it, else full precision.
+
+    CPUs have AVX512-BF16, and those with AMX have it as well.
+    """
+    fast = torch.cuda.is_bf16_supported(including_emulation=False) if gpu else torch.cpu._is_avx512_bf16_supported()
     return "bf16-mixed" if fast else "32-true"
 
 
 @contextmanager
-def fast_layout(network: nn.Module, wanted: bool) -> Iterator[None]:
-    """Store the channels of a pixel together, which makes convolutions faster, for a network of `build`.
+def computing(module: NetworkModule, settings: Training, precision: str, compile: Wanted) -> Iterator[None]:
+    """Compute the steps of a training, compiled if `compile` says so.
 
-    Custom modules stay as they are, since they may rely on their layout.
+    With precision "auto", a network of `build` stores the channels of a pixel together, which makes convolutions
+    faster. Custom modules stay as they are, since they may rely on their layout.
+
+    Raises:
+        ConfigError: the device or the machine has too little memory.
     """
-    if not (wanted and isinstance(network, Network)):
-        yield
-        return
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    if layout := precision == "auto" and isinstance(module.network, Network):
+        module.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     try:
-        yield
+        with compiled(module, compile):
+            yield
+    except (MemoryError, RuntimeError) as error:
+        if not (isinstance(error, MemoryError) or _NO_MEMORY.search(str(error))):
+            raise
+        places = isinstance(settings.pairs, PlaceSettings)
+        batch = "pairs.places and pairs.images" if places else f"batch_size={settings.batch_size}"
+        raise ConfigError(
+            f"there is too little memory for {batch}, trainer.precision={precision} and "
+            f"augment.where={settings.augment_where}: take smaller batches, trainer.precision=bf16-mixed, or "
+            "augment.where=cpu"
+        ) from error
     finally:
-        network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
+        if layout:
+            module.network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from siamloc.cli import main
 from tests.drawn import write_manifest
@@ -361,6 +362,11 @@ def test_resuming_takes_the_settings_over_and_refuses_others(train_words, tmp_pa
         (["loader.workers=-1"], "loader.workers must be a whole number from 0"),
         (["model.branch=alexnet"], "model/branch=NAME, with a slash"),
         (["trainer.accelerator=quantum"], "the trainer cannot be set up"),
+        pytest.param(
+            ["trainer.accelerator=gpu"],
+            "trainer.accelerator=gpu needs a GPU, and torch finds none here: use auto or cpu",
+            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="with a GPU"),
+        ),
         (["+trainer.max_epochs=2"], "trainer.max_epochs is set by siamloc itself"),
         (["photo.jpeg"], "'photo.jpeg' is not of the form key=value"),
         (["run=a (1)"], "in quotes"),
@@ -379,7 +385,8 @@ def test_wrong_values_are_one_line(train_words, words, says, tmp_path, capsys):
     [
         (["task.radii=3"], "task.radii must be a list"),
         (["task.radii=[abc]"], "task.radii must be a list"),
-        (["device=cpuu"], "device must be auto, cpu or cuda"),
+        (["device=foo"], "device must be auto, cpu or cuda, got 'foo'"),
+        (["device=cuda:97"], "torch cannot compute on device='cuda:97' here: use one of auto, cpu"),
         (["data=folder", "data.root=/nowhere"], "/nowhere"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,7 @@ from siamloc.models import ContrastiveLoss, MetricCalibratedLoss, SoftContrastiv
 from siamloc.models.places import PlaceModule
 from siamloc.models.siamese import SiameseModule
 from siamloc.training import batches, compiled
-from siamloc.training.trainer import _Seeds, on_gpu
+from siamloc.training.trainer import _Seeds, debug_trainer, on_gpu
 
 PAIRS = {"batch_size": 4, "monitor": "loss", "pairs": {"label": "room", "epoch_pairs": 10}}
 PLACES = {"pairs": {"places": 4, "images": 2, "radius": 1.0, "epoch_batches": 2}}
@@ -154,6 +155,64 @@ def test_what_a_gpu_is(monkeypatch):
     assert on_gpu(None)
     assert on_gpu({"accelerator": "gpu"})
     assert not on_gpu({"accelerator": "cpu"})
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_the_fastest_precision_of_a_cpu_follows_from_its_instructions(monkeypatch, fast):
+    trainer = {"accelerator": "cpu", "precision": "auto"}
+    processor = Path("/proc/cpuinfo")
+    if processor.is_file():
+        known = "avx512_bf16" in processor.read_text().split()
+        assert debug_trainer(trainer).precision == ("bf16-mixed" if known else "32-true")
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: fast)
+    assert debug_trainer(trainer).precision == ("bf16-mixed" if fast else "32-true")
+
+
+class Greedy(torch.nn.Module):
+    """A network whose training step asks for far more memory than any machine has."""
+
+    def __init__(self, error=None):
+        super().__init__()
+        self.layer, self.error = torch.nn.Linear(3, 4), error
+
+    def forward(self, images):
+        if self.training and self.error is None:
+            torch.empty(1 << 60, dtype=torch.uint8)
+        elif self.training:
+            raise self.error
+        return torch.nn.functional.normalize(self.layer(images.mean((2, 3))))
+
+
+LACKS = [
+    None,
+    MemoryError("Unable to allocate 3 TiB for an array"),
+    torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB. GPU 0 has a total capacity of 15.77 GiB"),
+    RuntimeError("CUDA error: CUBLAS_STATUS_ALLOC_FAILED when calling `cublasCreate(handle)`"),
+]
+
+
+@pytest.mark.parametrize("debug", [None, "one_batch"])
+@pytest.mark.parametrize("error", LACKS, ids=["here", "numpy", "gpu", "cublas"])
+def test_too_little_memory_is_one_sentence(images, drives, tmp_path, error, debug):
+    for settings, batch in ((PAIRS, "batch_size=4"), (PLACES, "pairs.places and pairs.images")):
+        says = f"^there is too little memory for {batch}, trainer.precision=32-true and augment.where=auto: take "
+        with pytest.raises(ConfigError, match=says):
+            siamloc.training.fit(Greedy(error), images, drives[0], run=tmp_path / "run", debug=debug, **settings)
+    assert not (tmp_path / "run").exists()
+
+
+def test_other_errors_of_a_step_stay_what_they_are(images, drives, tmp_path):
+    network = Greedy(RuntimeError("an illegal memory access was encountered"))
+    with pytest.raises(RuntimeError, match="an illegal memory access"):
+        siamloc.training.fit(network, images, drives[0], run=tmp_path / "run", **PAIRS)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="with a GPU")
+@pytest.mark.parametrize("name", ["gpu", "cuda"])
+def test_a_gpu_that_is_missing_is_one_sentence(fit, tmp_path, name):
+    with pytest.raises(ConfigError, match=f"^trainer.accelerator={name} needs a GPU, and torch finds none here: use a"):
+        fit("run", trainer={"accelerator": name}, **PAIRS)
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
