@@ -27,9 +27,9 @@ from siamloc.simulate.views import FIRST_SEED
 LEAST_FASTER = 3.0
 
 
-def quick(seed: int) -> tuple[int, float]:
+def quick(seed: int, wanted: ViewSettings | None = None) -> tuple[int, float]:
     """Return the number of images of a building, and the CPU seconds they took."""
-    wanted = ViewSettings()
+    wanted = wanted or ViewSettings()
     begin = time.process_time()
     views = draw_views(seed, RECIPE.image_size, wanted.drives, wanted.lights, wanted.poses, wanted.spacing)
     return len(views), time.process_time() - begin

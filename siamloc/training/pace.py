@@ -36,9 +36,9 @@ class Pace(Callback):
 
     def __init__(self) -> None:
         self._images, self._seconds, self._waited = 0, 0.0, 0.0
-        self._begun: _Mark = 0.0
-        self._ended: _Mark | None = None
-        self._steps: list[tuple[_Mark, _Mark, _Mark, int]] = []  # end of the step before, begin, end, images
+        self._begun: Mark = 0.0
+        self._ended: Mark | None = None
+        self._steps: list[tuple[Mark, Mark, Mark, int]] = []  # end of the step before, begin, end, images
 
     @property
     def images_per_second(self) -> float:
@@ -58,13 +58,13 @@ class Pace(Callback):
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         """Note when the batch has arrived."""
-        self._begun = _mark(pl_module)
+        self._begun = mark(pl_module)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Count the step."""
-        now = _mark(pl_module)
+        now = mark(pl_module)
         if self._ended is not None and batch_idx >= self._FIRST:
             self._steps.append((self._ended, self._begun, now, images_in(batch) * trainer.world_size))
         self._ended = now
@@ -76,16 +76,17 @@ class Pace(Callback):
     def _read(self) -> None:
         for before, begun, ended, images in self._steps:
             self._images += images
-            self._seconds += _between(before, ended)
-            self._waited += _between(before, begun)
+            self._seconds += seconds_between(before, ended)
+            self._waited += seconds_between(before, begun)
         self._steps.clear()
 
 
-_Mark = float | torch.cuda.Event
+Mark = float | torch.cuda.Event
+"""A moment: a time in seconds, or on a GPU a mark among its tasks."""
 
 
-def _mark(module: LightningModule) -> _Mark:
-    """Return the time; on a GPU, a mark after all its queued tasks."""
+def mark(module: LightningModule) -> Mark:
+    """Return the current moment; on a GPU, a mark after all its queued tasks."""
     if module.device.type != "cuda":
         return time.monotonic()
     event = torch.cuda.Event(enable_timing=True)
@@ -93,8 +94,8 @@ def _mark(module: LightningModule) -> _Mark:
     return event
 
 
-def _between(first: _Mark, second: _Mark) -> float:
-    """Return the seconds between two marks."""
+def seconds_between(first: Mark, second: Mark) -> float:
+    """Return the seconds between two moments; on a GPU this waits until the second one has passed."""
     if isinstance(first, float) or isinstance(second, float):
         assert isinstance(first, float)
         assert isinstance(second, float)
