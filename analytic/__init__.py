@@ -9,7 +9,6 @@ from analytic import clustering, measures
 from analytic.description import Alignment, Description, Match
 from analytic.descriptors.base import Descriptor, ImageDescriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
-from analytic.descriptors.thumbnail import Thumbnail
 from analytic.distances import DISTANCES, distance
 from analytic.errors import AnalyticError
 from analytic.mapper import Decision, IncrementalMapper, Reason
@@ -26,7 +25,6 @@ __all__ = [
     "IncrementalMapper",
     "Match",
     "Reason",
-    "Thumbnail",
     "clustering",
     "descriptor",
     "distance",

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import siamloc
-from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
+from analytic import DESCRIPTORS, Descriptor, descriptor
 from benchmarks.building import LIGHTINGS, MAP, QUERIES, Building, by_lighting
 from benchmarks.report import Report, medians, parser
 
@@ -30,7 +30,7 @@ MAPPING: dict[str, dict[str, Any]] = {
         "orientation_levels": 1,
     },
 }
-NAMES = (*DESCRIPTORS, *MAPPING, "thumbnail")
+NAMES = (*DESCRIPTORS, *MAPPING)
 
 
 def main() -> None:
@@ -52,8 +52,7 @@ def main() -> None:
 def named(name: str) -> Descriptor:
     """Return a descriptor by the name of its configuration."""
     options = dict(MAPPING.get(name, {"name": name}))
-    kind = options.pop("name")
-    return Thumbnail() if kind == "thumbnail" else descriptor(kind, **options)
+    return descriptor(**options)
 
 
 def row(name: str, building: Building) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import siamloc
-from analytic import AnalyticError, Thumbnail
+from analytic import AnalyticError
 from benchmarks.building import mean_and_range
 from benchmarks.report import Report, parser
 from siamloc.data import FrameTable, PanoramaLibrary
@@ -55,8 +55,8 @@ def main() -> None:
             for name, result in trained(frames, seed, Path(folder), options.ways):
                 rows.setdefault(name, []).append(figures(result))
                 print(f"seed {seed}: {name}: {rows[name][-1]}", flush=True)
-    for descriptor in (*ANALYTIC, Thumbnail()):
-        name = descriptor if isinstance(descriptor, str) else "thumbnail 8 x 32, correlation"
+    for descriptor in (*ANALYTIC, "thumbnail"):
+        name = "thumbnail 8 x 32, correlation" if descriptor == "thumbnail" else descriptor
         try:
             found = located(library(frames, (128, 160)), descriptor, filter=True, **BETWEEN)
         except AnalyticError as error:  # its settings are those for panoramas of 128 x 512

@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 import siamloc
-from analytic import Thumbnail, descriptor
+from analytic import descriptor
 from benchmarks.building import LIGHTINGS, by_lighting, mean_and_range
 from benchmarks.report import Report, hardware, parser
 from siamloc.data import FrameTable, PanoramaLibrary
@@ -65,7 +65,7 @@ def trained(frames: FrameTable, images: PanoramaLibrary, seed: int, folder: Path
     others = {
         "untrained": siamloc.models.as_descriptor(untrained),
         "hog": descriptor("hog"),
-        "thumbnail": Thumbnail(),
+        "thumbnail": descriptor("thumbnail"),
     }
     return siamloc.evaluation.localization(known, images, queries, radii=(0.5,), baselines=others, seed=seed)
 

@@ -5,12 +5,11 @@
 Panoramas of 128 x 512. The comparison is one query against 872 map frames, over all headings if the descriptor is
 aligned first: the cost of localizing an image in addition to describing it. The map is described and transformed once,
 in advance. scikit-image is left out if it is not installed; it gets one grey float image, and is timed in turn with
-ours in the same run. On a GPU (`--device cuda`) only batches are timed.
+ours in the same run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -49,23 +48,20 @@ def main() -> None:
     """Measure, print, compare with the targets, write."""
     arguments = parser(__doc__)
     arguments.add_argument("--repeats", type=int, default=30)
-    arguments.add_argument("--device", default="cpu")
     arguments.add_argument("--quick", action="store_true", help="few repeats and a small map, as a trial")
     options = arguments.parse_args()
     repeats = 3 if options.quick else options.repeats
-    report = Report("descriptors" if options.device == "cpu" else "descriptors_gpu", options.out, ("scikit-image",))
+    report = Report("descriptors", options.out, ("scikit-image",))
     rng = np.random.default_rng(0)
     images = smooth(rng, BATCH)
     rows = []
     for name, (kind, parameters, _) in SETTINGS.items():
-        descriptor = analytic.descriptor(kind, **parameters, device=options.device)
-        row = {"name": name, "parameters": parameters, **rates(descriptor, images, repeats, options.device)}
-        if options.device == "cpu":
-            row |= comparison(descriptor, images, 64 if options.quick else MAP, repeats)
+        descriptor = analytic.descriptor(kind, **parameters)
+        row = {"name": name, "parameters": parameters, **rates(descriptor, images, repeats)}
+        row |= comparison(descriptor, images, 64 if options.quick else MAP, repeats)
         rows.append(row)
         print(row, flush=True)
-    if options.device == "cpu":
-        targets(report, rows, beside_skimage(images[0], repeats))
+    targets(report, rows, beside_skimage(images[0], repeats))
     report.write({"rows": rows})
 
 
@@ -80,13 +76,15 @@ def smooth(rng: np.random.Generator, count: int) -> np.ndarray[Any, np.dtype[np.
     return np.clip(128 + 32 * total, 0, 255).astype(np.uint8)
 
 
-def rates(descriptor: analytic.ImageDescriptor, images: np.ndarray, repeats: int, device: str) -> dict[str, Any]:
+def rates(descriptor: analytic.ImageDescriptor, images: np.ndarray, repeats: int) -> dict[str, Any]:
     """Return milliseconds for an image alone and for one in a batch, and the sizes."""
     few = images[:ROW]  # one after the other, as a robot's images come
-    one_by_one, batch = timed(
-        lambda: [descriptor.describe(image) for image in few], lambda: descriptor.describe(images), repeats, device
-    )
-    single = one_by_one / len(few)
+    works = {
+        "one by one": lambda: [descriptor.describe(image) for image in few],
+        "batch": lambda: descriptor.describe(images),
+    }
+    found = medians(works, repeats)
+    single, batch = found["one by one"] / len(few), found["batch"]
     one = descriptor.describe(images[0])
     assert one.orientation is not None
     return {
@@ -121,19 +119,6 @@ def comparison(descriptor: analytic.ImageDescriptor, images: np.ndarray, size: i
 def fresh(query: analytic.Description) -> analytic.Description:
     """Return a query that has not been transformed yet."""
     return analytic.Description(query.position, query.orientation, query.identity)
-
-
-def timed(first: Callable[[], Any], second: Callable[[], Any], repeats: int, device: str) -> tuple[float, float]:
-    """Return the median seconds of two workloads timed in turn."""
-    if device != "cpu":
-        import torch
-
-        def wait(work: Callable[[], Any]) -> Callable[[], Any]:
-            return lambda: (work(), torch.cuda.synchronize())
-
-        first, second = wait(first), wait(second)
-    found = medians({"first": first, "second": second}, repeats)
-    return found["first"], found["second"]
 
 
 def beside_skimage(image: np.ndarray, repeats: int) -> dict[str, float]:

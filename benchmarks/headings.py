@@ -57,7 +57,7 @@ def main() -> None:
             rows["untrained"].append(row(building, RECIPE.build(seed=seed), None))
             rows["ours"].append(row(building, trained(building, seed, folder / f"ours{seed}"), None))
     for name, parameters in ANALYTIC.items():
-        rows[name] = [row(building, analytic.Thumbnail(), analytic.descriptor(name, **parameters))]
+        rows[name] = [row(building, analytic.descriptor("thumbnail"), analytic.descriptor(name, **parameters))]
     for every in EVERY:
         for light in LIGHTINGS:
             for figure in ("median", "p95"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from analytic.images import torch_is_there
 from siamloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,8 +19,6 @@ def chosen_device(device: str | torch.device) -> str:
     Raises:
         ConfigError: another name, or a device that this machine does not have.
     """
-    if device == "auto" and not torch_is_there():
-        return "cpu"
     import torch
 
     gpus = torch.cuda.device_count() if torch.cuda.is_available() else 0

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,23 +15,17 @@ from analytic.description import Alignment, Description, Match, check_alike, joi
 from analytic.distances import between_units
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
-from analytic.filters import homomorphic_array, homomorphic_tensor
-from analytic.images import grey_array, grey_tensor, image_tensor, torch_is_there, unit_array, unit_tensor
+from analytic.filters import filtered
+from analytic.images import luma, unit, with_channels
 from analytic.threads import each
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-_PIXELS = 1 << 18  # processed at once on one thread; with fewer, threads would wait for each other between calls
-_KINDS: dict[str, tuple[type, type, str]] = {
-    "bool": (bool, bool, "True or False"),
-    "int": (Integral, int, "a whole number"),
-    "float": (Real, float, "a number"),
-    "str": (str, str, "a string"),
+_KINDS: dict[type, str] = {
+    bool: "True or False",
+    int: f"a whole number from 1 to {(MOST := 16_384):,}",
+    float: "a number",
+    str: "a string",
 }
-MOST = 16_384  # limit for the rows or columns of an image, and so for anything counted in one
 _NUMBERS = 1 << 24  # limit for the description of one image
-Part = Any  # a tensor, or an array
 
 
 class Descriptor(ABC):
@@ -169,9 +162,6 @@ class ImageDescriptor(Descriptor):
     Args:
         circular: whether columns are azimuth and wrap around; those of an ordinary camera do not, and give no heading.
         homomorphic: whether images go through `analytic.filters.homomorphic` first ([C] 2.4).
-        device: the torch device, or "numpy" to compute with NumPy and OpenCV instead of torch, as on a robot; "cpu"
-            means the same where torch is not installed. It changes results only by rounding and is not part of the
-            identity.
 
     Example:
         >>> import analytic
@@ -184,24 +174,22 @@ class ImageDescriptor(Descriptor):
 
     circular: bool = True
     homomorphic: bool = False
-    device: str = "cpu"
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            kind, plain, wanted = _KINDS[str(field.type)]
-            value = getattr(self, field.name)
+            value: Any = getattr(self, field.name)
+            kind: type = type(field.default)
             value = value.item() if isinstance(value, np.generic) else value
-            if not isinstance(value, kind) or isinstance(value, bool) != (kind is bool):
-                raise AnalyticError(f"{self.name} needs {wanted} for {field.name}, got {value!r}")
-            if isinstance(value, int | float) and abs(value) > MOST:
-                raise AnalyticError(f"{self.name} needs {wanted} up to {MOST:,} for {field.name}, got {value!r}")
-            object.__setattr__(self, field.name, plain(value))
+            value = float(value) if kind is float and type(value) is int else value
+            if type(value) is not kind or (kind is int and not 1 <= value <= MOST):
+                raise AnalyticError(f"{self.name} needs {_KINDS[kind]} for {field.name}, got {value!r}")
+            object.__setattr__(self, field.name, value)
         self._check_parameters()
 
     @property
     def identity(self) -> dict[str, Any]:
         """Name and parameters."""
-        return {"name": self.name, **{f.name: getattr(self, f.name) for f in fields(self) if f.name != "device"}}
+        return {"name": self.name, **{f.name: getattr(self, f.name) for f in fields(self)}}
 
     @property
     def tells_heading(self) -> bool:
@@ -220,30 +208,23 @@ class ImageDescriptor(Descriptor):
         """Describe grey or colour images; colours are converted to BT.601 luma unless the descriptor uses them.
 
         Args:
-            batch: (B, H, W), (B, 3, H, W) or one image (H, W), (3, H, W); uint8, or floating point in [0, 1]. A
-                tensor may be on any device.
+            batch: (B, H, W), (B, 3, H, W) or one image (H, W), (3, H, W); uint8, or floating point in [0, 1].
 
         Raises:
             AnalyticError: a wrong shape or type, images of different sizes, values that are not finite or out of
                 range, or a size that the parameters do not fit.
         """
-        if self.device == "numpy" or (self.device == "cpu" and not torch_is_there()):
-            return self._described_plainly(unit_array(batch))
-        images = image_tensor(batch)
-        height, width = int(images.shape[2]), int(images.shape[3])
-        self._check_image(height, width)
-        # A few images at a time: they stay in the cache, and are enough work for a thread between two calls.
-        few = max(1, _PIXELS // (height * width)) if self.device == "cpu" else len(images)
-        parts = each(self._describe_part, images.split(few))
-        return Description(*joined(parts), self.identity)
-
-    def _described_plainly(self, images: NDArray[np.float32]) -> Description:
+        images = with_channels(batch)
         self._check_image(images.shape[2], images.shape[3])
-        parts = []
-        for row in range(len(images)):  # one at a time stays in the cache
-            position, orientation = self._describe_plainly(self._seen_plainly(images[row : row + 1]))
-            parts.append((np.ascontiguousarray(position), np.ascontiguousarray(orientation)))
-        return Description(*joined(parts), self.identity)
+        return Description(*joined(each(self._parts, np.split(images, len(images)))), self.identity)
+
+    def _parts(self, image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any] | None]:
+        """Return the position part (1, D) and the orientation part (1, K, F) of one image (1, C, H, W)."""
+        seen = unit(image)
+        seen = seen if self.colour else luma(seen)
+        seen = filtered(seen, circular=self.circular) if self.homomorphic else seen
+        position, orientation = self._describe(seen[0] if self.colour else seen[0, 0])
+        return position[None], None if orientation is None else np.ascontiguousarray(orientation)[None]
 
     def _check_image(self, height: int, width: int) -> None:
         if width < 2:
@@ -255,23 +236,6 @@ class ImageDescriptor(Descriptor):
                 f"{self.name} with these parameters describes an image by {numbers:,} numbers, more than {_NUMBERS:,}: "
                 "ask for fewer"
             )
-
-    def _describe_part(self, images: Tensor) -> tuple[NDArray[Any], NDArray[Any]]:
-        import torch
-
-        with torch.inference_mode():
-            position, orientation = self._describe(self._seen(unit_tensor(images, self.device)))
-            return _array(position), _array(orientation)
-
-    def _seen(self, images: Tensor) -> Tensor:
-        """Return the input of `_describe` for images (B, C, H, W), float32 in [0, 1]: their luma (B, H, W)."""
-        grey = grey_tensor(images)
-        return homomorphic_tensor(grey, circular=self.circular) if self.homomorphic else grey
-
-    def _seen_plainly(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what `_seen` returns, without torch."""
-        grey = grey_array(images)
-        return homomorphic_array(grey, circular=self.circular) if self.homomorphic else grey
 
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading and the aligned distance of every query to every reference; see `Descriptor`."""
@@ -286,25 +250,19 @@ class ImageDescriptor(Descriptor):
                 "there is no relative heading to be found"
             )
 
-    @abstractmethod
     def _check_parameters(self) -> None:
-        """Raise AnalyticError for parameters that fit no image."""
+        """Raise AnalyticError for parameters that fit no image, beyond what their types already exclude."""
 
     @abstractmethod
     def _check_size(self, height: int, width: int) -> None:
         """Raise AnalyticError, suggesting sizes that would fit, for images that the parameters do not fit."""
 
     @abstractmethod
-    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
-        """Return position (B, D) and orientation (B, K, F) for the output of `_seen`, float32 in [0, 1]."""
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any] | None]:
+        """Return the position part (D,) and the orientation part (K, F) of one image, float32 in [0, 1].
 
-    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return what `_describe` returns, without torch.
-
-        Raises:
-            AnalyticError: the descriptor has no implementation without torch.
+        The image is luma (H, W), or (C, H, W) with one or three channels for a descriptor that uses colours.
         """
-        raise AnalyticError(f"{self.name} computes with torch alone: use device='cpu' where torch is installed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -408,7 +366,3 @@ def divisors_near(number: int, wanted: int) -> str:
     below = [d for d in every if d <= wanted][-1:]
     above = [d for d in every if d > wanted][:1]
     return " or ".join(map(str, below + above))
-
-
-def _array(part: Part) -> NDArray[Any]:
-    return np.ascontiguousarray(part if isinstance(part, np.ndarray) else part.cpu().numpy())

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic.alignment import Turns
 from analytic.description import Description
-from analytic.descriptors.base import AlignedDescriptor, Part, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, divisors_near
 from analytic.errors import AnalyticError
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-_PIXELS = 1 << 18
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +42,7 @@ class BriefGist(AlignedDescriptor):
         columns: windows side by side, at least 2; divides the width ([T] table 3.1, w2).
 
     Raises:
-        AnalyticError: fewer than 1 x 2 windows.
+        AnalyticError: fewer than 2 columns.
 
     Example:
         >>> import analytic
@@ -75,8 +70,8 @@ class BriefGist(AlignedDescriptor):
         return (self.rows * self.columns,), (self.columns, self.rows)
 
     def _check_parameters(self) -> None:
-        if self.rows < 1 or self.columns < 2:
-            raise AnalyticError(f"briefgist needs at least 1 x 2 windows, got {self.rows} x {self.columns}")
+        if self.columns < 2:
+            raise AnalyticError(f"briefgist needs at least 2 columns of windows, got columns={self.columns}")
 
     def _check_size(self, height: int, width: int) -> None:
         for side, pixels, windows in (("rows", height, self.rows), ("columns", width, self.columns)):
@@ -86,29 +81,14 @@ class BriefGist(AlignedDescriptor):
                     f"{side} of pixels: use {divisors_near(pixels, windows)} for {side!r}, or resize the image"
                 )
 
-    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
-        import torch
-
-        count, height, width = grey.shape
-        windows = grey.reshape(count, self.rows, height // self.rows, self.columns, width // self.columns)
-        # A sum in float64 copies its input; with a few images at a time, the copy stays in the cache.
-        few = windows.split(max(1, _PIXELS // (height * width)))
-        sums = torch.cat([part.sum(dim=(2, 4), dtype=torch.float64) for part in few])
-        brighter = sums > sums.roll(1, dims=2)
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        height, width = image.shape
+        windows = image.reshape(self.rows, height // self.rows, self.columns, width // self.columns)
+        sums = windows.sum(axis=(1, 3), dtype=np.float64)
+        bits = (sums > np.roll(sums, 1, axis=1)).astype(np.float32)
         if not self.circular:
-            brighter[:, :, 0] = False
-        bits = brighter.to(torch.float32)
-        return bits.flatten(1), bits.transpose(1, 2)
-
-    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        count, height, width = grey.shape
-        windows = grey.reshape(count, self.rows, height // self.rows, self.columns, width // self.columns)
-        sums = windows.sum(axis=(2, 4), dtype=np.float64)
-        brighter = sums > np.roll(sums, 1, axis=2)
-        if not self.circular:
-            brighter[:, :, 0] = False
-        bits = brighter.astype(np.float32)
-        return bits.reshape(count, -1), bits.transpose(0, 2, 1)
+            bits[:, 0] = 0
+        return bits.reshape(-1), bits.T
 
     def _distance(self, name: str | None) -> str:
         return super()._distance("manhattan" if name == "hamming" else name)

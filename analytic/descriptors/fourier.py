@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from math import pi, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from analytic.alignment import heading as angle
 from analytic.description import Alignment, Description
 from analytic.descriptors.base import ImageDescriptor, divisors_near
 from analytic.errors import AnalyticError, hint
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 _HEADINGS = ("correlation", "phase_product")
 _NOTHING = 1e-6
@@ -69,7 +66,7 @@ class FourierSignature(ImageDescriptor):
     or high number of rows.
 
     Raises:
-        AnalyticError: numbers that are not positive, more frequencies than turns can resolve, an unknown `heading`.
+        AnalyticError: more frequencies than turns can resolve, an unknown `heading`.
 
     Example:
         >>> import analytic
@@ -157,9 +154,6 @@ class FourierSignature(ImageDescriptor):
         return step, distance
 
     def _check_parameters(self) -> None:
-        for key in ("rows", "columns", "orientation_rows", "orientation_columns", "turns"):
-            if getattr(self, key) < 1:
-                raise AnalyticError(f"fs needs {key} of at least 1, got {getattr(self, key)}")
         if 2 * (self.orientation_columns - 1) >= self.turns:
             raise AnalyticError(
                 f"fs with turns={self.turns} resolves at most {(self.turns + 1) // 2} frequencies, got "
@@ -188,45 +182,17 @@ class FourierSignature(ImageDescriptor):
                 f"pixels: use turns={width}, or resize the image"
             )
 
-    def _describe(self, grey: Tensor) -> tuple[Tensor, Tensor]:
-        import torch
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        position = np.abs(self._signature(image, self.rows)[:, : self.columns])
+        orientation = self._signature(image, self.orientation_rows)[:, : self.orientation_columns]
+        return position.reshape(-1).astype(np.float32), orientation.T.astype(np.complex64)
 
-        kept = _signature(grey, self.orientation_rows, self.circular)
-        if self.orientation_rows % self.rows:
-            few = _signature(grey, self.rows, self.circular)
-        else:  # the transform of a mean is the mean of transforms
-            few = kept.unflatten(1, (self.rows, -1)).mean(dim=2)
-        orientation = kept[..., : self.orientation_columns].transpose(1, 2)
-        return few[..., : self.columns].abs().flatten(1).to(torch.float32), orientation.to(torch.complex64)
-
-    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        kept = _plain_signature(grey, self.orientation_rows, self.circular)
-        if self.orientation_rows % self.rows:
-            few = _plain_signature(grey, self.rows, self.circular)
-        else:
-            few = kept.reshape(len(kept), self.rows, -1, kept.shape[2]).mean(axis=2)
-        orientation = kept[..., : self.orientation_columns].transpose(0, 2, 1)
-        position = np.abs(few[..., : self.columns]).reshape(len(few), -1)
-        return position.astype(np.float32), orientation.astype(np.complex64)
-
-
-def _plain_signature(grey: NDArray[np.float32], rows: int, wraps: bool) -> NDArray[np.complex128]:
-    """Return what `_signature` returns, without torch."""
-    few = grey.reshape(len(grey), rows, -1, grey.shape[2]).mean(axis=2, dtype=np.float64)
-    if not wraps:
-        few = np.concatenate([few, few[:, :, ::-1]], axis=2)
-    return np.fft.rfft(few, axis=2, norm="forward")
-
-
-def _signature(grey: Tensor, rows: int, wraps: bool) -> Tensor:
-    """Return the coefficients (B, rows, W // 2 + 1), complex128, of images (B, H, W)."""
-    import torch
-
-    # In double precision even a coefficient near zero keeps its magnitude when the robot turns.
-    few = grey.unflatten(1, (rows, -1)).mean(dim=2).to(torch.float64)
-    if not wraps:
-        few = torch.cat([few, few.flip(2)], dim=2)
-    return torch.fft.rfft(few, dim=2, norm="forward")
+    def _signature(self, image: NDArray[np.float32], rows: int) -> NDArray[np.complex128]:
+        """Return the coefficients (rows, W // 2 + 1) of an image (H, W) averaged down to some rows."""
+        # In double precision even a coefficient near zero keeps its magnitude when the robot turns.
+        few = image.reshape(rows, -1, image.shape[1]).mean(axis=1, dtype=np.float64)
+        few = few if self.circular else np.concatenate([few, few[:, ::-1]], axis=1)
+        return np.fft.rfft(few, axis=1, norm="forward")
 
 
 def _by_frequency(description: Description) -> NDArray[np.complex64]:

@@ -6,24 +6,19 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from math import ceil, cos, floor, pi, sin
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import ImageDescriptor, Part, check_cells
+from analytic.descriptors.base import ImageDescriptor, check_cells
 from analytic.errors import AnalyticError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 LEVELS = 2
 CENTRE = 0.25  # cycles per pixel of the level's image
 _FLOOR = 2.0**-9
 _FAINT = 1e-3
-_HELD = 1 << 18  # values of responses in memory at once
-_HELD_ELSEWHERE = 1 << 25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +75,7 @@ class Gist(ImageDescriptor):
     mapper has blocks=16 and orientations=16. The time grows with the number of different orientations.
 
     Raises:
-        AnalyticError: numbers that are not positive, more than 2 levels, or a single filter in normalized windows,
+        AnalyticError: more than 2 levels, or a single filter in normalized windows,
             which would leave nothing.
 
     Example:
@@ -114,9 +109,6 @@ class Gist(ImageDescriptor):
         return position, (width // self.step, self.orientation_levels * self.orientation_filters)
 
     def _check_parameters(self) -> None:
-        for key in ("blocks", "orientations", "window", "step", "orientation_filters"):
-            if getattr(self, key) < 1:
-                raise AnalyticError(f"gist needs {key} of at least 1, got {getattr(self, key)}")
         if self.orientation_levels not in (1, LEVELS):
             raise AnalyticError(f"gist has 1 or 2 levels in its orientation part, got {self.orientation_levels}")
         if self.normalized and self.orientation_filters == 1:
@@ -128,23 +120,10 @@ class Gist(ImageDescriptor):
     def _check_size(self, height: int, width: int) -> None:
         check_cells(self, height, width, rows="blocks")
 
-    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
-        import torch
-
-        size = periodic(grey[:1], self.circular).numel()
-        held = _HELD if grey.device.type == "cpu" else _HELD_ELSEWHERE
-        parts = [self._describe_few(images, max(1, held // size)) for images in grey.split(max(1, held // size))]
-        return torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
-
-    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        parts = [self._describe_one(image) for image in grey]
-        return np.stack([part[0] for part in parts]), np.stack([part[1] for part in parts])
-
-    def _describe_one(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return the parts of one image (H, W), without torch."""
-        height, width = grey.shape
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        height, width = image.shape
         chosen = choose(self.orientations, self.orientation_filters)
-        tall = np.concatenate([grey, grey[::-1]])
+        tall = np.concatenate([image, image[::-1]])
         picture = tall if self.circular else np.concatenate([tall, tall[:, ::-1]], axis=1)
         transformed = cv2.dft(picture, flags=cv2.DFT_COMPLEX_OUTPUT).view(np.complex64)[..., 0]
         # The inverse transform equals the forward one of the conjugate, up to scale and what a magnitude does not show.
@@ -152,7 +131,7 @@ class Gist(ImageDescriptor):
         rows = np.empty((LEVELS, len(chosen.angles), 2 * height), dtype=np.float32)
         columns: list[NDArray[np.float32]] = []
         for level in range(LEVELS):
-            values, corners = plain_bank(*picture.shape, CENTRE / 2**level, chosen.angles)
+            values, corners = bank(*picture.shape, CENTRE / 2**level, chosen.angles)
             down, right = values.shape[1:]
             product = np.zeros_like(spectrum)
             for a, (top, left) in enumerate(corners):
@@ -170,41 +149,12 @@ class Gist(ImageDescriptor):
         position = bands[:, chosen.position[0], chosen.position[1]].transpose(0, 2, 1)
         upright = np.stack(columns).reshape(self.orientation_levels, len(chosen.columns), 2, width) * scale
         means = upright[:, chosen.orientation[0], chosen.orientation[1]].reshape(-1, width)
-        orientation = (means @ plain_windows(width, self.window, self.step, self.circular)).T
+        orientation = (means @ windows(width, self.window, self.step, self.circular)).T
         if self.normalized:
             orientation = orientation - orientation.mean(axis=1, keepdims=True)
             squares = np.square(orientation).sum(axis=1, keepdims=True)
             orientation = orientation / np.sqrt(squares + np.float32(_FAINT**2))
         return position.reshape(-1).astype(np.float32), orientation.astype(np.float32)
-
-    def _describe_few(self, grey: Tensor, most: int) -> tuple[Tensor, Tensor]:
-        """Return the parts of a few images, with `most` of their responses in memory at once."""
-        import torch
-
-        count, height, width = grey.shape
-        chosen = choose(self.orientations, self.orientation_filters)
-        responses = Responses(periodic(grey, self.circular), min(max(1, most // count), len(chosen.angles)))
-        bands: list[Tensor] = []
-        columns: list[Tensor] = []
-        for level in range(LEVELS):
-            filters = bank(*responses.shape, CENTRE / 2**level, chosen.angles, str(grey.device))
-            for few in responses.chunks(len(chosen.angles)):
-                # Two halves of rows: those of the image, and those of its reflection.
-                halves = responses(filters, few)[..., :width].unflatten(2, (2, height))
-                bands.append(halves.mean(dim=-1))
-                if level < self.orientation_levels:
-                    columns.extend(halves[a - few.start].mean(dim=2) for a in chosen.columns if a in few)
-        rows = torch.cat(bands).unflatten(0, (LEVELS, -1))
-        rows = torch.stack([rows[:, :, :, 0], rows[:, :, :, 1].flip(-1)], dim=2).unflatten(-1, (self.blocks, -1))
-        position = rows.mean(dim=-1)[:, chosen.position[0], chosen.position[1]]
-        upright = torch.stack(columns).unflatten(0, (self.orientation_levels, -1))
-        means = upright.movedim(3, 2)[:, chosen.orientation[0], chosen.orientation[1]].flatten(0, 1)
-        means = means @ windows(width, self.window, self.step, self.circular, str(grey.device))
-        orientation = means.permute(1, 2, 0)
-        if self.normalized:
-            orientation = orientation - orientation.mean(dim=2, keepdim=True)
-            orientation = orientation / (orientation.square().sum(dim=2, keepdim=True) + _FAINT**2).sqrt()
-        return position.permute(2, 0, 3, 1).flatten(1), orientation
 
 
 class Chosen(NamedTuple):
@@ -246,32 +196,16 @@ def choose(orientations: int, orientation_filters: int) -> Chosen:
     )
 
 
-class Bank(NamedTuple):
-    """Transfer functions, cut out of the frequency plane around the centre of each.
-
-    Attributes:
-        values: (filters, rows, columns) float32.
-        corners: row and column of each cut-out in the plane with its zero in the middle, as fftshift returns it.
-    """
-
-    values: Tensor
-    corners: list[tuple[int, int]]
-
-
 @lru_cache(maxsize=8)
-def bank(height: int, width: int, frequency: float, angles: tuple[float, ...], device: str) -> Bank:
-    """Return the filters of some orientations in [0, pi / 2] for periodic images of one size."""
-    import torch
-
-    values, corners = plain_bank(height, width, frequency, angles)
-    return Bank(torch.from_numpy(values).to(device), corners)
-
-
-@lru_cache(maxsize=8)
-def plain_bank(
+def bank(
     height: int, width: int, frequency: float, angles: tuple[float, ...]
 ) -> tuple[NDArray[np.float32], list[tuple[int, int]]]:
-    """Return values and corners of a `Bank`, without torch."""
+    """Return the transfer functions of some orientations in [0, pi / 2], cut out around the centre of each.
+
+    Returns:
+        Their values (filters, rows, columns), and the row and column of each cut-out in the frequency plane of a
+        periodic image (height, width) with its zero in the middle, as fftshift returns it.
+    """
     sides = (height, width)
     cut = [min(side, floor(2 * frequency * side) + 1) for side in sides]
     values, corners = [], []
@@ -288,66 +222,10 @@ def plain_bank(
 
 
 @lru_cache(maxsize=8)
-def windows(width: int, window: int, step: int, circular: bool, device: str) -> Tensor:
+def windows(width: int, window: int, step: int, circular: bool) -> NDArray[np.float32]:
     """Return the matrix (W, W / step) that maps columns to the means of windows."""
-    import torch
-
-    return torch.from_numpy(plain_windows(width, window, step, circular)).to(device)
-
-
-@lru_cache(maxsize=8)
-def plain_windows(width: int, window: int, step: int, circular: bool) -> NDArray[np.float32]:
-    """Return what `windows` returns, without torch."""
     column, first = np.arange(width)[:, None], np.arange(0, width, step)[None]
     inside: NDArray[np.bool_] = (column - first) % width < window
     if not circular:
         inside &= column >= first
     return np.asarray(inside / inside.sum(axis=0), dtype=np.float32)
-
-
-def periodic(grey: Tensor, circular: bool) -> Tensor:
-    """Extend images (B, H, W) to one period (B, 2H, W), or (B, 2H, 2W) if they do not wrap around."""
-    import torch
-
-    tall = torch.cat([grey, grey.flip(1)], dim=1)
-    return tall if circular else torch.cat([tall, tall.flip(2)], dim=2)
-
-
-class Responses:
-    """Magnitudes of the responses of periodic images (B, rows, columns) to filters, some at a time.
-
-    They use memory allocated once: the response of one filter on one panorama stays in the cache.
-    """
-
-    def __init__(self, pictures: Tensor, most: int) -> None:
-        import torch
-
-        count, height, width = pictures.shape
-        self.shape = (int(height), int(width))
-        self.most = most
-        self.cut = (0, 0)
-        self.spectrum = torch.fft.fftshift(torch.fft.fft2(pictures), dim=(-2, -1))
-        self.product = self.spectrum.new_zeros((most, count, height, width))
-        self.magnitude = pictures.new_empty(self.product.shape)
-
-    def chunks(self, filters: int) -> list[range]:
-        """Return the ranges of filters that fit at a time."""
-        return [range(first, min(first + self.most, filters)) for first in range(0, filters, self.most)]
-
-    def __call__(self, filters: Bank, few: range) -> Tensor:
-        """Return the magnitudes (filters, B, rows, columns) for some filters of a bank, valid until the next call."""
-        import torch
-
-        product = self.product[: len(few)]
-        down, right = filters.values.shape[1:]
-        if self.cut != (down, right):
-            self.product.zero_()
-            self.cut = (down, right)
-        for place, a in enumerate(few):
-            top, left = filters.corners[a]
-            # The cut-out is put into the corner of the plane: moving frequencies does not change magnitudes.
-            seen = self.spectrum[:, top : top + down, left : left + right]
-            torch.mul(seen, filters.values[a], out=product[place, :, :down, :right])
-        parts = torch.view_as_real(torch.fft.ifft2(product))
-        parts.mul_(parts)
-        return torch.add(parts[..., 0], parts[..., 1], out=self.magnitude[: len(few)]).sqrt_()

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from math import pi
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,6 @@ from numpy.typing import NDArray
 from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
 from analytic.descriptors.base import ImageDescriptor, check_cells
-from analytic.errors import AnalyticError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +54,6 @@ class Hog(ImageDescriptor):
     The defaults are the best of [T] 3.5.1 for the position, and step and bins of [I] 6.1 for the heading; neither gives
     the width of its windows. The mapper of [I] 6.1 and [T] 4.5.1 has rows=16, bins=16, step=2, orientation_bins=16.
 
-    Raises:
-        AnalyticError: numbers that are not positive.
-
     Example:
         >>> import analytic
         >>> import numpy as np
@@ -90,146 +82,64 @@ class Hog(ImageDescriptor):
         """Return (k5 b1,) and (k6, b2), k6 = width / step."""
         return (self.rows * self.bins,), (width // self.step, self.orientation_bins)
 
-    def _check_parameters(self) -> None:
-        for key in ("rows", "bins", "window", "step", "orientation_bins"):
-            if getattr(self, key) < 1:
-                raise AnalyticError(f"hog needs {key} of at least 1, got {getattr(self, key)}")
-
     def _check_size(self, height: int, width: int) -> None:
         check_cells(self, height, width)
 
-    def _describe(self, grey: Tensor) -> tuple[Tensor, Tensor]:
-        height, width = int(grey.shape[1]), int(grey.shape[2])
-        across, down = differences(grey, self.circular)
-        magnitude = (across * across).addcmul_(down, down).sqrt_().flatten(1)
-        angle = down.atan2_(across)
-        band, column = cells(height, width, self.rows, self.bins, self.orientation_bins, str(grey.device))
-        place = direction(angle, self.bins).add_(band)
-        position = histograms(place, magnitude, self.rows, self.bins)
-        if self.bins == self.orientation_bins:
-            place.sub_(band).add_(column)
-        else:
-            place = direction(angle, self.orientation_bins).add_(column)
-        each = histograms(place, magnitude, width, self.orientation_bins)
-        return position.flatten(1), window_sums(each, self.window, self.step, self.circular)
-
-    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        height, width = grey.shape[1:]
-        wide = np.pad(grey, ((0, 0), (0, 0), (1, 1)), mode="wrap" if self.circular else "edge")
-        tall = np.pad(grey, ((0, 0), (1, 1), (0, 0)), mode="edge")
-        across, down = wide[:, :, 2:] - wide[:, :, :-2], tall[:, 2:] - tall[:, :-2]
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        height, width = image.shape
+        wide = np.pad(image, ((0, 0), (1, 1)), mode="wrap" if self.circular else "edge")
+        tall = np.pad(image, ((1, 1), (0, 0)), mode="edge")
+        across, down = wide[:, 2:] - wide[:, :-2], tall[2:] - tall[:-2]  # 2 Dx and 2 Dy
         magnitude, angle = np.sqrt(across * across + down * down), np.arctan2(down, across)
         band = np.arange(height)[:, None] // (height // self.rows)
-        place = _plain_direction(angle, self.bins)
-        position = plain_histograms(place, magnitude, band, self.rows, self.bins)
+        place = _direction(angle, self.bins)
+        position = _histograms(place, magnitude, band, self.rows, self.bins)
         if self.bins != self.orientation_bins:
-            place = _plain_direction(angle, self.orientation_bins)
-        each = plain_histograms(place, magnitude, np.arange(width)[None], width, self.orientation_bins)
-        return position.reshape(len(grey), -1), plain_window_sums(each, self.window, self.step, self.circular)
+            place = _direction(angle, self.orientation_bins)
+        columns = _histograms(place, magnitude, np.arange(width), width, self.orientation_bins)
+        return position.reshape(-1), window_sums(columns, self.window, self.step, self.circular)
 
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
         find = whitened_turns if self.whitened else super()._best_turns
         return find(queries, references, steps)
 
 
-def window_sums(columns: Tensor, window: int, step: int, circular: bool) -> Tensor:
-    """Return the sums (B, W / step, F) over windows of the values of columns (B, W, F).
+def window_sums(columns: NDArray[np.float32], window: int, step: int, circular: bool) -> NDArray[np.float32]:
+    """Return the sums (W / step, F) over windows of the values of columns (W, F).
 
     Example:
-        >>> import torch
-        >>> window_sums(torch.arange(4.0).reshape(1, 4, 1), window=2, step=1, circular=True).ravel()
-        tensor([1., 3., 5., 3.])
+        >>> window_sums(np.arange(4.0).reshape(4, 1), window=2, step=1, circular=True).ravel()
+        array([1., 3., 5., 3.], dtype=float32)
     """
-    import torch
-
-    width = columns.shape[1]
+    width = len(columns)
     # The running sum starts with a column of zeros, which counts in no window.
-    ends = columns[:, :window] if circular else torch.zeros_like(columns[:, :window])
-    total = torch.cat([torch.zeros_like(columns[:, :1]), columns, ends], dim=1).cumsum(dim=1, dtype=torch.float64)
-    return (total[:, window : window + width : step] - total[:, :width:step]).to(torch.float32)
+    ends = columns[:window] if circular else np.zeros_like(columns[:window])
+    total = np.concatenate([np.zeros_like(columns[:1]), columns, ends]).cumsum(axis=0, dtype=np.float64)
+    return (total[window : window + width : step] - total[:width:step]).astype(np.float32)
 
 
-def plain_window_sums(columns: NDArray[np.float32], window: int, step: int, circular: bool) -> NDArray[np.float32]:
-    """Return what `window_sums` returns, without torch."""
-    width = columns.shape[1]
-    ends = columns[:, :window] if circular else np.zeros_like(columns[:, :window])
-    total = np.concatenate([np.zeros_like(columns[:, :1]), columns, ends], axis=1).cumsum(axis=1, dtype=np.float64)
-    return (total[:, window : window + width : step] - total[:, :width:step]).astype(np.float32)
-
-
-def _plain_direction(angle: NDArray[np.float32], bins: int) -> NDArray[np.int64]:
-    """Return what `direction` returns, without torch."""
-    return (angle * np.float32(bins / (2 * pi)) + np.float32(bins // 2 + 0.5)).astype(np.int64)
-
-
-def plain_histograms(
-    place: NDArray[np.int64], magnitude: NDArray[np.float32], cell: NDArray[np.int64], cells: int, bins: int
-) -> NDArray[np.float32]:
-    """Return what `histograms` returns, without torch.
-
-    Args:
-        place: (B, H, W) place of the direction.
-        magnitude: (B, H, W).
-        cell: cell of each pixel, (H, 1) or (1, W).
-        cells: number of cells.
-        bins: number of bins.
-    """
-    image = np.arange(len(place))[:, None, None] * cells
-    index = (image + cell) * (bins + 1) + place
-    sums = np.bincount(index.ravel(), magnitude.ravel(), len(place) * cells * (bins + 1))
-    found = sums.reshape(len(place), cells, bins + 1) / 2
-    found[..., 0] += found[..., bins]
-    return np.roll(found[..., :bins], -(bins // 2), axis=-1).astype(np.float32)
-
-
-def differences(grey: Tensor, circular: bool) -> tuple[Tensor, Tensor]:
-    """Return 2 Dx and 2 Dy (B, H, W) of images (B, H, W)."""
-    import torch
-
-    across, down = torch.empty_like(grey), torch.empty_like(grey)
-    torch.sub(grey[:, :, 2:], grey[:, :, :-2], out=across[:, :, 1:-1])
-    torch.sub(grey[:, :, 1], grey[:, :, -1 if circular else 0], out=across[:, :, 0])
-    torch.sub(grey[:, :, 0 if circular else -1], grey[:, :, -2], out=across[:, :, -1])
-    last = grey.shape[1] - 1
-    torch.sub(grey[:, 2:], grey[:, :-2], out=down[:, 1:-1])
-    torch.sub(grey[:, min(1, last)], grey[:, 0], out=down[:, 0])
-    torch.sub(grey[:, last], grey[:, max(last - 1, 0)], out=down[:, last])
-    return across, down
-
-
-def direction(angle: Tensor, bins: int) -> Tensor:
-    """Return the places 0 ... bins of angles (B, H, W) in [-pi, pi]: place p is bin p - bins // 2.
+def _direction(angle: NDArray[np.float32], bins: int) -> NDArray[np.int64]:
+    """Return the places 0 ... bins of angles in [-pi, pi]: place p is bin p - bins // 2.
 
     The first place and the last are the same bin, which the angle -pi = pi cuts in two. Fractions are truncated, which
     rounds down since nothing is negative.
     """
-    import torch
-
-    return torch.mul(angle, bins / (2 * pi)).add_(bins // 2 + 0.5).to(torch.int64)
+    return (angle * np.float32(bins / (2 * pi)) + np.float32(bins // 2 + 0.5)).astype(np.int64)
 
 
-def histograms(place: Tensor, magnitude: Tensor, cells: int, bins: int) -> Tensor:
-    """Return half the sums of magnitudes by cell and bin, (B, cells, bins).
+def _histograms(
+    place: NDArray[np.int64], magnitude: NDArray[np.float32], cell: NDArray[np.int64], cells: int, bins: int
+) -> NDArray[np.float32]:
+    """Return half the sums of magnitudes by cell and bin (cells, bins).
 
     Args:
-        place: (B, H, W), cell * (bins + 1) + the place of the direction.
-        magnitude: (B, H * W) of the differences: twice that of the gradients.
+        place: (H, W) place of the direction.
+        magnitude: (H, W) of the differences: twice that of the gradients.
+        cell: cell of each pixel, (H, 1) or (W,).
         cells: number of cells.
         bins: number of bins.
     """
-    import torch
-
-    found = torch.zeros((len(place), cells * (bins + 1)), device=place.device)
-    found = found.scatter_add_(1, place.flatten(1), magnitude).unflatten(1, (cells, bins + 1))
-    folded = found[..., :bins] * 0.5
-    folded[..., 0] += found[..., bins] * 0.5
-    return folded.roll(-(bins // 2), dims=-1)
-
-
-@lru_cache(maxsize=8)
-def cells(height: int, width: int, rows: int, bins: int, orientation_bins: int, device: str) -> tuple[Tensor, Tensor]:
-    """Return where the histograms of each row's band (H, 1) and of each column (1, W) begin."""
-    import torch
-
-    band = torch.arange(height, device=device)[:, None] // (height // rows)
-    return band * (bins + 1), torch.arange(width, device=device)[None] * (orientation_bins + 1)
+    sums = np.bincount((cell * (bins + 1) + place).ravel(), magnitude.ravel(), cells * (bins + 1))
+    found = sums.reshape(cells, bins + 1) / 2
+    found[:, 0] += found[:, bins]
+    return np.roll(found[:, :bins], -(bins // 2), axis=1).astype(np.float32)

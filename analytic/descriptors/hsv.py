@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
-from analytic.descriptors.base import ImageDescriptor, Part, check_cells
-from analytic.descriptors.hog import plain_window_sums, window_sums
-from analytic.errors import AnalyticError
-from analytic.filters import homomorphic_colours, homomorphic_colours_array
-
-if TYPE_CHECKING:
-    from torch import Tensor
+from analytic.descriptors.base import ImageDescriptor, check_cells
+from analytic.descriptors.hog import window_sums
 
 _TIE = 1e-4  # of a bin; an 8-bit value is exactly on an edge, or further from it than this
 
@@ -59,9 +54,6 @@ class Hsv(ImageDescriptor):
         window: width of a vertical window in columns.
         step: columns between the windows; it divides the width of an image. It is the angular resolution.
 
-    Raises:
-        AnalyticError: numbers that are not positive.
-
     Example:
         >>> import numpy as np
         >>> red, blue = np.zeros((2, 3, 128, 512))
@@ -94,119 +86,53 @@ class Hsv(ImageDescriptor):
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
         return whitened_turns(queries, references, steps)
 
-    def _check_parameters(self) -> None:
-        for key in ("rows", "hues", "saturations", "values", "window", "step"):
-            if getattr(self, key) < 1:
-                raise AnalyticError(f"hsv needs {key} of at least 1, got {getattr(self, key)}")
-
     def _check_size(self, height: int, width: int) -> None:
         check_cells(self, height, width)
 
-    def _seen(self, images: Tensor) -> Tensor:
-        colours = images.expand(-1, 3, -1, -1)
-        return homomorphic_colours(colours, circular=self.circular) if self.homomorphic else colours
-
-    def _describe(self, colours: Tensor) -> tuple[Part, Part]:
-        import torch
-
-        height, width = int(colours.shape[2]), int(colours.shape[3])
-        hue, saturation, value = cone(colours)
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        height, width = image.shape[1:]
+        hue, saturation, value = cone(np.broadcast_to(image, (3, height, width)))
         colour = _bins(hue, self.hues) % self.hues
-        brightness = _bins(value, self.values).clamp_(max=self.values - 1)
-        both = colour * self.saturations + _bins(saturation, self.saturations).clamp_(max=self.saturations - 1)
-        row = torch.arange(height, device=colours.device)[:, None] // (height // self.rows)
-        column = torch.arange(width, device=colours.device)
-        one = torch.ones_like(value)
+        brightness = np.minimum(_bins(value, self.values), self.values - 1)
+        strength = np.minimum(_bins(saturation, self.saturations), self.saturations - 1)
+        both = colour * self.saturations + strength
+        row, column = np.arange(height)[:, None] // (height // self.rows), np.arange(width)
         of_band = height // self.rows * width
         shares = [
-            _sums(row, self.rows, both, self.hues * self.saturations, one) / of_band,
-            _sums(row, self.rows, brightness, self.values, one) / (4 * of_band),
+            _sums(row, self.rows, both, self.hues * self.saturations) / of_band,
+            _sums(row, self.rows, brightness, self.values) / (4 * of_band),
         ]
         columns = [
             _sums(column, width, colour, self.hues, saturation),
-            _sums(column, width, brightness, self.values, one),
+            _sums(column, width, brightness, self.values),
         ]
-        windows = window_sums(torch.cat(columns, dim=2), self.window, self.step, self.circular)
-        return torch.cat(shares, dim=2).sqrt().flatten(1), windows / (height * self.window)
-
-    def _seen_plainly(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
-        colours = np.broadcast_to(images, (len(images), 3, *images.shape[2:]))
-        return homomorphic_colours_array(colours, circular=self.circular) if self.homomorphic else colours
-
-    def _describe_plainly(self, colours: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        height, width = colours.shape[2:]
-        hue, saturation, value = _plain_cone(colours)
-        colour = _plain_bins(hue, self.hues) % self.hues
-        brightness = np.minimum(_plain_bins(value, self.values), self.values - 1)
-        strength = np.minimum(_plain_bins(saturation, self.saturations), self.saturations - 1)
-        both = colour * self.saturations + strength
-        row, column = np.arange(height)[:, None] // (height // self.rows), np.arange(width)[None]
-        of_band = height // self.rows * width
-        shares = [
-            _plain_sums(row, self.rows, both, self.hues * self.saturations) / of_band,
-            _plain_sums(row, self.rows, brightness, self.values) / (4 * of_band),
-        ]
-        columns = [
-            _plain_sums(column, width, colour, self.hues, saturation),
-            _plain_sums(column, width, brightness, self.values),
-        ]
-        windows = plain_window_sums(np.concatenate(columns, axis=2), self.window, self.step, self.circular)
-        position = np.sqrt(np.concatenate(shares, axis=2)).reshape(len(colours), -1)
-        return position, windows / np.float32(height * self.window)
+        windows = window_sums(np.concatenate(columns, axis=1), self.window, self.step, self.circular)
+        return np.sqrt(np.concatenate(shares, axis=1)).reshape(-1), windows / np.float32(height * self.window)
 
 
-def _plain_cone(
-    colours: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return what `cone` returns, without torch."""
-    red, green, blue = colours[:, 0], colours[:, 1], colours[:, 2]
-    value = colours.max(axis=1)
-    chroma = value - colours.min(axis=1)
+def cone(colours: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return hue in [-1/6, 5/6], saturation and value in [0, 1] of the colours of an image (3, H, W), (H, W) each.
+
+    Example:
+        >>> [float(part[0, 0]) for part in cone(np.array([0.25, 0.5, 0.25], dtype=np.float32).reshape(3, 1, 1))]
+        [0.3333333432674408, 0.5, 0.5]
+    """
+    red, green, blue = colours
+    value = colours.max(axis=0)
+    chroma = value - colours.min(axis=0)
     scale = chroma + (chroma == 0)
     hue = np.where(value == green, (blue - red) / scale + np.float32(2), (red - green) / scale + np.float32(4))
     hue = np.where(value == red, (green - blue) / scale, hue)
     return hue / np.float32(6), chroma / (value + (value == 0)), value
 
 
-def _plain_bins(share: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+def _bins(share: NDArray[np.float32], count: int) -> NDArray[np.int64]:
     return np.floor(share * np.float32(count) + np.float32(_TIE)).astype(np.int64)
 
 
-def _plain_sums(
+def _sums(
     cell: NDArray[np.int64], cells: int, place: NDArray[np.int64], bins: int, weight: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Return what `_sums` returns, without torch; no weight means 1."""
-    index = (np.arange(len(place))[:, None, None] * cells + cell) * bins + place
-    found = np.bincount(index.ravel(), None if weight is None else weight.ravel(), len(place) * cells * bins)
-    return found.reshape(len(place), cells, bins).astype(np.float32)
-
-
-def cone(colours: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return hue in [-1/6, 5/6], saturation and value in [0, 1] of colours (B, 3, H, W), (B, H, W) each.
-
-    Example:
-        >>> import torch
-        >>> [float(part) for part in cone(torch.tensor([0.25, 0.5, 0.25]).reshape(1, 3, 1, 1))]
-        [0.3333333432674408, 0.5, 0.5]
-    """
-    import torch
-
-    red, green, blue = colours.unbind(1)
-    value = colours.amax(dim=1)
-    chroma = value - colours.amin(dim=1)
-    scale = chroma + (chroma == 0)
-    hue = torch.where(value == green, (blue - red) / scale + 2, (red - green) / scale + 4)
-    hue = torch.where(value == red, (green - blue) / scale, hue)
-    return hue / 6, chroma / (value + (value == 0)), value
-
-
-def _bins(share: Tensor, count: int) -> Tensor:
-    import torch
-
-    return (share * count + _TIE).floor_().to(torch.int64)
-
-
-def _sums(cell: Tensor, cells: int, place: Tensor, bins: int, weight: Tensor) -> Tensor:
-    """Return the sums of weights (B, H, W) by cell and bin (B, cells, bins)."""
-    found = weight.new_zeros((len(weight), cells * bins))
-    return found.scatter_add_(1, (cell * bins + place).flatten(1), weight.flatten(1)).unflatten(1, (cells, bins))
+    """Return the sums of weights (H, W), or the numbers of pixels, by cell and bin (cells, bins)."""
+    found = np.bincount((cell * bins + place).ravel(), None if weight is None else weight.ravel(), cells * bins)
+    return found.reshape(cells, bins).astype(np.float32)

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import AlignedDescriptor, ImageDescriptor, Part, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, ImageDescriptor, divisors_near
 from analytic.descriptors.radon_transform import (
     check_geometry,
     check_image,
     harmonics,
     orientations,
-    plain_harmonics,
-    plain_orientations,
     steps,
 )
 from analytic.errors import AnalyticError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 _LEAST = 1e-9  # of the largest magnitude: a coefficient below it is rounding error and is not scaled to length 1
 
@@ -96,7 +91,7 @@ class RadonFourier(ImageDescriptor):
         check_geometry(self.name, self.step, self.size, self.source)
         for key in ("lines", "orientation_lines"):
             value = getattr(self, key)
-            if value < 1 or self.size // 2 % value:
+            if self.size // 2 % value:
                 raise AnalyticError(
                     f"radon_fourier's {key}={value} must divide the {self.size // 2} lines of size={self.size}: use "
                     f"{key}={divisors_near(self.size // 2, value)}"
@@ -105,33 +100,17 @@ class RadonFourier(ImageDescriptor):
     def _check_size(self, height: int, width: int) -> None:
         check_image(self.name, self.source, height, width)
 
-    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
-        import torch
-
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         count = steps(self.step)
-        kept = harmonics(grey, self.step, self.size, self.lines, self.source, self.circular)
-        magnitude = kept.abs().transpose(0, 1)
-        position = magnitude.new_zeros((len(grey), count, self.lines), dtype=torch.float32)
-        position[:, : len(kept)] = magnitude
-        position[:, count - len(kept) + 1 :] = magnitude[:, 1:].flip(1)
+        kept = harmonics(image, self.step, self.size, self.lines, self.source, self.circular)
+        magnitude = np.abs(kept)
+        position = np.zeros((count, self.lines), dtype=np.float32)
+        position[: len(kept)] = magnitude
+        position[count - len(kept) + 1 :] = magnitude[:0:-1]
         if self.orientation_lines != self.lines:
-            kept = harmonics(grey, self.step, self.size, self.orientation_lines, self.source, self.circular)
-        size = kept.abs()
-        phases = kept / _at_least(size, size.amax(dim=0, keepdim=True))
-        return position.flatten(1), orientations(phases, count).div_(count).to(torch.float32)
-
-    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        count = steps(self.step)
-        kept = plain_harmonics(grey, self.step, self.size, self.lines, self.source, self.circular)
-        magnitude = np.abs(kept).transpose(1, 0, 2)
-        position = np.zeros((len(grey), count, self.lines), dtype=np.float32)
-        position[:, : len(kept)] = magnitude
-        position[:, count - len(kept) + 1 :] = magnitude[:, :0:-1]
-        if self.orientation_lines != self.lines:
-            kept = plain_harmonics(grey, self.step, self.size, self.orientation_lines, self.source, self.circular)
-        size = np.abs(kept)
-        phases = kept / _plainly_at_least(size, size.max(axis=0, keepdims=True))
-        return position.reshape(len(grey), -1), (plain_orientations(phases, count) / count).astype(np.float32)
+            kept = harmonics(image, self.step, self.size, self.orientation_lines, self.source, self.circular)
+        phases = _phases(kept, axis=0)
+        return position.reshape(-1), (orientations(phases, count) / count).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,36 +181,16 @@ class RadonPoc(AlignedDescriptor):
     def _check_size(self, height: int, width: int) -> None:
         check_image(self.name, self.source, height, width)
 
-    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
-        import torch
-
-        kept = harmonics(grey, self.step, self.size, self.size // 2, self.source, self.circular)
-        crossed = torch.fft.fft(kept, dim=2)
-        size = crossed.abs()
-        phases = crossed / _at_least(size, size.amax(dim=(0, 2), keepdim=True))
-        matrix = orientations(torch.fft.ifft(phases, dim=2), steps(self.step))
-        length = matrix.flatten(1).norm(dim=1)[:, None, None]
-        matrix = (matrix / length.clamp_min_(torch.finfo(matrix.dtype).tiny)).to(torch.float32)
-        return matrix.flatten(1), matrix
-
-    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        kept = plain_harmonics(grey, self.step, self.size, self.size // 2, self.source, self.circular)
-        crossed = np.fft.fft(kept, axis=2)
-        size = np.abs(crossed)
-        phases = crossed / _plainly_at_least(size, size.max(axis=(0, 2), keepdims=True))
-        matrix = plain_orientations(np.fft.ifft(phases, axis=2), steps(self.step))
-        length = np.linalg.norm(matrix.reshape(len(matrix), -1), axis=1)[:, None, None]
-        matrix = (matrix / np.maximum(length, np.finfo(np.float64).tiny)).astype(np.float32)
-        return matrix.reshape(len(matrix), -1), matrix
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        kept = harmonics(image, self.step, self.size, self.size // 2, self.source, self.circular)
+        phases = _phases(np.fft.fft(kept, axis=1), axis=None)
+        matrix = orientations(np.fft.ifft(phases, axis=1), steps(self.step))
+        matrix = (matrix / max(np.linalg.norm(matrix), np.finfo(np.float64).tiny)).astype(np.float32)
+        return matrix.reshape(-1), matrix
 
 
-def _plainly_at_least(size: NDArray[np.float64], largest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what `_at_least` returns, without torch."""
-    return np.maximum(size, np.maximum(_LEAST * largest, np.finfo(np.float64).tiny))
-
-
-def _at_least(size: Tensor, largest: Tensor) -> Tensor:
-    """Return magnitudes that are safe to divide by: none is zero, or small compared with the largest."""
-    import torch
-
-    return size.maximum((_LEAST * largest).clamp_min_(torch.finfo(size.dtype).tiny))
+def _phases(values: NDArray[np.complex128], axis: int | None) -> NDArray[np.complex128]:
+    """Return values divided by their magnitudes, or by 1e-9 of the largest along an axis where they are smaller."""
+    size = np.abs(values)
+    least = np.maximum(_LEAST * size.max(axis=axis, keepdims=True), np.finfo(np.float64).tiny)
+    return np.asarray(values / np.maximum(size, least))

@@ -37,17 +37,13 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import ceil, pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.descriptors.base import divisors_near
 from analytic.errors import AnalyticError, hint
-from analytic.images import grey_array, grey_tensor, image_tensor, torch_is_there, unit_array, unit_tensor
-
-if TYPE_CHECKING:
-    from torch import Tensor
+from analytic.images import luma, unit, with_channels
 
 SOURCES = ("panorama", "omnidirectional")
 INNER = 0.2  # inner radius of a panorama's ring, as a share of the outer one
@@ -55,7 +51,7 @@ _SPACING = 0.5  # pixels between the points of a line
 
 
 def radon_transform(
-    batch: ArrayLike, *, step: float = 1.0, size: int = 256, source: str = "panorama", device: str = "cpu"
+    batch: ArrayLike, *, step: float = 1.0, size: int = 256, source: str = "panorama"
 ) -> NDArray[np.float32]:
     """Return the Radon transform r (B, 360 / step, size / 2) of grey or colour images; see the module.
 
@@ -64,7 +60,6 @@ def radon_transform(
         step: degrees between orientations, p1 of [T] table 3.1.
         size: side of the omnidirectional image in pixels, Nx.
         source: "panorama" or "omnidirectional".
-        device: the torch device, or "numpy"; see `ImageDescriptor`.
 
     Raises:
         AnalyticError: images that `describe` does not take, a step that does not divide 360, an odd size, images of
@@ -75,19 +70,10 @@ def radon_transform(
         array([26., 26., 28.], dtype=float32)
     """
     check_geometry("radon_transform", step, size, source)
-    if device == "numpy" or (device == "cpu" and not torch_is_there()):
-        pixels = grey_array(unit_array(batch))
-        check_image("radon_transform", source, pixels.shape[1], pixels.shape[2])
-        return plain_orientations(plain_harmonics(pixels, step, size, size // 2, source), steps(step)).astype(
-            np.float32
-        )
-    import torch
-
-    with torch.inference_mode():
-        grey = grey_tensor(unit_tensor(image_tensor(batch), device))
-        check_image("radon_transform", source, int(grey.shape[1]), int(grey.shape[2]))
-        found = harmonics(grey, step, size, size // 2, source)
-        return orientations(found, steps(step)).to(torch.float32).cpu().numpy()
+    grey = luma(unit(with_channels(batch)))[:, 0]
+    check_image("radon_transform", source, grey.shape[1], grey.shape[2])
+    found = [orientations(harmonics(image, step, size, size // 2, source), steps(step)) for image in grey]
+    return np.stack(found).astype(np.float32)
 
 
 def steps(step: float) -> int:
@@ -121,94 +107,52 @@ def check_image(name: str, source: str, height: int, width: int) -> None:
 
 
 def harmonics(
-    grey: Tensor, step: float, size: int, lines: int, source: str = "panorama", circular: bool = True
-) -> Tensor:
-    """Return the Fourier coefficients of the transform along its orientations (M + 1, B, lines), complex128.
+    image: NDArray[np.float32], step: float, size: int, lines: int, source: str = "panorama", circular: bool = True
+) -> NDArray[np.complex128]:
+    """Return the Fourier coefficients of the transform along its orientations (M + 1, lines).
 
     r[t] = sum over |m| <= M of c[m] exp(2 pi i m t / T), c[-m] being the conjugate of c[m].
 
     Args:
-        grey: (B, H, W).
+        image: (H, W).
         step: degrees between orientations.
         size: side of the disc in pixels.
         lines: number of lines kept; it divides size / 2. Each is the mean of size / 2 / lines neighbours.
         source: "panorama" or "omnidirectional".
         circular: whether the columns of a panorama wrap around.
     """
-    import torch
-
     if source == "omnidirectional":
-        polar, inner = _unwrapped(grey), 0.0
+        polar, inner = _unwrapped(image), 0.0
     else:
-        polar, inner = grey if circular else torch.cat([grey, grey.flip(2)], dim=2), INNER
-    height, width = int(polar.shape[1]), int(polar.shape[2])
-    # In double precision even a coefficient near zero keeps its magnitude and phase when the robot turns.
-    kernel, phase = _operator(height, width, size, lines, steps(step), inner, str(grey.device))
-    found = torch.fft.rfft(polar.to(torch.float64), dim=2)[:, :, : len(phase)] * phase
-    parts = torch.view_as_real(found.permute(2, 1, 0).contiguous()).flatten(2)  # (M + 1, H, 2 B)
-    summed = (kernel @ parts).unflatten(2, (-1, 2))
-    return torch.view_as_complex(summed.transpose(1, 2).contiguous())
-
-
-def orientations(found: Tensor, count: int) -> Tensor:
-    """Return the values (B, T, F), float64, that have the given coefficients (M + 1, B, F) along T orientations."""
-    import torch
-
-    return torch.fft.irfft(found.transpose(0, 1), n=count, dim=1, norm="forward")
-
-
-def plain_harmonics(
-    grey: NDArray[np.float32], step: float, size: int, lines: int, source: str = "panorama", circular: bool = True
-) -> NDArray[np.complex128]:
-    """Return what `harmonics` returns, without torch."""
-    if source == "omnidirectional":
-        polar, inner = _plainly_unwrapped(grey), 0.0
-    else:
-        whole = grey if circular else np.concatenate([grey, grey[:, :, ::-1]], axis=2)
+        whole = image if circular else np.concatenate([image, image[:, ::-1]], axis=1)
         polar, inner = whole.astype(np.float64), INNER
-    kernel, phase = _plain_operator(polar.shape[1], polar.shape[2], size, lines, steps(step), inner)
-    found = np.fft.rfft(polar, axis=2)[:, :, : len(phase)] * phase
-    parts = np.ascontiguousarray(found.transpose(2, 1, 0))  # (M + 1, H, B)
-    summed = kernel @ parts.view(np.float64)
-    return np.ascontiguousarray(summed).view(np.complex128).transpose(0, 2, 1)
+    # In double precision even a coefficient near zero keeps its magnitude and phase when the robot turns.
+    kernel, phase = _operator(*polar.shape, size, lines, steps(step), inner)
+    found = np.fft.rfft(polar, axis=1)[:, : len(phase)] * phase
+    parts = np.ascontiguousarray(found.T)[..., None].view(np.float64)  # (M + 1, H, 2)
+    return np.ascontiguousarray(kernel @ parts).view(np.complex128)[..., 0]
 
 
-def plain_orientations(found: NDArray[np.complex128], count: int) -> NDArray[np.float64]:
-    """Return what `orientations` returns, without torch."""
-    return np.fft.irfft(found.transpose(1, 0, 2), n=count, axis=1, norm="forward")
+def orientations(found: NDArray[np.complex128], count: int) -> NDArray[np.float64]:
+    """Return the values (T, F) that have the given coefficients (M + 1, F) along T orientations."""
+    return np.fft.irfft(found, n=count, axis=0, norm="forward")
 
 
-def _plainly_unwrapped(image: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return what `_unwrapped` returns, without torch: bilinear samples, repeating the border beyond it."""
-    side = image.shape[1]
-    place = np.clip(((_plain_grid(side) + 1) * side - 1) / 2, 0, side - 1)
+def _unwrapped(image: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the polar samples (H, W) of the inscribed disc of a square image (S, S), bilinear between pixels."""
+    side = len(image)
+    place = np.clip(((_grid(side) + 1) * side - 1) / 2, 0, side - 1)
     first = np.minimum(place.astype(np.int64), max(side - 2, 0))
     share = place - first
     (x, y), (right, down) = np.moveaxis(first, -1, 0), np.moveaxis(share, -1, 0)
     beside, below = np.minimum(x + 1, side - 1), np.minimum(y + 1, side - 1)
-    upper = image[:, y, x] * (1 - right) + image[:, y, beside] * right
-    lower = image[:, below, x] * (1 - right) + image[:, below, beside] * right
+    upper = image[y, x] * (1 - right) + image[y, beside] * right
+    lower = image[below, x] * (1 - right) + image[below, beside] * right
     return np.asarray(upper * (1 - down) + lower * down)
 
 
-def _unwrapped(image: Tensor) -> Tensor:
-    """Return the polar samples (B, H, W) of the inscribed discs of square images (B, S, S), float64."""
-    import torch
-
-    grid = _polar_grid(int(image.shape[1]), str(image.device)).expand(len(image), -1, -1, -1)
-    images = image[:, None].to(torch.float64)
-    found = torch.nn.functional.grid_sample(images, grid, "bilinear", padding_mode="border", align_corners=False)
-    return found[:, 0]
-
-
 @lru_cache(maxsize=8)
-def _polar_grid(side: int, device: str) -> Tensor:
-    import torch
-
-    return torch.from_numpy(_plain_grid(side))[None].to(device)
-
-
-def _plain_grid(side: int) -> NDArray[np.float64]:
+def _grid(side: int) -> NDArray[np.float64]:
     """Return where to sample (H, W, 2): to the right and down from the middle, 1 being half the image's side."""
     height, width = side // 2, 4 * ceil(pi * side / 4)
     radius = 1 - (np.arange(height) + 0.5) / height
@@ -218,16 +162,6 @@ def _plain_grid(side: int) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _operator(
-    height: int, width: int, size: int, lines: int, count: int, inner: float, device: str
-) -> tuple[Tensor, Tensor]:
-    import torch
-
-    kernel, phase = _plain_operator(height, width, size, lines, count, inner)
-    return torch.from_numpy(kernel).to(device), torch.from_numpy(phase).to(device)
-
-
-@lru_cache(maxsize=8)
-def _plain_operator(
     height: int, width: int, size: int, lines: int, count: int, inner: float
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Return the share of each row in each line by frequency (M + 1, lines, H), and the columns' phases (M + 1,).

@@ -18,6 +18,7 @@ DESCRIPTORS: dict[str, tuple[str, str]] = {
     "radon_fourier": ("radon", "RadonFourier"),
     "radon_poc": ("radon", "RadonPoc"),
     "hsv": ("hsv", "Hsv"),
+    "thumbnail": ("thumbnail", "Thumbnail"),
 }
 
 
@@ -56,7 +57,7 @@ def parameters(name: str) -> dict[str, Any]:
 
     Example:
         >>> parameters("briefgist")
-        {'circular': True, 'homomorphic': False, 'device': 'cpu', 'rows': 64, 'columns': 16}
+        {'circular': True, 'homomorphic': False, 'rows': 64, 'columns': 16}
     """
     return {field.name: field.default for field in fields(_class(name))}
 

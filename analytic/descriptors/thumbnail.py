@@ -2,61 +2,60 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
-from analytic.description import Description
-from analytic.descriptors.base import MOST, Descriptor
+from analytic.descriptors.base import ImageDescriptor
 from analytic.errors import AnalyticError
-from analytic.images import as_grey
 
 
-class Thumbnail(Descriptor):
+@dataclass(frozen=True, kw_only=True)
+class Thumbnail(ImageDescriptor):
     """The grey image, averaged down to a few pixels.
 
-    It has no position part in the strict sense: turning the robot shifts it. Tables list it to show the result
-    without any method.
+    Position (rows * columns,): value r * columns + c is the mean of the pixels that thumbnail pixel (r, c) covers. It
+    moves when the robot turns, so it is no position part in the strict sense: tables list the thumbnail to show the
+    result without any method. There is no orientation part, and no heading.
 
     Args:
-        rows: height of the thumbnail in pixels.
-        columns: width of the thumbnail in pixels.
-
-    Raises:
-        AnalyticError: sizes that are not positive, or larger than the image described.
+        rows: height of the thumbnail in pixels, at most that of an image.
+        columns: width of the thumbnail in pixels, at most that of an image.
 
     Example:
-        >>> Thumbnail(2, 4).describe(np.full((128, 512), 0.5)).position
+        >>> Thumbnail(rows=2, columns=4).describe(np.full((128, 512), 0.5)).position
         array([[0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5]], dtype=float32)
     """
 
     name = "thumbnail"
     default_distance = "correlation"
 
-    def __init__(self, rows: int = 8, columns: int = 32) -> None:
-        whole = all(isinstance(size, int | np.integer) and not isinstance(size, bool) for size in (rows, columns))
-        if not whole or not (1 <= rows <= MOST and 1 <= columns <= MOST):
-            raise AnalyticError(
-                f"rows and columns of a thumbnail must be whole numbers from 1 to {MOST:,}, got {rows} x {columns}"
-            )
-        self.rows = int(rows)
-        self.columns = int(columns)
+    rows: int = 8
+    columns: int = 32
 
     @property
-    def identity(self) -> dict[str, Any]:
-        """Name and parameters."""
-        return {"name": self.name, "rows": self.rows, "columns": self.columns}
+    def tells_heading(self) -> bool:
+        """False: a thumbnail gives no heading."""
+        return False
 
-    def describe(self, batch: ArrayLike) -> Description:
-        """Describe images; position (B, rows * columns), values in [0, 1]."""
-        grey = as_grey(batch)
-        if grey.shape[1] < self.rows or grey.shape[2] < self.columns:
+    def resolution(self, width: int) -> float:
+        """Return infinity: no turn is visible."""
+        return inf
+
+    def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return (rows, columns) and (0,)."""
+        return (self.rows, self.columns), (0,)
+
+    def _check_size(self, height: int, width: int) -> None:
+        if height < self.rows or width < self.columns:
             raise AnalyticError(
-                f"the image has {grey.shape[1]} x {grey.shape[2]} pixels, fewer than the thumbnail's "
-                f"{self.rows} x {self.columns}: ask for a smaller thumbnail"
+                f"the image has {height} x {width} pixels, fewer than the thumbnail's {self.rows} x {self.columns}: "
+                "ask for a smaller thumbnail"
             )
-        size = (self.columns, self.rows)
-        small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA).ravel() for image in grey]
-        return Description(position=np.stack(small).astype(np.float32))
+
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], None]:
+        return cv2.resize(image, (self.columns, self.rows), interpolation=cv2.INTER_AREA).ravel(), None

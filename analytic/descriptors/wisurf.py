@@ -5,23 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import pi
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import AlignedDescriptor, Part, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, divisors_near
 from analytic.errors import AnalyticError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 CELLS = 4  # subregions along each side of a window
 VALUES = 4 * CELLS * CELLS
 _SIGMA = 3.3 / 20  # SURF's Gaussian, in sides of its window
 _LEAST = 1e-6  # the vector of a window with less contrast than this stays shorter than 1
-_PIXELS = {"cpu": 1 << 18}  # processed at once: those that stay in the cache
-_PIXELS_ELSEWHERE = 1 << 23
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +63,7 @@ class WiSurf(AlignedDescriptor):
     The defaults are the best of [T] 3.5.1, which recommends 128 windows or more; size and time grow with their number.
 
     Raises:
-        AnalyticError: fewer than 1 x 2 windows.
+        AnalyticError: fewer than 2 windows.
 
     Example:
         >>> import analytic
@@ -95,8 +90,8 @@ class WiSurf(AlignedDescriptor):
         return (self.rows * self.windows * VALUES,), (self.windows, self.rows * VALUES)
 
     def _check_parameters(self) -> None:
-        if self.rows < 1 or self.windows < 2:
-            raise AnalyticError(f"wisurf needs at least 1 band of 2 windows, got {self.rows} of {self.windows}")
+        if self.windows < 2:
+            raise AnalyticError(f"wisurf needs at least 2 windows per band, got windows={self.windows}")
 
     def _check_size(self, height: int, width: int) -> None:
         if height % (CELLS * self.rows):
@@ -116,122 +111,58 @@ class WiSurf(AlignedDescriptor):
                 "columns: use more rows, or resize the image"
             )
 
-    def _describe(self, grey: Tensor) -> tuple[Part, Part]:
-        count, height, width = grey.shape
-        values = grey.new_empty((count, self.windows, self.rows * VALUES))
-        some = max(1, _PIXELS.get(grey.device.type, _PIXELS_ELSEWHERE) // (height * width))
-        for start in range(0, count, some):
-            values[start : start + some] = self._vectors(grey[start : start + some])
-        return values.flatten(1), values
-
-    def _vectors(self, grey: Tensor) -> Tensor:
-        """Return the vectors (B, windows, rows * 64) of images (B, H, W)."""
-        import torch
-
-        count, height, width = grey.shape
-        side, step = height // self.rows, width // self.windows
-        cut = _cut(side, str(grey.device))
-        dx, dy = wavelets(grey, max(1, int(side / 20 + 0.5)), self.circular)
-        answers = [answer.unflatten(1, (self.rows, side)) for answer in (dx, dy, dx.abs(), dy.abs())]
-        strips = torch.stack([cut @ answer for answer in answers], dim=1)  # (B, 4, rows, CELLS, W)
-        columns = strips.flatten(1, 3).transpose(1, 2)
-        wide = columns.new_zeros((count, width + side - 1, columns.shape[2]))
-        wide[:, :width] = columns
-        if self.circular:
-            wide[:, width:] = wide[:, : side - 1]
-        windows = wide.unfold(1, side, step)  # (B, windows, 4 * rows * CELLS, h), each pixel still stored once
-        sums = (cut @ windows.transpose(2, 3)).reshape(count, self.windows, CELLS, 4, self.rows, CELLS)
-        vectors = sums.permute(0, 1, 4, 5, 2, 3).reshape(count, self.windows, self.rows, VALUES)
-        return vectors.div_(vectors.norm(dim=-1, keepdim=True).clamp_min_(_LEAST)).flatten(2)
-
-    def _describe_plainly(self, grey: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
-        count, height, width = grey.shape
-        side, step = height // self.rows, width // self.windows
-        cut = _weights(side)
-        dx, dy = _plain_wavelets(grey, max(1, int(side / 20 + 0.5)), self.circular)
-        answers = np.stack([dx, dy, np.abs(dx), np.abs(dy)], axis=1)
-        strips = cut @ answers.reshape(count, 4, self.rows, side, width)  # (B, 4, rows, CELLS, W)
-        columns = strips.reshape(count, 4 * self.rows * CELLS, width)
-        wide = np.pad(columns, ((0, 0), (0, 0), (0, side - 1)), mode="wrap" if self.circular else "constant")
-        windows = np.lib.stride_tricks.sliding_window_view(wide, side, axis=2)[:, :, ::step]
-        sums = windows @ cut.T  # (B, 4 rows CELLS, windows, CELLS)
-        parts = sums.reshape(count, 4, self.rows, CELLS, self.windows, CELLS)
-        vectors = parts.transpose(0, 4, 2, 3, 5, 1).reshape(count, self.windows, self.rows, VALUES)
-        vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), np.float32(_LEAST))
-        values = np.ascontiguousarray(vectors.reshape(count, self.windows, self.rows * VALUES), dtype=np.float32)
-        return values.reshape(count, -1), values
+    def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
+        height, width = image.shape
+        side, step, part = height // self.rows, width // self.windows, height // self.rows // CELLS
+        weight = _weights(side)
+        dx, dy = wavelets(image, max(1, int(side / 20 + 0.5)), self.circular)
+        answers = np.stack([dx, dy, np.abs(dx), np.abs(dy)], axis=1)  # (H, 4, W)
+        weighted = answers.reshape(self.rows, side, 4, width) * weight[:, None, None]
+        strips = weighted.reshape(self.rows * CELLS, part, 4, width).sum(axis=1)
+        wide = np.pad(strips, ((0, 0), (0, 0), (0, side - 1)), mode="wrap" if self.circular else "constant")
+        sums = np.zeros((CELLS, self.rows * CELLS, 4, self.windows), dtype=np.float32)
+        for x in range(side):
+            sums[x // part] += weight[x] * wide[..., x : x + width : step]
+        vectors = sums.transpose(3, 1, 0, 2).reshape(self.windows, self.rows, VALUES)
+        vectors /= np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), np.float32(_LEAST))
+        return vectors.reshape(-1), vectors.reshape(self.windows, -1)
 
 
-def _plain_wavelets(
-    grey: NDArray[np.float32], reach: int, circular: bool
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return what `wavelets` returns, without torch."""
-    a, b = reach, 2 * reach + 1
-    height, width = grey.shape[1:]
-    wide = np.pad(grey, ((0, 0), (0, 0), (a, a)), mode="wrap" if circular else "edge")
-    tall = np.pad(wide, ((0, 0), (a, a), (0, 0)), mode="edge")
-    halves = _plain_runs(tall, a, 2)
-    dx = _plain_runs(halves[:, :, a + 1 :] - halves[:, :, :width], b, 1)
-    halves = _plain_runs(tall, a, 1)
-    dy = _plain_runs(halves[:, a + 1 :] - halves[:, :height], b, 2)
-    return dx * np.float32(1 / (a * b)), dy * np.float32(1 / (a * b))
-
-
-def _plain_runs(values: NDArray[np.float32], length: int, axis: int) -> NDArray[np.float32]:
-    """Return what `_runs` returns, without torch."""
-    total = np.cumsum(values, axis=axis, dtype=np.float64)
-    total = np.concatenate([np.zeros_like(total.take([0], axis=axis)), total], axis=axis)
-    return np.asarray(
-        np.take(total, range(length, total.shape[axis]), axis=axis)
-        - np.take(total, range(total.shape[axis] - length), axis=axis),
-        dtype=np.float32,
-    )
-
-
-def wavelets(grey: Tensor, reach: int, circular: bool) -> tuple[Tensor, Tensor]:
-    """Return the Haar responses dx and dy (B, H, W) of images (B, H, W); see `WiSurf`.
+def wavelets(image: NDArray[np.float32], reach: int, circular: bool) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the Haar responses dx and dy (H, W) of an image (H, W); see `WiSurf`.
 
     Args:
-        grey: images.
+        image: grey values.
         reach: a, how far a box reaches from the middle in pixels.
         circular: whether columns wrap around.
     """
-    import torch
-
     a, b = reach, 2 * reach + 1
-    height, width = int(grey.shape[1]), int(grey.shape[2])
-    if circular:
-        left, right = grey[:, :, -a:], grey[:, :, :a]
-    else:
-        left, right = grey[:, :, :1].expand(-1, -1, a), grey[:, :, -1:].expand(-1, -1, a)
-    wide = torch.cat([left, grey, right], dim=2)
-    tall = torch.cat([wide[:, :1].expand(-1, a, -1), wide, wide[:, -1:].expand(-1, a, -1)], dim=1)
-    halves = _runs(tall, a, 2)
-    dx = _runs(halves[:, :, a + 1 :] - halves[:, :, :width], b, 1)
+    height, width = image.shape
+    wide = np.pad(image, ((0, 0), (a, a)), mode="wrap" if circular else "edge")
+    tall = np.pad(wide, ((a, a), (0, 0)), mode="edge")
     halves = _runs(tall, a, 1)
-    dy = _runs(halves[:, a + 1 :] - halves[:, :height], b, 2)
-    return dx.mul_(1 / (a * b)), dy.mul_(1 / (a * b))
+    dx = _runs(halves[:, a + 1 :] - halves[:, :width], b, 0)
+    halves = _runs(tall, a, 0)
+    dy = _runs(halves[a + 1 :] - halves[:height], b, 1)
+    return dx * np.float32(1 / (a * b)), dy * np.float32(1 / (a * b))
 
 
-def _runs(values: Tensor, length: int, dim: int) -> Tensor:
+def _runs(values: NDArray[np.float32], length: int, axis: int) -> NDArray[np.float32]:
     """Return the sums of every `length` neighbours along an axis, which becomes shorter by length - 1.
 
     Sums of 2, 4, 8 ... neighbours are combined, so that the work grows with the logarithm of the length.
     """
-    size = values.shape[dim] - length + 1
-    total, start, power = None, 0, 1
+    values = values.swapaxes(0, axis)
+    size = len(values) - length + 1
+    total, start, power = np.zeros_like(values[:size]), 0, 1
     while length:
         if length & 1:
-            part = values.narrow(dim, start, size)
-            total = part if total is None else total + part
+            total += values[start : start + size]
             start += power
         length >>= 1
-        if length:
-            short = values.shape[dim] - power
-            values = values.narrow(dim, 0, short) + values.narrow(dim, power, short)
-            power *= 2
-    assert total is not None
-    return total
+        values = values[:-power] + values[power:] if length else values
+        power *= 2
+    return total.swapaxes(0, axis)
 
 
 def _heights(height: int, rows: int) -> str:
@@ -246,15 +177,6 @@ def _heights(height: int, rows: int) -> str:
 
 @lru_cache(maxsize=8)
 def _weights(side: int) -> NDArray[np.float32]:
-    """Return the Gaussian weights of a window's pixels along one side, row u being those of subregion u (4, h)."""
-    place = np.arange(side)
-    weight = np.exp(-((place - (side - 1) / 2) ** 2) / (2 * (_SIGMA * side) ** 2))
-    mine = place[None] // (side // CELLS) == np.arange(CELLS)[:, None]
-    return (weight / weight.sum() * mine).astype(np.float32)
-
-
-@lru_cache(maxsize=8)
-def _cut(side: int, device: str) -> Tensor:
-    import torch
-
-    return torch.from_numpy(_weights(side)).to(device)
+    """Return the Gaussian weights (h,) of a window's pixels along one side."""
+    weight = np.exp(-((np.arange(side) - (side - 1) / 2) ** 2) / (2 * (_SIGMA * side) ** 2))
+    return (weight / weight.sum()).astype(np.float32)

@@ -155,7 +155,7 @@ def _trainer(config: DictConfig, values: Mapping[str, Any]) -> None:
 
 
 def _descriptor(config: DictConfig, values: Mapping[str, Any]) -> None:
-    from analytic import DESCRIPTORS, Thumbnail
+    from analytic import DESCRIPTORS
 
     options = dict(values)
     name = checked(options.pop("name", None), Text, "descriptor.name")
@@ -163,22 +163,19 @@ def _descriptor(config: DictConfig, values: Mapping[str, Any]) -> None:
     if name in ("network", "untrained", "pretrained"):
         _known(options, ["run"] if name == "network" else [], "descriptor")
         checked(options.get("run"), Text | None, "descriptor.run")
-    elif name == "thumbnail":
-        _known(options, ["rows", "columns"], "descriptor")
-        Thumbnail(**options)
     elif name in DESCRIPTORS:
         _analytic(name, options, "descriptor")
     else:
-        known = ("network", "pretrained", "untrained", "thumbnail", *DESCRIPTORS)
+        known = ("network", "pretrained", "untrained", *DESCRIPTORS)
         raise ConfigError(f"unknown descriptor {name!r}: {hint(name, known)}")
 
 
 def _analytic(name: str, options: Mapping[str, Any], where: str) -> None:
-    """Check the parameters of an analytic descriptor; those that follow from data and device cannot be set."""
+    """Check the parameters of an analytic descriptor; `circular` follows from the data."""
     from analytic import descriptor
     from analytic.descriptors.registry import parameters
 
-    _known(options, set(parameters(name)) - {"circular", "device"}, where)
+    _known(options, set(parameters(name)) - {"circular"}, where)
     descriptor(name, **options)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig
 
-from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
+from analytic import DESCRIPTORS, Descriptor, descriptor
 from siamloc.cli.checking import training_of
 from siamloc.cli.compose import plain
 from siamloc.cli.inherit import check_named, label_of
@@ -17,7 +17,6 @@ from siamloc.cli.sweeps import sweep_suffix
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Protocol
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import image_files
-from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.files import read_json
 from siamloc.jobs.options import values_of
@@ -139,15 +138,13 @@ def training_folder(config: DictConfig) -> Path:
 
 
 def descriptor_of(config: DictConfig, run: Run, options: Mapping[str, Any] | None = None) -> Descriptor:
-    """Return a descriptor on the configured device, from its options or, if None, those of the configuration."""
+    """Return a descriptor, a network's on the configured device, from its options or those of the configuration."""
     parameters = dict(plain(config.descriptor) if options is None else options)
     name, _ = parameters.pop("name"), parameters.pop("label", None)
-    if name == "thumbnail":
-        return Thumbnail(**parameters)
     if name in DESCRIPTORS:
-        return descriptor(name, **parameters, circular=config.data.circular, device=chosen_device(config.device))
+        return descriptor(name, **parameters, circular=config.data.circular)
     if name not in ("network", "untrained", "pretrained"):
-        known = ("network", "pretrained", "thumbnail", *DESCRIPTORS)
+        known = ("network", "pretrained", *DESCRIPTORS)
         raise ConfigError(f"unknown descriptor {name!r}: {hint(name, known)}")
     from siamloc import models
 
@@ -183,12 +180,12 @@ def heading_of(config: DictConfig) -> Descriptor | None:
     name = options.pop("name")
     if name == "none":
         return None
-    if config.descriptor.name in DESCRIPTORS:
+    if config.descriptor.name in DESCRIPTORS and descriptor(config.descriptor.name).tells_heading:
         print(f"heading={name} left out: {config.descriptor.name} gives headings itself")
         return None
     if not config.data.circular:
         raise ConfigError(f"heading={name} needs columns that are a full turn, and data.circular is false")
-    return descriptor(name, **options, device=chosen_device(config.device))
+    return descriptor(name, **options)
 
 
 def way_of(config: DictConfig) -> dict[str, Any]:

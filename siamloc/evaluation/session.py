@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
+from analytic import DESCRIPTORS, Description, Descriptor, descriptor
 from siamloc import maps
 from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
@@ -334,18 +334,16 @@ def _check_kinds(known: object, images: object, queries: object) -> None:
 
 
 def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
-    """Return descriptors by name: "thumbnail", or a name in `analytic.DESCRIPTORS` with its default parameters."""
+    """Return descriptors by name: a name in `analytic.DESCRIPTORS` stands for one with its default parameters."""
     if isinstance(baselines, Mapping):
         return dict(baselines)
     baselines = [baselines] if isinstance(baselines, str | Descriptor) else baselines
     made: dict[str, Descriptor] = {}
     for one in baselines:
         if isinstance(one, str):
-            if one not in ("thumbnail", *DESCRIPTORS):
-                raise ConfigError(
-                    f"unknown baseline {one!r}: {hint(one, ('thumbnail', *DESCRIPTORS))}, or a descriptor"
-                )
-            made[one] = Thumbnail() if one == "thumbnail" else descriptor(one, circular=circular)
+            if one not in DESCRIPTORS:
+                raise ConfigError(f"unknown baseline {one!r}: {hint(one, DESCRIPTORS)}, or a descriptor")
+            made[one] = descriptor(one, circular=circular)
         else:
             made[one.name] = one
     return made

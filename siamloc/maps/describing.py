@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
+from analytic import DESCRIPTORS, Description, Descriptor, descriptor
 from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
-from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.heading import HeadingPart, NetworkHeading, WithHeading
 from siamloc.maps.visual_map import VisualMap
@@ -45,8 +44,8 @@ def build(
         heading: an analytic descriptor, or its name, that gives headings alongside a network. If None, a network that
             wraps around and has the head `fourier` or `magnitudes` gives them itself, and other networks give none.
         distance: how descriptors are compared, a name in `analytic.DISTANCES`; the descriptor's default if None.
-        device: where a network, or an analytic descriptor given by its name, computes: "auto" is the GPU if torch finds
-            one, see `siamloc.models.as_descriptor`; a network stays where it is if None.
+        device: where a network computes: "auto" is the GPU if torch finds one, see `siamloc.models.as_descriptor`; a
+            network stays where it is if None.
         made: further plain values for reference (`VisualMap.made`).
         progress: whether to show the progress.
 
@@ -72,7 +71,7 @@ def build(
             f"heading={turning.name} needs columns that are a full turn, and circular=false says that they are not: "
             "leave heading out"
         )
-    if turning is not None and (isinstance(turning, Thumbnail) or not turning.tells_heading):
+    if turning is not None and not turning.tells_heading:
         raise ConfigError(
             f"{turning.name} gives no heading: choose another one, such as hog, gist, fs or radon_fourier"
         )
@@ -147,21 +146,19 @@ def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool, device: 
     Args:
         by: a descriptor, a network or a name.
         circular: whether the columns of the images are a full turn; used for a name.
-        device: where to compute.
+        device: where a network computes.
 
     Raises:
         ConfigError: an unknown name.
     """
     if isinstance(by, str):
-        if by == Thumbnail.name:
-            return Thumbnail()
         if by == "pretrained":
             from siamloc.models import as_descriptor, pretrained
 
             return as_descriptor(pretrained(circular=circular), device)
         if by not in DESCRIPTORS:
-            raise ConfigError(f"unknown descriptor {by!r}: {hint(by, ('pretrained', Thumbnail.name, *DESCRIPTORS))}")
-        return descriptor(by, circular=circular, **({} if device is None else {"device": chosen_device(device)}))
+            raise ConfigError(f"unknown descriptor {by!r}: {hint(by, ('pretrained', *DESCRIPTORS))}")
+        return descriptor(by, circular=circular)
     if isinstance(by, Descriptor):
         return by
     from siamloc.models import as_descriptor as of_network

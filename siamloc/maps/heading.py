@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import DESCRIPTORS, Description, Descriptor, Thumbnail, descriptor
+from analytic import DESCRIPTORS, Description, Descriptor, ImageDescriptor, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError
@@ -91,7 +91,7 @@ class HeadingPart:
 
     @cached_property
     def descriptor(self) -> Descriptor:
-        """The descriptor that compares the parts; an analytic one runs on the CPU and loads torch only to describe.
+        """The descriptor that compares the parts; an analytic one runs without torch.
 
         Raises:
             AnalyticError: a descriptor or a parameter that this version does not know.
@@ -101,7 +101,7 @@ class HeadingPart:
 
 def is_analytic(identity: Mapping[str, Any]) -> bool:
     """Whether an identity is that of an analytic descriptor, which can be created from it."""
-    return identity.get("name") in (Thumbnail.name, *DESCRIPTORS)
+    return identity.get("name") in DESCRIPTORS
 
 
 def without_images(identity: Mapping[str, Any]) -> dict[str, Any]:
@@ -109,21 +109,13 @@ def without_images(identity: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in identity.items() if key != "images"}
 
 
-def descriptor_of(identity: Mapping[str, Any], device: str | None = None) -> Descriptor:
-    """Return the analytic descriptor that an identity names.
-
-    Args:
-        identity: its name and parameters.
-        device: where it computes; its default if None.
+def descriptor_of(identity: Mapping[str, Any]) -> ImageDescriptor:
+    """Return the analytic descriptor that an identity, its name and parameters, stands for.
 
     Raises:
         AnalyticError: a descriptor or a parameter that this version does not know.
     """
-    options = without_images(identity)
-    name = options.pop("name", "")
-    if name == Thumbnail.name:
-        return Thumbnail(**options)
-    return descriptor(name, **options, **({} if device is None else {"device": device}))
+    return descriptor(**{"name": "", **without_images(identity)})
 
 
 class NetworkHeading(BetweenColumns):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import AnalyticError, Description, Descriptor, ImageDescriptor, Thumbnail
+from analytic import AnalyticError, Description, ImageDescriptor
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
@@ -37,7 +37,7 @@ class Describer:
         providers: onnxruntime's execution providers in order of preference.
 
     Attributes:
-        known: the map; if it was described by an analytic descriptor, with one that needs no torch.
+        known: the map; if it was described by an analytic descriptor, with that descriptor.
 
     Raises:
         ConfigError: threads below 1, or a provider that this onnxruntime lacks.
@@ -160,8 +160,8 @@ def weights_elsewhere(blocks: Iterable[bytes], allowed: str) -> bool:
 
 def analytic_descriptor(
     identity: Mapping[str, Any], bundle: Bundle, width: int | None = None, orientation: NDArray[Any] | None = None
-) -> Descriptor:
-    """Return an analytic descriptor that needs no torch.
+) -> ImageDescriptor:
+    """Return an analytic descriptor, after checking that it made the map.
 
     Args:
         identity: its name and parameters.
@@ -174,20 +174,14 @@ def analytic_descriptor(
             could take any amount of memory.
     """
     try:
-        made = descriptor_of(identity, "numpy")
-        given: tuple[int, ...] = ()
-        turning: tuple[int, ...] | None = None
-        if isinstance(made, Thumbnail):
-            given = (made.rows, made.columns)
-        elif isinstance(made, ImageDescriptor):
-            given, turning = made.sizes(*bundle.image_size)
+        made = descriptor_of(identity)
+        given, turning = made.sizes(*bundle.image_size)
     except (AnalyticError, TypeError) as error:
         raise FormatError(
             f"{bundle.path} describes images in a way unknown to this version of siamloc: {error}"
         ) from error
     # Tables hold some sizes in reverse order, so only their product is compared.
     held = None if orientation is None else math.prod(orientation.shape[1:3])
-    described = None if turning is None else math.prod(turning)
-    if (width is not None and math.prod(given) != width) or (held is not None and held != described):
+    if (width is not None and math.prod(given) != width) or (held is not None and held != math.prod(turning)):
         raise FormatError(f"{bundle.path} holds a map whose sizes differ from those of its {made.name}: export again")
     return made

@@ -34,7 +34,7 @@ class Columns(AlignedDescriptor):
         return (height * width,), (width, height)
 
     def _describe(self, grey):
-        return grey.flatten(1), grey.transpose(1, 2)
+        return grey.ravel(), grey.T
 
 
 MADE = Columns()

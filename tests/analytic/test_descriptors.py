@@ -1,6 +1,8 @@
 """What every analytic descriptor has to do, however it is computed."""
 
 import pickle
+import subprocess
+import sys
 from math import prod
 from pathlib import Path
 
@@ -47,7 +49,7 @@ OTHER = {
     "hsv": {"rows": 2},
 }
 
-every = pytest.mark.parametrize("name", DESCRIPTORS)
+every = pytest.mark.parametrize("name", [name for name in DESCRIPTORS if name != "thumbnail"])
 
 
 def small(name, **params):
@@ -196,7 +198,6 @@ def test_the_identity_is_the_name_and_the_parameters(name):
     assert made.describe(COLOUR).identity == made.identity
     parameters = {key: value for key, value in made.identity.items() if key != "name"}
     assert descriptor(name, **parameters) == made
-    assert "device" not in made.identity
 
 
 @every
@@ -251,8 +252,8 @@ def test_what_is_no_picture_is_refused_in_one_sentence(name, images, says):
 def test_a_parameter_of_another_type_is_refused_before_any_work(name):
     numbers = {key: value for key, value in SMALL[name].items() if isinstance(value, int)}
     for key, value in numbers.items():
-        for wrong in (value + 0.0, str(value), None, True):
-            with pytest.raises(AnalyticError, match=f"{name} needs a whole number for {key}, got"):
+        for wrong in (value + 0.0, str(value), None, True, 0):
+            with pytest.raises(AnalyticError, match=f"{name} needs a whole number from 1 to 16,384 for {key}, got"):
                 small(name, **{key: wrong})
         same = small(name, **{key: np.int64(value)})
         assert type(same.identity[key]) is int
@@ -260,12 +261,6 @@ def test_a_parameter_of_another_type_is_refused_before_any_work(name):
     with pytest.raises(AnalyticError, match=f"{name} needs True or False for circular, got 'no'"):
         small(name, circular="no")
     small(name).describe(COLOUR[0])
-
-
-@every
-def test_an_unknown_device_is_one_sentence(name):
-    with pytest.raises(AnalyticError, match="torch cannot compute on device='gpu' here: use 'cpu'"):
-        small(name, device="gpu").describe(COLOUR[0])
 
 
 @every
@@ -293,12 +288,28 @@ def test_a_picture_smaller_than_the_cells_is_refused_in_one_sentence(name):
         descriptor(name).describe(np.zeros((1, 512)))
 
 
-@every
-@pytest.mark.gpu
-def test_a_graphics_card_gives_the_same_values(name):
-    if not torch.cuda.is_available():
-        pytest.skip("needs a CUDA device")
-    assert_alike(small(name, device="cuda").describe(COLOUR), small(name).describe(COLOUR), 1e-3)
+def test_a_robot_without_torch_and_scipy_describes_compares_and_finds_headings():
+    code = """
+import sys
+for name in ("torch", "scipy", "sklearn"):
+    sys.modules[name] = None
+import numpy as np, analytic
+images = np.random.default_rng(0).integers(0, 256, (2, 3, 32, 128), dtype=np.uint8)
+small = {"fs": {"turns": 128, "orientation_columns": 16}, "wisurf": {"windows": 128}, "briefgist": {"rows": 16},
+         "gist": {"orientations": 8}}
+for name in analytic.DESCRIPTORS:
+    one = analytic.descriptor(name, **small.get(name, {}))
+    known = one.describe(images)
+    assert one.pairwise(known, known).argmin(axis=1).tolist() == [0, 1], name
+    if one.tells_heading:
+        found = one.localize(one.describe(np.roll(images, 32, axis=3)), known)
+        assert found.index.tolist() == [0, 1], name
+        assert np.allclose(found.heading, np.pi / 2, atol=0.05), name
+from analytic.distances import minkowski
+near = minkowski([[0, 0], [1, 1]], [[3, 4]], p=1).tolist(), minkowski([[0, 0]], [[3, 4], [0, 0]]).tolist()
+assert near == ([[7.0], [5.0]], [[5.0, 0.0]])
+"""
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
 @pytest.mark.parametrize(
@@ -319,7 +330,7 @@ def test_unknown_names_are_one_sentence(call, says):
 def test_no_parameter_is_larger_than_an_image(name):
     for key, default in parameters(name).items():
         if type(default) is int:
-            with pytest.raises(AnalyticError, match=f"up to 16,384 for {key}"):
+            with pytest.raises(AnalyticError, match=f"from 1 to 16,384 for {key}"):
                 descriptor(name, **{key: 10**9})
 
 

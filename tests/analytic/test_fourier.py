@@ -140,7 +140,7 @@ def test_a_description_without_orientation_tells_no_heading():
 @pytest.mark.parametrize(
     ("params", "says"),
     [
-        ({"columns": 0}, "columns of at least 1, got 0"),
+        ({"columns": 0}, "for columns, got 0"),
         ({"turns": 38}, "turns=38 resolves at most 19 frequencies, got orientation_columns=20"),
         ({"heading": "phase"}, "unknown heading 'phase'.*correlation, phase_product"),
         ({"rows": 5}, "rows=5 .* height of 16 pixels: use rows=4 or 8"),

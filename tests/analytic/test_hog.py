@@ -114,8 +114,8 @@ def test_sizes_are_those_of_the_thesis():
 @pytest.mark.parametrize(
     ("params", "says"),
     [
-        ({"rows": 0}, "rows of at least 1, got 0"),
-        ({"orientation_bins": -1}, "orientation_bins of at least 1, got -1"),
+        ({"rows": 0}, "for rows, got 0"),
+        ({"orientation_bins": -1}, "for orientation_bins, got -1"),
         ({"rows": 5}, "rows=5 .* height of 16 pixels: use rows=4 or 8"),
         ({"rows": 17}, "height of 16 pixels: use rows=16"),
         ({"step": 5}, "step=5 .* width of 48 pixels: use step=4 or 6"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from siamloc import device
 from siamloc.device import chosen_device
 from siamloc.errors import ConfigError
 
@@ -21,9 +20,3 @@ def test_auto_is_the_gpu_if_there_is_one(monkeypatch, gpus):
         message = f"^torch cannot compute on device='{name}' here: use one of {here}$"
         with pytest.raises(ConfigError, match=message):
             chosen_device(name)
-
-
-def test_auto_is_the_cpu_where_torch_is_missing(monkeypatch):
-    monkeypatch.setattr(device, "torch_is_there", lambda: False)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: pytest.fail("torch was asked"))
-    assert chosen_device("auto") == "cpu"

@@ -11,7 +11,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.layers import closures, evaluate_mapping, mapping_measures
 from siamloc.maps import CoarseLayer, VisualMap
 
-THUMBNAIL = analytic.Thumbnail(1, 2)
+THUMBNAIL = analytic.descriptor("thumbnail", rows=1, columns=2)
 
 
 def lap_twice(frames=40):

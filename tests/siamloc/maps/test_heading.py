@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 import analytic
-from analytic import Description, Thumbnail
+from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import HeadingPart, Retrieval, VisualMap, WithHeading, headings
 from tests.drawn import draw_panorama
 
 SIZE = (32, 128)
+THUMBNAIL = analytic.descriptor("thumbnail")
 SMALL = {
     "hog": {},
     "fs": {"turns": 128, "orientation_columns": 32},
@@ -38,9 +39,9 @@ def map_with_headings(thetas, heading) -> VisualMap:
         y=np.zeros(len(thetas)),
         theta=np.array(thetas),
     )
-    both = WithHeading(Thumbnail(), heading).describe(views(thetas))
+    both = WithHeading(THUMBNAIL, heading).describe(views(thetas))
     part = HeadingPart.of(heading, both.orientation)
-    return VisualMap(both.position, frames, Thumbnail().identity, "correlation", heading=part)
+    return VisualMap(both.position, frames, THUMBNAIL.identity, "correlation", heading=part)
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -96,7 +97,7 @@ def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
     known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
     bare = replace(known, heading=None)
     assert known.digest == bare.digest
-    known.check_describer(Thumbnail().identity)
+    known.check_describer(THUMBNAIL.identity)
     others = [
         replace(bare, descriptors=bare.descriptors + 1),
         replace(bare, frames=replace(bare.frames, x=bare.frames.x + 1)),
@@ -128,7 +129,7 @@ def test_headings_by_another_descriptor_are_refused() -> None:
 
 
 def test_both_parts_come_from_one_pass() -> None:
-    hog, thumbnail = analytic.descriptor("hog"), Thumbnail()
+    hog, thumbnail = analytic.descriptor("hog"), THUMBNAIL
     both, images = WithHeading(thumbnail, hog), views([0.0, 1.0])
     seen = both.describe(images)
     np.testing.assert_array_equal(seen.position, thumbnail.describe(images).position)
@@ -142,11 +143,11 @@ def test_both_parts_come_from_one_pass() -> None:
 
 def test_pairs_that_cannot_stand_together() -> None:
     hog, aligned = analytic.descriptor("hog"), analytic.descriptor("briefgist", rows=8)
-    for first, second in ((aligned, hog), (Thumbnail(), aligned)):
+    for first, second in ((aligned, hog), (THUMBNAIL, aligned)):
         with pytest.raises(ConfigError, match="briefgist compares whole images after turning them"):
             WithHeading(first, second)
     with pytest.raises(ConfigError, match=r"leave heading out, or set data\.circular=true"):
-        WithHeading(Thumbnail(), analytic.descriptor("hog", circular=False))
+        WithHeading(THUMBNAIL, analytic.descriptor("hog", circular=False))
 
 
 def test_parts_that_are_no_heading_parts() -> None:

@@ -10,6 +10,7 @@ RNG = np.random.default_rng(5)
 IMAGES = RNG.integers(0, 256, (9, 16, 64), dtype=np.uint8)
 HOG = analytic.descriptor("hog", rows=4, window=16)
 BRIEF = analytic.descriptor("briefgist", rows=4, columns=16)
+THUMBNAIL = analytic.descriptor("thumbnail", rows=2, columns=4)
 
 
 def frames(n, theta=None):
@@ -52,7 +53,7 @@ def test_a_turned_frame_has_the_heading_of_its_map_frame_and_the_turn(descriptor
 
 
 def test_no_headings_where_there_is_nothing_to_find_them_by():
-    flat, ordinary = analytic.Thumbnail(2, 4), analytic.descriptor("hog", rows=4, window=16, circular=False)
+    flat, ordinary = THUMBNAIL, analytic.descriptor("hog", rows=4, window=16, circular=False)
     unknown = map_of(HOG, IMAGES)  # the map frames have no heading
     for known in (unknown, map_of(flat, IMAGES, np.zeros(9)), map_of(ordinary, IMAGES, np.zeros(9))):
         queries = known.describer.describe(IMAGES)
@@ -61,7 +62,7 @@ def test_no_headings_where_there_is_nothing_to_find_them_by():
         assert np.isnan(told).all()
 
 
-@pytest.mark.parametrize("descriptor", [HOG, BRIEF, analytic.Thumbnail(2, 4)], ids=lambda d: d.name)
+@pytest.mark.parametrize("descriptor", [HOG, BRIEF, THUMBNAIL], ids=lambda d: d.name)
 def test_excluded_frames_are_not_found_and_the_others_exactly(descriptor):
     known = map_of(descriptor, IMAGES)
     queries = known.describer.describe(np.roll(IMAGES, 8, axis=2))

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytic import Description, Thumbnail
+from analytic import Description
+from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import HeadingPart, RefinedPoses, Retrieval, VisualMap, refine

@@ -13,6 +13,7 @@ from torch import nn
 
 import analytic
 import siamloc
+from analytic.descriptors.thumbnail import Thumbnail
 from siamloc import evaluation, maps, runtime
 from siamloc.errors import ConfigError, FormatError
 from siamloc.files import file_hash, read_json, write_json
@@ -45,7 +46,7 @@ def world(tmp_path_factory):
 
 
 def described(name):
-    return analytic.Thumbnail() if name == "thumbnail" else analytic.descriptor(name, **PARTS.get(name, {}))
+    return analytic.descriptor(name, **PARTS.get(name, {}))
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def network():
     return as_descriptor(build("simple1", "fc500_500_5", (32, 64)))
 
 
-@pytest.mark.parametrize("name", [*analytic.DESCRIPTORS, "thumbnail"])
+@pytest.mark.parametrize("name", analytic.DESCRIPTORS)
 def test_every_analytic_descriptor_locates_as_its_map_does(world, tmp_path, name):
     images, monday, tuesday = world
     known = maps.build(described(name), images, monday, progress=False)
@@ -73,7 +74,7 @@ def test_every_analytic_descriptor_locates_as_its_map_does(world, tmp_path, name
 
 
 def test_a_descriptor_of_ones_own_is_not_exported(world, tmp_path):
-    class Own(analytic.Thumbnail):
+    class Own(Thumbnail):
         name = "own"
 
     images, monday, _ = world
@@ -93,7 +94,7 @@ def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memor
     known = maps.build(described("hog"), images, monday, progress=False)
     bundle = runtime.export(described("hog"), known, tmp_path / "bundle").path
     for hostile, says in (
-        ({"bins": 10**9}, "up to 16,384 for bins"),
+        ({"bins": 10**9}, "from 1 to 16,384 for bins"),
         ({"bins": "many"}, "in a way unknown to this"),
     ):
         identity = {**known.identity, **hostile}
