@@ -134,14 +134,14 @@ def defaults_of(kind: type[Settings]) -> dict[str, Any]:
     return {name: _plain(value) for name, value in values.items() if value is not dataclasses.MISSING}
 
 
-def checked(value: Any, kind: Any, key: str) -> Any:
+def checked(value: Any, kind: Any, key: str, error: type[Exception] = ConfigError) -> Any:
     """Return a value in the form of its annotation: lists become tuples, numpy numbers and arrays plain values.
 
     Raises:
-        ConfigError: naming the key, what it should be, and what it is.
+        ConfigError: naming the key, what it should be, and what it is; or another `error`.
     """
     if wrong := complaint(value, kind):
-        raise ConfigError(f"{key} {wrong}")
+        raise error(f"{key} {wrong}")
     return _fit(value, kind)[1]
 
 

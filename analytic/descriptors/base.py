@@ -178,7 +178,7 @@ class ImageDescriptor(Descriptor):
     def __post_init__(self) -> None:
         for field in fields(self):
             value: Any = getattr(self, field.name)
-            kind: type = type(field.default)
+            kind: Any = type(field.default)
             value = value.item() if isinstance(value, np.generic) else value
             value = float(value) if kind is float and type(value) is int else value
             if type(value) is not kind or (kind is int and not 1 <= value <= MOST):

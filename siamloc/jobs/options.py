@@ -130,10 +130,9 @@ def _of_maps() -> Options:
     from siamloc.maps.grouping import WAYS
     from siamloc.maps.heading import HEADINGS
 
-    # Whether columns wrap around follows from the data, and the device from `device`.
+    # Whether columns wrap around follows from the data.
     analytic = {
-        name: {key: value for key, value in parameters(name).items() if key not in ("circular", "device")}
-        for name in DESCRIPTORS
+        name: {key: value for key, value in parameters(name).items() if key != "circular"} for name in DESCRIPTORS
     }
     none = Option({"name": "none"}, "No headings, unless the descriptor estimates them itself.")
     return {
@@ -141,9 +140,6 @@ def _of_maps() -> Options:
             "network": Option({"name": "network", "run": None}, "The trained network of a run."),
             "untrained": Option({"name": "untrained"}, "The network of the run with its initial weights."),
             "pretrained": Option({"name": "pretrained"}, "The network that ships with siamloc; needs no run."),
-            "thumbnail": Option(
-                {"name": "thumbnail", "rows": 8, "columns": 32}, "The grey image, averaged down to a few pixels."
-            ),
             **{
                 name: Option({"name": name, **values}, summary_of(type(descriptor(name))))
                 for name, values in analytic.items()
