@@ -8,7 +8,7 @@ from augment.torchvision_compat import ensure_torchvision
 from tests.gpu.pretend import NAME
 
 ensure_torchvision()
-from lightning.pytorch import Callback  # noqa: E402
+from lightning.pytorch import Callback, Trainer  # noqa: E402, F401
 from lightning.pytorch.accelerators import Accelerator  # noqa: E402
 from lightning.pytorch.plugins import MixedPrecision  # noqa: E402
 from lightning.pytorch.strategies import SingleDeviceStrategy  # noqa: E402
