@@ -10,6 +10,7 @@ import torch
 import siamloc
 from siamloc.full_precision import full_precision
 from siamloc.models.batch_losses import LOSSES, make_loss
+from siamloc.models.module import NetworkModule
 from siamloc.pretraining import RECIPE, pretrain, rendering, view_batches
 from siamloc.training import batches
 from tests.gpu.trainer import Steps, pretend_trainer
@@ -56,6 +57,28 @@ def test_no_step_waits(fit, there, steps, monkeypatch, settings, where):
     assert (steps.waits, steps.count) == ({}, 3)
 
 
+FAULTS = {
+    "a number is read": lambda loss: loss.item(),
+    "a blocking copy to the device": lambda loss: torch.ones(2).to(loss.device),
+    "a blocking copy to main memory": lambda loss: loss.cpu(),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
+def test_a_step_that_waits_is_noticed(fit, there, steps, monkeypatch, fault):
+    monkeypatch.setattr(NetworkModule, "log_step", lambda self, loss: fault(loss))
+    fit(small(), **there, **PLACES)
+    ((place, count),) = steps.waits.items()
+    assert count == 3
+    assert "at tests/gpu/test_training.py" in place
+
+
+def test_a_step_that_mixes_devices_fails(fit, there, monkeypatch):
+    monkeypatch.setattr(NetworkModule, "log_step", lambda self, loss: loss + torch.ones(2))
+    with pytest.raises(RuntimeError, match="tensors on two devices"):
+        fit(small(), **there, **PLACES)
+
+
 @pytest.mark.parametrize("loss", LOSSES)
 def test_no_loss_waits_except_those_over_near_and_far(fit, there, steps, loss):
     fit(small(), loss=make_loss(loss), **there, **PLACES)
@@ -64,8 +87,8 @@ def test_no_loss_waits_except_those_over_near_and_far(fit, there, steps, loss):
 
 @pytest.mark.parametrize(
     ("recipe", "model"),
-    [("modern", {"relative": True}), ("fine_tuning", {"weights": None}), ("photographs", {"circular": True})],
-    ids=["modern", "fine_tuning", "photographs"],
+    [("modern", {"relative": True}), ("fine_tuning", {"weights": None}), ("rooms", {"circular": True})],
+    ids=["modern", "fine_tuning", "rooms"],
 )
 def test_no_step_of_a_recipe_waits(fit, there, steps, recipe, model):
     recipe = siamloc.training.recipe(recipe)
