@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,9 +12,7 @@ import torch
 import siamloc
 from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError
-from siamloc.models import ContrastiveLoss, MetricCalibratedLoss, SoftContrastiveLoss
 from siamloc.models.places import PlaceModule
-from siamloc.models.siamese import SiameseModule
 from siamloc.training import batches, compiled
 from siamloc.training.trainer import _Seeds, debug_trainer, on_gpu
 
@@ -243,35 +240,6 @@ def test_the_default_device_changes_nothing(fit, monkeypatch, settings):
     with torch.device("meta"):
         there = fit("there", **settings)
     assert same(plain[1], there[1])
-
-
-@pytest.fixture
-def without_autocast(monkeypatch):
-    """The device meta has none."""
-    monkeypatch.setattr(torch, "autocast", lambda **_: nullcontext())
-
-
-@pytest.mark.usefixtures("without_autocast")
-@pytest.mark.parametrize("loss", [SoftContrastiveLoss(room=0.5), MetricCalibratedLoss()])
-def test_a_step_on_places_never_waits_for_its_device(loss):
-    """On the device meta there is nothing to wait for: reading a number, or counting what is true, fails."""
-    module = PlaceModule(network("fourier", circular=True), loss).to("meta")
-    whole = {name: torch.zeros(6, device="meta", dtype=torch.int64) for name in ("building", "room", "frame")}
-    images = torch.zeros(6, 3, 16, 64, dtype=torch.uint8, device="meta")
-    found = module.training_step({"images": images, "xy": torch.zeros(6, 2, device="meta"), **whole}, 0)
-    found.backward()
-    assert found.device.type == "meta"
-
-
-@pytest.mark.usefixtures("without_autocast")
-def test_a_step_on_pairs_never_waits_for_its_device():
-    module = SiameseModule(network(), ContrastiveLoss()).to("meta")
-    images = torch.zeros(2, 3, 3, 16, 64, dtype=torch.uint8, device="meta")
-    same_room = torch.zeros(3, dtype=torch.bool, device="meta")
-    batch = {"first": images[0], "second": images[1], "label": torch.zeros(3, device="meta"), "same": same_room}
-    found = module.training_step(batch, 1)
-    found.backward()
-    assert found.device.type == "meta"
 
 
 @pytest.mark.gpu
