@@ -19,10 +19,6 @@ from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
 from siamloc.settings import Count, checked
 
-_ON_CPU = {
-    "CPUExecutionProvider",
-    "AzureExecutionProvider",
-}  # the second calls a service only for models that ask for it
 _LOCATION, _OVERLAP = b"location", 64
 _KEY = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)\Z")  # announces a text of eight letters in field 1
 
@@ -80,10 +76,6 @@ class Describer:
 
         self._size = bundle.image_size
         self._session, self._relative = session(MODEL), session(RELATIVE)
-        # onnxruntime does not rearrange weights that it converts for every image; sums over one image and over a batch
-        # may then run in different orders.
-        halved = self._session is not None and self._session.get_overridable_initializers()
-        self._one_by_one = bool(halved) and set(self._session.get_providers()) <= _ON_CPU
         if self._session is None:
             turned = known.orientation if known.heading is None else known.heading.values
             known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, turned))
@@ -109,7 +101,7 @@ class Describer:
             found = self.known.descriptor.describe(panoramas)
             position, orientation = found.position, found.orientation
         else:
-            position, *parts = self._run(panoramas)
+            position, *parts = self._session.run(None, {"panorama": panoramas})
             orientation = parts[0] if parts else None
             if orientation is not None and not np.isfinite(orientation).all():
                 # onnxruntime sums in another order than torch and gets variances below 0 where there is no contrast.
@@ -117,13 +109,6 @@ class Describer:
         if self._turning is not None:
             orientation = self._turning.describe(panoramas).orientation
         return Description(position, orientation)
-
-    def _run(self, panoramas: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
-        """Run the network, one image at a time if a batch would change the last bits."""
-        if not self._one_by_one or len(panoramas) < 2:
-            return list(self._session.run(None, {"panorama": panoramas}))
-        each = [self._session.run(None, {"panorama": panorama[None]}) for panorama in panoramas]
-        return [np.concatenate(parts) for parts in zip(*each, strict=True)]
 
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32]

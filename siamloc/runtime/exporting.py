@@ -38,7 +38,7 @@ from siamloc.runtime.bundle import (
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.parts import Archive
 from siamloc.runtime.precision import CALIBRATION, Measured, measured, smallest, spread
-from siamloc.runtime.shortening import halve, quantize
+from siamloc.runtime.quantization import quantize
 from siamloc.runtime.thumbnails import save_thumbnails
 from siamloc.settings import checked
 
@@ -93,7 +93,7 @@ def export(
         preprocessing: how images become panoramas (`images.preprocessing`); the map's if None.
         images: panoramas of the frames of the map and of `validation`.
         thumbnails: whether to include thumbnails of the map frames, made from `images`.
-        precision: how the numbers of network and map are stored. "float16" halves both, and computes in float32; "int8"
+        precision: "float16" stores the map in half precision; "int8" stores it in one byte per number, and its network
             computes with integers, whose ranges are taken from the map's `images`; "auto" takes the smallest bundle
             that loses at most 2 % of the localization error on `validation`, see `siamloc.runtime.precision`.
         validation: frames with positions, for "auto".
@@ -221,9 +221,7 @@ class _Ingredients:
         parity: dict[str, Any] = export_onnx(module, fresh / MODEL, (rows, columns))["parity"]
         if finer is not None and finer["method"] == "relative":
             finer["parity"] = export_relative(module, fresh / RELATIVE)
-        if precision == "float16":
-            halve(fresh / MODEL)
-        elif precision == "int8":
+        if precision == "int8":
             assert self.images is not None
             assert self.known is not None
             quantize(fresh / MODEL, spread(self.images, self.known.frames, CALIBRATION)[0])

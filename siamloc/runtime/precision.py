@@ -1,10 +1,10 @@
 """Size, speed and accuracy of a bundle in each precision.
 
-"float16" stores weights in half precision and still computes in float32: file and memory are half the size, the
-descriptor changes by about a thousandth, and an image takes up to 1.7 times as long. "int8" computes convolutions and
-fully connected layers with 8-bit integers (static, per channel, ranges from panoramas of the map): a quarter of the
-size, and faster if the processor supports such multiplications. Weights are limited to 7 bits, so that the sums do not
-overflow on any processor and all processors give the same answers.
+"float16" stores the map in half precision; the network stays float32. "int8" stores the map in one byte per number, and
+the network computes convolutions and fully connected layers with 8-bit integers (static, per channel, ranges from
+panoramas of the map): a quarter of the size, and faster if the processor supports such multiplications. Weights are
+limited to 7 bits, so that the sums do not overflow on any processor and all processors give the same answers. On the
+robot, maps are float32 in memory.
 """
 
 from __future__ import annotations

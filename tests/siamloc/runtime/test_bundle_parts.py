@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import onnx
 import pytest
-from torch import nn
 
 import analytic
 import siamloc
@@ -20,8 +18,6 @@ from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import LayerSearch, VisualMap
 from siamloc.maps.packing import packed, unpacked
 from siamloc.models import as_descriptor, build
-from siamloc.runtime import shortening
-from siamloc.runtime.onnx_file import session_of
 from siamloc.runtime.precision import LOSS, Measured, smallest
 
 PARTS = {
@@ -189,7 +185,7 @@ def test_damaged_pictures_are_refused(world, network, tmp_path):
             runtime.Bundle.open(bundle).thumbnail(0)
 
 
-@pytest.mark.parametrize(("precision", "size", "change"), [("float16", 0.6, 0.01), ("int8", 0.45, 0.4)])
+@pytest.mark.parametrize(("precision", "size", "change"), [("float16", 1.001, 1e-5), ("int8", 0.45, 0.4)])
 @pytest.mark.parametrize(
     ("branch", "head", "circular"), [("vgg11", "fc500_500_5", False), ("panoresnet", "fourier", True)]
 )
@@ -205,75 +201,13 @@ def test_fewer_digits_are_shorter_and_locate_alike(world, tmp_path, precision, s
     localizer = runtime.Localizer(short.path)
     expected, found = (one.describe(panoramas).position for one in (runtime.Localizer(whole.path), localizer))
     apart = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
-    assert 0 < apart.max() < change
+    assert apart.max() < change
     loaded = VisualMap.load(tmp_path / "short" / "map.npz")
     for panorama in panoramas[:5]:
         nearest = maps.match(loaded, localizer.describe(panorama[None]), 3)
         candidates = localizer.locate_panorama(panorama).candidates
         assert [one.row for one in candidates] == nearest.indices[0].tolist()
         assert [one.distance for one in candidates] == nearest.distances[0].tolist()
-
-
-def small_graph(bias):
-    """Write a fully connected layer of 64 outputs, whose weights a branch uses too, and one with this bias."""
-    generator, helper = np.random.default_rng(0), onnx.helper
-    weights = {"w": generator.normal(size=(64, 128)), "v": generator.normal(size=(64, 64)), "c": bias}
-    branch = helper.make_graph(
-        [helper.make_node("Identity", ["w"], ["out"])], "branch", [], [helper.make_tensor_value_info("out", 1, None)]
-    )
-    nodes = [
-        helper.make_node("If", ["wanted"], ["same"], then_branch=branch, else_branch=branch),
-        helper.make_node("Gemm", ["x", "same"], ["y"], transB=1),
-        helper.make_node("Gemm", ["y", "v", "c"], ["z"], transB=1),
-    ]
-    inputs = [helper.make_tensor_value_info("x", 1, ["batch", 128]), helper.make_tensor_value_info("wanted", 9, [])]
-    held = [onnx.numpy_helper.from_array(np.asarray(value, dtype=np.float32), name) for name, value in weights.items()]
-    graph = helper.make_graph(nodes, "net", inputs, [helper.make_tensor_value_info("z", 1, ["batch", 64])], held)
-    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
-
-
-@pytest.mark.parametrize("bias", [np.arange(64), np.float32(3), np.arange(64)[None]])
-def test_weights_of_branches_and_odd_biases_are_halved_right(tmp_path, monkeypatch, bias):
-    monkeypatch.setattr(shortening, "_PIECE", 16 * 64)
-    onnx.save(small_graph(bias), tmp_path / "network.onnx")
-    given = {"x": np.ones((2, 128), dtype=np.float32), "wanted": np.array(True)}
-    before = session_of(tmp_path / "network.onnx").run(None, given)[0]
-    shortening.halve(tmp_path / "network.onnx")
-    onnx.checker.check_model(onnx.load(tmp_path / "network.onnx"))
-    session = session_of(tmp_path / "network.onnx")
-    assert len(session.get_overridable_initializers()) == 1 + (np.ndim(bias) != 1)
-    np.testing.assert_allclose(session.run(None, given)[0], before, rtol=0, atol=5e-3 * np.abs(before).max())
-
-
-@pytest.mark.parametrize("piece", [1 << 19, 5000])
-def test_weights_in_half_precision_become_float32_one_layer_after_the_other(tmp_path, monkeypatch, piece):
-    monkeypatch.setattr(shortening, "_PIECE", piece)
-    network = build("simple1", "fc500_500_5", (64, 128))
-    path = tmp_path / "network.onnx"
-    runtime.export_onnx(network, path, (64, 128))
-    panoramas = np.random.default_rng(0).integers(0, 256, (3, 3, 64, 128), dtype=np.uint8)
-    before = session_of(path).run(None, {"panorama": panoramas})[0]
-    shortening.halve(path)
-    session, graph = session_of(path), onnx.load(path).graph
-    np.testing.assert_allclose(
-        session.run(None, {"panorama": panoramas})[0], before, rtol=0, atol=2e-3 * np.abs(before).max()
-    )
-    kept = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    halved = [name for name, values in kept.items() if values.dtype == np.float16]
-    assert sorted(halved) == sorted(one.name for one in session.get_overridable_initializers())
-    assert all(values.size < 4096 for values in kept.values() if values.dtype == np.float32)
-    sizes = [values.size for values in kept.values() if values.ndim == 2]
-    layers = [layer.weight for layer in network.head.layers if isinstance(layer, nn.Linear)]
-    assert sum(sizes) == sum(weight.numel() for weight in layers)
-    assert max(sizes) <= max(piece, 16 * max(weight.shape[1] for weight in layers))
-    assert (len(sizes) > len(layers)) == (piece < max(weight.numel() for weight in layers))
-    used = [name for node in graph.node for name in node.input]
-    for name in halved:  # made float32 right before the node that needs it
-        at = next(at for at, node in enumerate(graph.node) if name in node.input)
-        assert graph.node[at].op_type == "Cast"
-        assert used.count(graph.node[at].output[0]) == 1
-        following = next(node.op_type for node in graph.node[at:] if node.op_type != "Cast")
-        assert following in ("Conv", "Gemm")
 
 
 def test_int8_gives_the_same_file_again(world, network, tmp_path):
