@@ -5,11 +5,10 @@ from __future__ import annotations
 import tokenize
 import zipfile
 import zlib
-from contextlib import AbstractContextManager, nullcontext
 from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +33,8 @@ _AT_ONCE = 2**20  # bytes
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that arrays may always take, and that they may take per byte of the file
 
 
-def read_arrays(path: str | Path | bytes | BinaryIO) -> dict[str, NDArray[Any]]:
-    """Read all arrays of a file in the format of `numpy.savez`, given as a path, an open file or its bytes.
+def read_arrays(path: str | Path | bytes) -> dict[str, NDArray[Any]]:
+    """Read all arrays of a file in the format of `numpy.savez`, given as a path or its bytes.
 
     Nothing in the file is executed, each array must be as long as its header says, and all arrays together may take at
     most a hundred times the length of the file plus 64 MB, however well they were compressed.
@@ -44,8 +43,8 @@ def read_arrays(path: str | Path | bytes | BinaryIO) -> dict[str, NDArray[Any]]:
         OSError, ValueError, ...: one of `DAMAGE`, saying what is wrong.
     """
     found: dict[str, NDArray[Any]] = {}
-    with _opened(path) as file, zipfile.ZipFile(file) as archive:
-        left = _SPARE + _DENSEST * file.seek(0, 2)
+    with zipfile.ZipFile(BytesIO(path) if isinstance(path, bytes) else path) as archive:
+        left = _SPARE + _DENSEST * (len(path) if isinstance(path, bytes) else Path(path).stat().st_size)
         for member in archive.infolist():
             name = member.filename.removesuffix(".npy")
             if name == member.filename or name in found:
@@ -55,12 +54,6 @@ def read_arrays(path: str | Path | bytes | BinaryIO) -> dict[str, NDArray[Any]]:
                 raise ValueError("its arrays are far too long for a file of its length")
             found[name] = _read(archive, member, name)
     return found
-
-
-def _opened(path: str | Path | bytes | BinaryIO) -> AbstractContextManager[BinaryIO]:
-    if isinstance(path, (str, Path)):
-        return Path(path).open("rb")
-    return nullcontext(BytesIO(path) if isinstance(path, bytes) else path)
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:

@@ -6,7 +6,7 @@ import json
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,11 +75,11 @@ def write_map(
                 np.lib.format.write_array(member, array, allow_pickle=False)
 
 
-def read_map(content: Path | BinaryIO, path: str | Path) -> tuple[dict[str, Any], tuple[Any, Any]]:
+def read_map(content: Path | bytes, path: str | Path) -> tuple[dict[str, Any], tuple[Any, Any]]:
     """Read what `write_map` wrote: the fields of a `VisualMap` by name, and the frames and width that it announces.
 
     Args:
-        content: the path, or a seekable file open for reading.
+        content: the path, or the content of the file.
         path: what to call it in error messages.
 
     Raises:

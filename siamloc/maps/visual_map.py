@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -340,11 +340,11 @@ class VisualMap:
         return loaded if descriptor is None else loaded.with_descriptor(descriptor)
 
     @classmethod
-    def read(cls, content: Path | BinaryIO, path: str | Path) -> VisualMap:
-        """Read a map that `save` wrote, from its path or from a seekable file open for reading.
+    def read(cls, content: Path | bytes, path: str | Path) -> VisualMap:
+        """Read a map that `save` wrote, from its path or its content.
 
         Args:
-            content: the path or the file.
+            content: the path, or the content of the file.
             path: what to call it in error messages.
 
         Raises:

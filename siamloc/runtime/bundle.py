@@ -13,7 +13,7 @@ from siamloc.errors import ConfigError, FormatError
 from siamloc.files import parsed_json
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import Precision
-from siamloc.runtime.parts import Archive, Folder, Parts
+from siamloc.runtime.parts import Archive, Folder
 from siamloc.runtime.thumbnails import Thumbnails
 from siamloc.settings import Count, checked
 
@@ -33,7 +33,7 @@ REFINEMENT = "refinement.json"
 RELATIVE = "relative.onnx"
 LAYER, COARSE = "layer.npz", "coarse_map.npz"
 THUMBNAILS = "thumbnails.npz"
-PARTS = (MODEL, f"{MODEL}.data", MAP, ERRORS, REFINEMENT, RELATIVE, LAYER, COARSE, THUMBNAILS)
+PARTS = (MODEL, MAP, ERRORS, REFINEMENT, RELATIVE, LAYER, COARSE, THUMBNAILS)
 _FINER = {"interpolate": "between", "relative": "by comparison with"}
 _KEYS: dict[str, Any] = {
     "sha256": dict,
@@ -71,7 +71,7 @@ class Bundle:
     path: Path
     about: dict[str, Any]
     preprocessing: Preprocessing
-    parts: Parts
+    parts: Folder | Archive
 
     def __repr__(self) -> str:
         return f"Bundle({str(self.path)!r}: {', '.join(self.files)})"
@@ -242,8 +242,7 @@ class Bundle:
 
         if name not in self.files:
             return None
-        with self.parts.opened(name) as file:
-            return VisualMap.read(file, f"{self.path}/{name}")
+        return VisualMap.read(self.parts.source(name), f"{self.path}/{name}")
 
     def _learned(self, kind: type[_Kind], name: str) -> _Kind | None:
         if name not in self.files:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
-from itertools import chain
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,9 +15,6 @@ from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
 from siamloc.settings import Count, checked
-
-_LOCATION, _OVERLAP = b"location", 64
-_KEY = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)\Z")  # announces a text of eight letters in field 1
 
 
 class Describer:
@@ -50,6 +44,8 @@ class Describer:
                 raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
+        # The folder that weights in files of their own may be in; onnxruntime refuses those that lead out of it.
+        options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(bundle.path))
         options.enable_mem_pattern = False  # a block for all steps of an image costs memory and saves no time
         if threads is not None:
             options.intra_op_num_threads = threads
@@ -57,19 +53,11 @@ class Describer:
         def session(name: str) -> Any:
             if name not in bundle.files:
                 return None
-
-            if weights_elsewhere(bundle.parts.blocks(name), f"{name}.data" if f"{name}.data" in bundle.files else ""):
-                raise FormatError(f"{bundle.path}/{name} has weights in files outside the bundle: export again")
-
-            def made(model: str | bytes) -> Any:
-                return onnxruntime.InferenceSession(model, options, providers=list(providers))
-
+            source = bundle.parts.source(name)
             try:
-                with bundle.parts.streamed(name) as path:
-                    return made(str(path))
+                model = source if isinstance(source, bytes) else str(source)
+                return onnxruntime.InferenceSession(model, options, providers=list(providers))
             except Exception as error:  # onnxruntime's exceptions have no common base
-                with suppress(Exception):  # if it cannot read a stream
-                    return made(bundle.parts.read(name))
                 raise FormatError(
                     f"onnxruntime cannot run {bundle.path}/{name} ({type(error).__name__}): export again"
                 ) from error
@@ -117,30 +105,6 @@ class Describer:
         assert self._relative is not None
         pose, information, match = self._relative.run(None, {"query": queries, "known": known})
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
-
-
-def weights_elsewhere(blocks: Iterable[bytes], allowed: str) -> bool:
-    """Whether an ONNX file has weights in a file other than the allowed one.
-
-    ONNX names the file of a tensor under the key "location", relative to the model or to the working directory. Not all
-    versions of onnxruntime refuse paths that lead elsewhere.
-
-    Args:
-        blocks: the content of the ONNX file, in order.
-        allowed: name of the file that may hold weights; "" for none.
-    """
-    value = bytes([0x12, len(allowed)]) + allowed.encode()
-    seen = b""
-    for block in chain(blocks, [bytes(_OVERLAP)]):  # the last one completes a match that may be cut off
-        seen = seen[-2 * _OVERLAP :] + block
-        at = seen.find(_LOCATION)
-        while 0 <= at < len(seen) - _OVERLAP:  # nearer to the end it is checked with the next block
-            key = _KEY.search(seen[max(0, at - _OVERLAP) : at])
-            at += len(_LOCATION)
-            if key is not None and not (allowed and seen.startswith(value, at)):
-                return True
-            at = seen.find(_LOCATION, at)
-    return False
 
 
 def analytic_descriptor(

@@ -13,14 +13,14 @@ from torch import nn
 
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, SiamlocError
-from siamloc.files import atomic_path, file_hash, scratch_folder
+from siamloc.files import atomic_path, file_hash
 from siamloc.models.describing import evaluating, identity_of, network_of, orienting
 from siamloc.runtime.onnx_file import OPSET, label, quiet, session_of, traced
 
 FORMAT = "siamloc-network"
 INPUT, OUTPUT, HEADING_OUTPUT = "panorama", "descriptor", "orientation"
 TOLERANCE = 1e-4
-ONE_FILE_BYTES = 2**31 - 2**24  # protobuf is limited to 2 GiB, and the graph needs a little of that
+MOST_BYTES = 2**31 - 2**24  # protobuf is limited to 2 GiB, and the graph needs a little of that
 _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 
 
@@ -30,9 +30,8 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
 
     The file takes `panorama` (B, 3, H, W) uint8 and gives `descriptor` (B, D), and `orientation` (B, K, F) if the
     network finds headings; B is free, and the division by 255 and any normalization of the network are included. Its
-    metadata hold the format, its version, and the network's identity as JSON. Everything is in one file, except that
-    weights of 2 GB or more, which one ONNX file cannot hold, are next to it in `<name>.data`. The file gets its final
-    name only after `parity` has passed, in evaluation mode; the network keeps its mode.
+    metadata hold the format, its version, and the network's identity as JSON. The file gets its final name only after
+    `parity` has passed, in evaluation mode; the network keeps its mode.
 
     Args:
         network: (B, 3, H, W) -> (B, D), such as one made by `siamloc.models.build`; its weights must be float32.
@@ -40,11 +39,11 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
         image_size: (H, W) in pixels.
 
     Returns:
-        `path`, `bytes`, `sha256`, `files` (names in the folder), `opset`, `identity`, and `parity` (what `parity`
+        `path`, `bytes`, `sha256`, `opset`, `identity`, and `parity` (what `parity`
         returns).
 
     Raises:
-        ConfigError: weights that are not float32, or an image size that does not suit the network.
+        ConfigError: weights that are not float32 or take 2 GB or more, or an image size that does not suit the network.
         SiamlocError: the file's descriptors differ from the network's.
         StorageError: the disk is full or cannot be written to.
     """
@@ -56,29 +55,18 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
     graph, outputs = _graph(network)
     with evaluating(graph):
         graph(example)  # a wrong size fails here, with the network's own message
+    if sum(tensor.nbytes for tensor in network.state_dict().values()) >= MOST_BYTES:
+        raise ConfigError("a network of 2 GB or more does not fit into an ONNX file: export a smaller one")
     program = traced(graph, (example,), [INPUT], outputs, free_batch=True)
     label(program, FORMAT, identity)
-    size = sum(tensor.nbytes for tensor in network.state_dict().values())
-    if size < ONE_FILE_BYTES:
-        files = [path.name]
-        with atomic_path(path) as temporary:
-            with quiet():
-                program.save(temporary, external_data=False)
-            report = parity(network, temporary)
-    else:
-        files = [path.name, f"{path.name}.data"]
-        # The graph names the weights' file, so both are written under their own names elsewhere.
-        with scratch_folder(path) as folder:
-            with quiet():
-                program.save(folder / path.name, external_data=True)
-            report = parity(network, folder / path.name)
-            for name in reversed(files):
-                (folder / name).replace(path.with_name(name))
+    with atomic_path(path) as temporary:
+        with quiet():
+            program.save(temporary, external_data=False)
+        report = parity(network, temporary)
     return {
         "path": str(path),
-        "bytes": sum(path.with_name(name).stat().st_size for name in files),
+        "bytes": path.stat().st_size,
         "sha256": file_hash(path),
-        "files": files,
         "opset": OPSET,
         "identity": identity,
         "parity": report,

@@ -34,7 +34,6 @@ def test_report_and_file_agree(exported):
     network, path, report = exported
     assert report["path"] == str(path)
     assert report["bytes"] == path.stat().st_size
-    assert report["files"] == [path.name]
     assert report["identity"] == network.identity
     assert report["parity"]["batches"] == [1, 2, 7]
     assert 0 <= report["parity"]["max_abs_difference"] <= report["parity"]["tolerance"] == 1e-4
@@ -122,13 +121,11 @@ def test_a_lightning_module_is_exported_as_its_network(tmp_path):
     assert parity(module, tmp_path / "network.onnx") == report["parity"]
 
 
-def test_weights_too_large_for_one_file_stand_beside_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_model, "ONE_FILE_BYTES", 1000)
-    network = build("simple1", "fc500_500_5", SIZE)
-    report = export_onnx(network, tmp_path / "network.onnx", SIZE)
-    assert report["files"] == ["network.onnx", "network.onnx.data"]
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == report["files"]
-    assert parity(network, tmp_path / "network.onnx") == report["parity"]
+def test_weights_too_large_for_one_file_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(onnx_model, "MOST_BYTES", 1000)
+    with pytest.raises(ConfigError, match="2 GB or more does not fit"):
+        export_onnx(build("simple1", "fc500_500_5", SIZE), tmp_path / "network.onnx", SIZE)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_file_of_other_weights_fails_the_comparison(exported):
@@ -153,16 +150,13 @@ def test_values_that_are_not_finite_fail_the_comparison(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("one_file", [True, False])
-def test_a_file_that_differs_never_replaces_the_older_one(tmp_path, monkeypatch, one_file):
+def test_a_file_that_differs_never_replaces_the_older_one(tmp_path, monkeypatch):
     def refuse(network, path):
         raise SiamlocError("differs")
 
     path = tmp_path / "network.onnx"
     path.write_text("older")
     monkeypatch.setattr(onnx_model, "parity", refuse)
-    if not one_file:
-        monkeypatch.setattr(onnx_model, "ONE_FILE_BYTES", 1000)
     with pytest.raises(SiamlocError, match="differs"):
         export_onnx(build("simple1", "fc500_500_5", SIZE), path, SIZE)
     assert path.read_text() == "older"
