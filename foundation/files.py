@@ -261,6 +261,23 @@ def parsed_json(text: str) -> Any:
         raise ValueError("it is nested too deeply") from error
 
 
+def check_version(found: Any, present: int, what: str, again: str) -> None:
+    """Refuse a file of another version of its format.
+
+    Args:
+        found: version in the file.
+        present: the version that is written.
+        what: the file in words, for the message.
+        again: how to make it again, such as "build it again".
+
+    Raises:
+        FormatError: another version, or none.
+    """
+    if type(found) is not int or found != present:
+        advice = "update siamloc" if type(found) is int and found > present else again
+        raise FormatError(f"{what} has format version {found}, this siamloc reads version {present}: {advice}")
+
+
 def plain(value: Any) -> Any:
     """Convert a value to dictionaries, lists, text, numbers, booleans and None only."""
     if isinstance(value, dict):

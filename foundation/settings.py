@@ -160,6 +160,25 @@ def complaint(value: Any, kind: Any) -> str:
     return f"must be {words_for(kind)}{most or least}, got {shortened(repr(value))}"
 
 
+def misfit(values: Mapping[str, Any], kinds: Mapping[str, Any], prefix: str = "") -> str | None:
+    """Return the dotted name of the first value in a file that does not fit its annotation; None if all fit.
+
+    Args:
+        values: content of the file; it may have more keys.
+        kinds: annotations by key; for a mapping inside the mapping, annotations of its keys.
+
+    >>> misfit({"name": "a", "size": {"rows": 2.5}}, {"name": str, "size": {"rows": int}})
+    'size.rows'
+    """
+    for key, kind in kinds.items():
+        value, name = values.get(key), prefix + key
+        if not _fit(value, Mapping if isinstance(kind, Mapping) else kind, name)[0]:
+            return name
+        if isinstance(kind, Mapping) and (inner := misfit(value or {}, kind, f"{name}.")):
+            return inner
+    return None
+
+
 def shortened(text: str, most: int = 120) -> str:
     """Shorten a text for an error message: a long one is cut in the middle.
 

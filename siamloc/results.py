@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from siamloc import __version__
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import read_json, write_json, write_text
+from siamloc.files import check_version, read_json, write_json, write_text
 
 Columns = dict[str, NDArray[Any]]
 UNLABELLED = "(unlabelled)"
@@ -131,13 +131,9 @@ def read_results(folder: str | Path) -> dict[str, Any]:
     path = Path(folder) / "results.json"
     results = read_json(path)
     schema = results.get("schema") if isinstance(results, dict) else None
-    if not isinstance(schema, dict) or schema.get("name") != _SCHEMA or not isinstance(schema.get("version"), int):
+    if not isinstance(schema, dict) or schema.get("name") != _SCHEMA:
         raise FormatError(f"{path} is not a siamloc result file: give the folder that `siamloc evaluate` wrote")
-    if schema["version"] > _VERSION:
-        raise FormatError(
-            f"{path} has version {schema['version']} of the result files, this siamloc reads up to {_VERSION}: "
-            "update siamloc"
-        )
+    check_version(schema.get("version"), _VERSION, f"the result {path}", "evaluate again")
     for key, depth in _GROUPS.items():
         if not _is_nested(results.get(key, {}), depth):
             raise FormatError(f"{path} was altered in {key}: evaluate again")

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from foundation.locks import locked
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import plain, read_json, real_path, storage_errors, write_json
+from siamloc.files import check_version, plain, read_json, real_path, storage_errors, write_json
 from siamloc.results import versions
-from siamloc.settings import checked
+from siamloc.settings import checked, misfit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -201,14 +201,9 @@ class Run:
         record = read_json(self.record)
         if not isinstance(record, dict) or record.get("format") != FORMAT:
             raise FormatError(f"{self.record} was not written by siamloc")
-        if record.get("version") == 1 and record["version"] is not True:
-            raise FormatError(f"{self.record} was written by siamloc 0.1, whose runs are no longer read: train again")
-        if (wrong := _wrong(record)) is not None:
+        check_version(record.get("version"), VERSION, str(self.record), "train again")
+        if (wrong := misfit(record, _KINDS)) is not None:
             raise FormatError(f"{self.record} is not whole, or was altered in {wrong}: train again")
-        if record["version"] > VERSION:
-            raise FormatError(
-                f"{self.record} has version {record['version']}, this siamloc reads up to {VERSION}: update siamloc"
-            )
         return record
 
     def record_written(self, names: Iterable[str | Path]) -> None:
@@ -288,24 +283,12 @@ class Run:
 
 
 _SECTIONS = ("data", "model", "training", "loss", "augment", "protocol", "trainer", "views")
-
-
-def _wrong(record: Mapping[str, Any]) -> str | None:
-    """Return the key of a record whose value is missing or of the wrong type; None if all is as written."""
-    version, settings, written = (record.get(key) for key in ("version", "settings", "written"))
-    if not isinstance(version, int) or isinstance(version, bool):
-        return "version"
-    if not isinstance(settings, Mapping):
-        return "settings"
-    for key in _SECTIONS:
-        if settings.get(key) is not None and not isinstance(settings[key], Mapping):
-            return f"settings.{key}"
-    if not isinstance(written, list) or not all(isinstance(name, str) for name in written):
-        return "written"
-    for key, kind in (("created", str), ("versions", Mapping)):
-        if key in record and not isinstance(record[key], kind):
-            return key
-    return None
+_KINDS = {
+    "settings": dict.fromkeys(_SECTIONS, dict | None),
+    "written": list[str],
+    "created": str | None,
+    "versions": dict | None,
+}
 
 
 def _check_curves(curves: Mapping[str, NDArray[np.float64]]) -> None:

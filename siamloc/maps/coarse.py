@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic.arrays_file import DAMAGE, read_arrays
 from siamloc.calls import typed
 from siamloc.errors import DataError, FormatError
-from siamloc.files import atomic_path, parsed_json, plain
+from siamloc.files import atomic_path, check_version, parsed_json, plain
 from siamloc.maps.visual_map import VisualMap
 from siamloc.models.room_classifier import RoomClassifier
 
@@ -195,13 +195,9 @@ class CoarseLayer:
             arrays = {name: held[name] for name in _ARRAYS}
         except DAMAGE as error:
             raise FormatError(f"{path} is not a coarse layer, or not a whole one: build it again") from error
-        own = isinstance(header, dict) and header.get("format") == _FORMAT and isinstance(header.get("version"), int)
-        if not own:
+        if not isinstance(header, dict) or header.get("format") != _FORMAT:
             raise FormatError(f"{path} is not a coarse layer: build it with `siamloc map build=...`")
-        if header["version"] > _VERSION:
-            raise FormatError(
-                f"{path} has format version {header['version']}, this siamloc reads up to {_VERSION}: update siamloc"
-            )
+        check_version(header.get("version"), _VERSION, f"the coarse layer {path}", "build it again")
         try:
             classes = [held[name] for name in _CLASSES if name in held]
             classifier = RoomClassifier(arrays["names"], *classes) if classes else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -211,18 +211,6 @@ class ErrorModel(Learned):
         if self.score != _POSE:
             raise ConfigError("the error model was not learned from refined poses: learn it with refine='relative'")
         return np.interp(pose_score(poses), self.knots, self.errors)
-
-    @classmethod
-    def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
-        """Add what older models lack, and drop what had another meaning in them.
-
-        Before version 3, models did not know poses between frames. Before version 5, the strangeness of refined poses
-        was not based on their match, so its threshold does not apply to this version.
-        """
-        of_poses = held.get("score") == _POSE
-        if version < 3:
-            held = {"refine": "relative" if of_poses else "none", **held}
-        return {**held, "foreign_above": None, "foreign_weight": 0.0} if version < 5 and of_poses else held
 
     @property
     def of_poses(self) -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
 
 from siamloc.calls import typed
 from siamloc.errors import FormatError
-from siamloc.files import read_json, write_json
+from siamloc.files import check_version, read_json, write_json
 from siamloc.settings import checked
 
 if TYPE_CHECKING:
@@ -44,28 +44,19 @@ class Learned:
             source: what to call them in an error message.
 
         Raises:
-            FormatError: values of another kind, or of a newer version.
+            FormatError: values of another kind, or of another version.
         """
         source = f"the {cls.NOUN}" if source is None else source
         if not isinstance(values, Mapping) or values.get("format") != cls.FORMAT:
             raise FormatError(f"{source} is not a siamloc {cls.NOUN}: make it with `siamloc evaluate`")
-        version = values.get("version")
-        if type(version) is not int or not 1 <= version <= cls.VERSION:
-            raise FormatError(
-                f"{source} has format version {version}, this siamloc reads up to {cls.VERSION}: update siamloc"
-            )
+        check_version(values.get("version"), cls.VERSION, source, "make it again")
         held = {key: value for key, value in values.items() if key not in ("format", "version")}
         try:
             kinds = get_type_hints(cls)
             held = {key: checked(value, kinds[key], key) if key in kinds else value for key, value in held.items()}
-            return cls(**cls._renewed(held, version))
+            return cls(**held)
         except (TypeError, ValueError) as error:
             raise FormatError(f"{source} is not a whole {cls.NOUN} ({error}): make it again") from error
-
-    @classmethod
-    def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
-        """Convert the values of an older version to those of the current one."""
-        return held
 
     @typed
     def save(self, path: str | Path) -> None:
@@ -82,7 +73,7 @@ class Learned:
         """Read what `save` wrote.
 
         Raises:
-            FormatError: the file is missing, truncated, of another kind, or of a newer version.
+            FormatError: the file is missing, truncated, of another kind, or of another version.
         """
         return cls.from_dict(read_json(path), str(path))
 
@@ -91,7 +82,7 @@ class Learned:
         """Read what `save` wrote; None if the file is missing or, if a map is given, was not learned on it.
 
         Raises:
-            FormatError: the file is truncated, of another kind, or of a newer version.
+            FormatError: the file is truncated, of another kind, or of another version.
         """
         if not Path(path).is_file():
             return None

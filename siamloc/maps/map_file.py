@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analytic.arrays_file import DAMAGE, read_arrays
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
-from siamloc.files import atomic_path, parsed_json
+from siamloc.files import atomic_path, check_version, parsed_json
 from siamloc.maps.heading import HeadingPart
 from siamloc.maps.packing import Precision, packed, shares_values, unpacked
 
@@ -142,9 +142,5 @@ def _read_header(path: str | Path, arrays: Mapping[str, NDArray]) -> dict[str, A
         known = False
     if not known:
         raise FormatError(f"{path} is not a siamloc map: give the file that `siamloc map` wrote")
-    if header["version"] != _VERSION:
-        advice = "update siamloc" if header["version"] > _VERSION else "build it again"
-        raise FormatError(
-            f"{path} is a map of format version {header['version']}, this siamloc reads version {_VERSION}: {advice}"
-        )
+    check_version(header["version"], _VERSION, f"the map {path}", "build it again")
     return header

@@ -148,13 +148,6 @@ class Refinement(Learned):
         if not 0 <= self.radius < math.inf or not 0 < self.widening < math.inf:
             raise ConfigError(f"refining needs radius >= 0 and widening > 0, got {self.radius} and {self.widening}")
 
-    @classmethod
-    def _renewed(cls, held: dict[str, Any], version: int) -> dict[str, Any]:
-        """Adjust the widening of version 1, which counted an answer's information (f + 2) / f times (f: freedom)."""
-        if version == 1 and "widening" in held:
-            held = {**held, "widening": held["widening"] * FREEDOM / (FREEDOM + 2)}
-        return held
-
     def poses(
         self, known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None
     ) -> RefinedPoses:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from siamloc.errors import FormatError
+from siamloc.files import check_version
 
 CONTENT_KEY = "siamloc"
 FORMAT_VERSION = 2
@@ -49,18 +50,10 @@ def checked_content(content: Any, path: Path) -> dict[str, Any]:
     """
     if not isinstance(content, dict) or not isinstance(content.get("state_dict"), dict):
         raise FormatError(f"{path} is not a checkpoint of a siamese network: it has no weights")
-    if "siamloc_format" in content:
-        raise FormatError(
-            f"the checkpoint {path} was written by siamloc 0.1, whose runs are no longer read: train again"
-        )
     about = content.get(CONTENT_KEY)
     if not isinstance(about, dict) or not {"format", "model", "loss"} <= set(about):
         raise FormatError(f"{path} is not a checkpoint of a siamese network: it does not say what was trained")
-    if not isinstance(about["format"], int) or about["format"] > FORMAT_VERSION:
-        raise FormatError(
-            f"the checkpoint {path} has format {about['format']}, this version of siamloc reads up to "
-            f"{FORMAT_VERSION}: update siamloc"
-        )
+    check_version(about["format"], FORMAT_VERSION, f"the checkpoint {path}", "train again")
     return content
 
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import atomic_path, parsed_json
+from siamloc.files import atomic_path, check_version, parsed_json
 
 VERSION = 1
 _KEY = "siamloc"
@@ -80,10 +80,7 @@ def read_weights_file(path: Path) -> tuple[dict[str, Tensor], dict[str, Any] | N
         version, digest = about["version"], about.pop("sha256")
     except (ValueError, TypeError, KeyError) as error:
         raise FormatError(f"the weights file {path} was altered since it was written: get it again") from error
-    if isinstance(version, int) and version > VERSION:
-        raise FormatError(
-            f"the weights file {path} has version {version}, this siamloc reads up to {VERSION}: update siamloc"
-        )
+    check_version(version, VERSION, f"the weights file {path}", "get it again")
     if digest != _hash(state, about):
         raise FormatError(
             f"the weights file {path} was altered since it was written, its hash is another one: get it again"

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from siamloc.calls import typed
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import parsed_json
+from siamloc.files import check_version, parsed_json
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import Precision
 from siamloc.runtime.parts import Archive, Folder
 from siamloc.runtime.thumbnails import Thumbnails
-from siamloc.settings import Count, checked
+from siamloc.settings import Count, misfit
 
 if TYPE_CHECKING:
     from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
@@ -48,7 +48,7 @@ _KEYS: dict[str, Any] = {
     "errors": {"lost_above": float | None},
     "precisions": list,
 }
-"""What each key must hold; nested mappings may have more keys than those listed here."""
+"""What each key must hold."""
 _MAY_LACK = ("heading", "refinement", "search", "errors", "precisions", "unit")
 
 
@@ -193,19 +193,12 @@ class Bundle:
             about = parsed_json(parts.read(DESCRIPTION).decode())
         except ValueError as error:
             raise FormatError(f"{described} is incomplete or invalid JSON ({error}): export again") from error
-        if not isinstance(about, dict) or about.get("format") != FORMAT or not isinstance(about.get("version"), int):
+        if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise FormatError(f"{described} was not written by `siamloc export`: export again")
-        if about["version"] != VERSION:
-            advice = "update siamloc" if about["version"] > VERSION else "export again"
-            raise FormatError(
-                f"{path} has bundle version {about['version']}, this siamloc reads version {VERSION}: {advice}"
-            )
-        for key, kind in _KEYS.items():
-            if about.get(key) is None and key in _MAY_LACK:
-                continue
-            if not _holds(about.get(key), kind):
-                found = "lacks" if key not in about else "is altered in"
-                raise FormatError(f"{described} {found} {key}: export again")
+        check_version(about.get("version"), VERSION, f"the bundle {path}", "export again")
+        kinds = {key: kind for key, kind in _KEYS.items() if about.get(key) is not None or key not in _MAY_LACK}
+        if (wrong := misfit(about, kinds)) is not None:
+            raise FormatError(f"{described} is not whole, or was altered in {wrong}: export again")
         for part, key in ((LAYER, "search"), (ERRORS, "errors"), (REFINEMENT, "refinement")):
             if part in about["sha256"] and about.get(key) is None:
                 raise FormatError(f"{described} is altered in {key}, but the bundle holds {part}: export again")
@@ -252,16 +245,3 @@ class Bundle:
         except ValueError as error:
             raise FormatError(f"{self.path}/{name} is incomplete or invalid JSON ({error}): export again") from error
         return kind.from_dict(values, f"{self.path}/{name}")
-
-
-def _holds(value: Any, kind: Any) -> bool:
-    """Whether a value is of a kind: of a type, or a mapping with at least the named keys."""
-    if isinstance(kind, dict):
-        return isinstance(value, dict) and all(_holds(value.get(key), inner) for key, inner in kind.items())
-    if kind in (dict, list):
-        return isinstance(value, kind)
-    try:
-        checked(value, kind, "")
-    except ConfigError:
-        return False
-    return True

@@ -102,7 +102,10 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         (whole[:50], "incomplete or invalid JSON"),
         ("[1]", "not a siamloc result file"),
         (json.dumps({"schema": {"name": "other", "version": 1}}), "not a siamloc result file"),
-        (whole.replace('"version": 1', '"version": 2'), "has version 2 .* reads up to 1: update siamloc"),
+        (
+            whole.replace('"version": 1', '"version": 2'),
+            "format version 2, .* reads version 1: update siamloc",
+        ),
     ):
         path.write_text(text)
         with pytest.raises(FormatError, match=message):

@@ -26,8 +26,8 @@ def test_a_record_comes_back(run):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"version": 1}, r"written by siamloc 0\.1, whose runs are no longer read: train again"),
-        ({"version": 3}, "has version 3, this siamloc reads up to 2: update siamloc"),
+        ({"version": 1}, "has format version 1, this siamloc reads version 2: train again"),
+        ({"version": 3}, "has format version 3, this siamloc reads version 2: update siamloc"),
         ({"format": "other"}, "was not written by siamloc"),
         ({"settings": None}, "is not whole"),
     ],

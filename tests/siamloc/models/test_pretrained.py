@@ -109,7 +109,7 @@ def no_record(path: Path) -> None:
         (edited, "was altered since it was written"),
         (another_head, "was altered since it was written"),
         (no_record, "was altered since it was written"),
-        (newer, "has version 99, this siamloc reads up to 1: update siamloc"),
+        (newer, "has format version 99, this siamloc reads version 1: update siamloc"),
     ],
 )
 @pytest.mark.parametrize("use", [load, lambda path: network(weights=path)])

@@ -281,7 +281,7 @@ def test_a_folder_without_a_checkpoint_and_a_newer_one_are_refused(tmp_path):
     content = torch.load(run.checkpoint("best"), weights_only=True)
     content["siamloc"]["format"] = 99
     torch.save(content, run.checkpoint("best"))
-    with pytest.raises(FormatError, match="has format 99"):
+    with pytest.raises(FormatError, match="has format version 99"):
         build("simple1", HEAD, SIZE, weights=run)
 
 

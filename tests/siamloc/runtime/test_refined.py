@@ -242,11 +242,9 @@ def test_how_poses_are_refined_is_saved(tmp_path):
     made = Refinement("interpolate", 5, 2.0, 1.5, "abc")
     made.save(path)
     assert Refinement.load(path) == made
-    write_json(path, {**json.loads(path.read_text()), "version": 1})
-    assert Refinement.load(path).widening == pytest.approx(1.5 * 4 / 6), "version 1 counted information otherwise"
-    made.save(path)
     for changed, says in (
         ({"format": "other"}, "is not a siamloc refinement of poses"),
+        ({"version": 1}, "has format version 1"),
         ({"version": 3}, "has format version 3"),
         ({"neighbours": 0}, "neighbours from 1, got 0"),
         ({"neighbours": "3"}, "neighbours must be a whole number, got '3'"),
