@@ -14,7 +14,7 @@ import torch
 import siamloc
 from benchmarks.report import seconds
 from siamloc.data import PanoramaLibrary
-from siamloc.pretraining import ViewSettings
+from siamloc.pretraining import RECIPE, ViewSettings
 
 MODERN = siamloc.training.recipe("modern")
 NETWORKS: dict[str, dict[str, Any]] = {
@@ -37,7 +37,8 @@ class Sizes:
         matrix: side of the matrices that are multiplied.
         described: number of images to describe.
         repeats: number of measurements, for the median.
-        views: settings of the random buildings.
+        rendered: rows and columns of the views of random buildings.
+        views: settings of these buildings.
         seconds: longest duration of a pretraining, with each number of renderers.
         networks: names in `NETWORKS`.
         quickest: the network that needs data fastest.
@@ -51,6 +52,7 @@ class Sizes:
     matrix: int = 8192
     described: int = 1024
     repeats: int = 5
+    rendered: tuple[int, int] = RECIPE.image_size
     views: ViewSettings = field(default_factory=ViewSettings)
     seconds: float = 25.0
     networks: tuple[str, ...] = tuple(NETWORKS)
@@ -66,8 +68,9 @@ TINY = Sizes(
     matrix=64,
     described=4,
     repeats=1,
+    rendered=(16, 64),
     views=ViewSettings(batches=4, held=2, together=1, drives=1, lights=1, poses=16),
-    seconds=1.0,
+    seconds=0.1,
     networks=("modern",),
     quickest="modern",
     policies=("none", "thesis"),
