@@ -64,7 +64,7 @@ TINY = Sizes(
     image=(16, 64),
     frames=16,
     pairs=2,
-    steps=4,
+    steps=2,
     matrix=64,
     described=4,
     repeats=1,
@@ -84,7 +84,7 @@ class Bench:
 
     Attributes:
         device: what is measured.
-        trainer: arguments of Lightning's trainer for a training there.
+        trainer: makes the arguments of Lightning's trainer for a training there.
         sizes: how much is measured.
         images: panoramas to train on.
         workers: number of processes that gather batches, in the measurements that have any.
@@ -94,7 +94,7 @@ class Bench:
     """
 
     device: torch.device
-    trainer: Mapping[str, Any]
+    trainer: Callable[[], dict[str, Any]]
     sizes: Sizes
     images: PanoramaLibrary
     workers: int

@@ -90,7 +90,7 @@ def trained(bench: Bench, fit: Callable[..., Any], **options: Any) -> Figures:
     parts = Parts()
     if bench.on_cuda:
         torch.cuda.reset_peak_memory_stats(bench.device)
-    trainer = {**bench.trainer, "callbacks": [parts], **options.pop("trainer", {})}
+    trainer = {**bench.trainer(), "callbacks": [parts], **options.pop("trainer", {})}
     fit(**{"run": bench.fresh(), "epochs": 1, "trainer": trainer, **options})
     peak = torch.cuda.max_memory_allocated(bench.device) / 2**30 if bench.on_cuda else None
     return {**parts.figures(), "peak_gib": peak}
