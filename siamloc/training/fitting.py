@@ -16,6 +16,7 @@ import torch
 from torch import nn
 
 import augment
+from augment.base import on_host
 from augment.torchvision_compat import ensure_torchvision
 from foundation.locks import alone
 from siamloc.calls import takes
@@ -61,7 +62,7 @@ from siamloc.training.run_folder import (
 from siamloc.training.seen_frames import note_frames
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import computing, debug_trainer, on_gpu, on_host, quiet, run_trainer, steps_of
+from siamloc.training.trainer import computing, debug_trainer, on_gpu, quiet, run_trainer, steps_of
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402

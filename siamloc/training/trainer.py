@@ -186,16 +186,6 @@ def computing(module: NetworkModule, settings: Training, precision: str, compile
 
 
 @contextmanager
-def on_host() -> Iterator[None]:
-    """Make tensors in main memory, whatever torch's default device is."""
-    if torch.get_default_device().type == "cpu":
-        yield
-        return
-    with torch.device("cpu"):
-        yield
-
-
-@contextmanager
 def quiet() -> Iterator[None]:
     """Hide what Lightning prints about itself; warnings that concern the user stay."""
     loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from statistics import mean
 from typing import Any, cast
 
@@ -32,11 +33,14 @@ _PHASES = ("waiting for data", "augmentation", "forward", "backward", "optimizer
 
 
 class _TimedEffect:
-    """An effect that sums up its time."""
+    """An effect that sums up the time of some of its methods, those that the training process calls."""
 
-    def __init__(self, effect: Effect, clock: Clock) -> None:
-        self._effect, self._clock = effect, clock
+    def __init__(self, effect: Effect, clock: Clock, timed: Collection[str]) -> None:
+        self._clock = clock
         self.seconds = 0.0
+        for name in ("draw", "program", "apply", "play"):
+            work = getattr(effect, name)
+            setattr(self, name, partial(self._timed, work) if name in timed else work)
 
     def _timed(self, work: Callable[..., Any], *given: Any) -> Any:
         start = self._clock()
@@ -44,18 +48,6 @@ class _TimedEffect:
             result = work(*given)
         self.seconds += self._clock() - start
         return result
-
-    def draw(self, *given: Any) -> Any:
-        return self._timed(self._effect.draw, *given)
-
-    def program(self, *given: Any) -> Any:
-        return self._timed(self._effect.program, *given)
-
-    def play(self, *given: Any) -> Any:
-        return self._timed(self._effect.play, *given)
-
-    def apply(self, *given: Any) -> Any:
-        return self._timed(self._effect.apply, *given)
 
 
 class _Phases(Callback):
@@ -140,7 +132,8 @@ def profile_steps(
     clock, effect = Clock(), None
     in_workers = data.workers > 0 and data.augmentation is not None and data.augmentation.where == "cpu"
     if data.augmentation is not None and not in_workers:
-        effect = _TimedEffect(data.augmentation.effect, clock)
+        timed = ["play"] if data.workers else ["draw", "program", "apply", "play"]  # workers draw, and have no clock
+        effect = _TimedEffect(data.augmentation.effect, clock, timed)
         data.augmentation = replace(data.augmentation, effect=cast(Effect, effect))
     phases = _Phases(clock, effect)
     steps = len(data.train_dataloader())

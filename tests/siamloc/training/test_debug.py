@@ -118,6 +118,12 @@ def test_a_profile_says_where_the_time_goes_and_does_not_block_the_training(look
     assert (run.folder / "profile.json").is_file()
 
 
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_profile_times_what_augments_on_the_device(look, workers):
+    said = look("profile", augmentation="lighting", augment_where="gpu", workers=workers, **PLACES)
+    assert float(re.search(r"augmentation +([\d.]+) ms", said)[1]) > 0
+
+
 def test_what_makes_no_sense_is_refused(look):
     with pytest.raises(ConfigError, match="debug must be overfit or one_batch or profile, or null, got 'fast'"):
         look("fast", **PAIRS)
