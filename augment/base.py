@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.brushes import Brush, paint
+from augment.brushes import Brush, Frame, paint
 from augment.errors import AugmentError, hint
 
 Params = dict[str, Tensor]
@@ -28,6 +28,16 @@ Numbers = dict[str, NDArray[np.float64]]
 
 _FARTHEST = 1e6  # larger than any column, row or angle that makes sense
 _ROUNDING = 1e-5  # relative, of values that were drawn in float32 from the logarithm
+
+
+@contextmanager
+def on_host() -> Iterator[None]:
+    """Make tensors in main memory, whatever torch's default device is."""
+    if torch.get_default_device().type == "cpu":
+        yield
+        return
+    with torch.device("cpu"):
+        yield
 
 
 @dataclass(frozen=True)
@@ -120,6 +130,7 @@ class Effect(ABC):
         name: the name used in configurations.
         ranges: what its parameters are drawn from.
         options: its other settings; `circular=False` means that the columns do not wrap around.
+        stages: numbers of the parts that `program` may make one step, step by step.
 
     Raises:
         AugmentError: an unknown parameter, or an invalid value.
@@ -152,6 +163,7 @@ class Effect(ABC):
         self.options: dict[str, Any] = {key: params.get(key, value) for key, value in options.items()}
         if not isinstance(self.options["circular"], bool):
             raise AugmentError(f"circular of {self.name} must be true or false, got {self.options['circular']!r}")
+        self.stages = [[0]]
         self._spans: dict[tuple[int, int], dict[str, Range]] = {}
         self._limits: dict[tuple[int, int], tuple[dict[str, Range], Tensor, Tensor]] = {}
 
@@ -181,13 +193,17 @@ class Effect(ABC):
             )
         height, width = batch.shape[2:]
         shape = (len(batch), len(self.spans(height, width)))
-        with on_host():
-            return self.values(torch.rand(shape, generator=generator, device=generator.device).cpu(), height, width)
+        params = self.values(torch.rand(shape, generator=generator, device=generator.device).cpu(), height, width)
+        if not params:
+            raise AugmentError(f"{self.name} draws nothing: give it at least one range, such as that of its strength")
+        return params
 
+    @on_host()
     def values(self, uniform: Tensor, height: int, width: int) -> Params:
         """Turn uniform numbers in [0, 1), (B, number of spans), into the parameters of B frames."""
         return self.complete(spread(uniform, self.spans(height, width)), len(uniform), height, width)
 
+    @on_host()
     def at(self, strength: float, batch: Tensor) -> Params:
         """Return parameters of a given strength, the same for every frame, with all places in the middle.
 
@@ -204,11 +220,10 @@ class Effect(ABC):
             raise AugmentError(f"the strength of {self.name} must lie in [-1, 1], got {strength}")
         height, width = batch.shape[2:]
         values = {key: span.at(strength) for key, span in self.spans(height, width).items()}
-        count = len(batch)
-        with on_host():
-            params = {key: torch.tensor([value] * count) for key, value in values.items()}
-            return self.complete(params, count, height, width)
+        params = {key: torch.tensor([value] * len(batch)) for key, value in values.items()}
+        return self.complete(params, len(batch), height, width)
 
+    @on_host()
     def apply(self, batch: Tensor, params: Mapping[str, Any]) -> Tensor:
         """Return the altered batch; the same parameters give the same images.
 
@@ -221,27 +236,57 @@ class Effect(ABC):
         """
         check_batch(batch)
         height, width = batch.shape[2:]
-        with on_host():
-            checked = self.checked(params, len(batch), height, width)
-            if len(batch) == 0:
-                return batch.clone()
-            if batch.dtype == torch.uint8 and batch.device.type == "cpu":
-                frames = batch.clone(memory_format=torch.contiguous_format)
-                strokes = zip(self.brushes(checked, height, width), self.active(checked), strict=True)
-                paint(frames.numpy(), [brushes if active else () for brushes, active in strokes])
-                return frames
+        checked = self.checked(params, len(batch), height, width)
+        if len(batch) == 0:
+            return batch.clone()
+        if batch.dtype != torch.uint8 or batch.device.type != "cpu":
             return self.play(batch, self.program(checked, height, width))
+        frames = batch.clone(memory_format=torch.contiguous_format)
+        brushes: list[list[Brush]] = [[] for _ in frames]
+        for effect, own, changed in self.parts(checked):
+            rows = np.flatnonzero(changed)
+            if len(rows):
+                some = effect.brushes({key: value[rows] for key, value in own.items()}, height, width)
+                for row, strokes in zip(rows.tolist(), some, strict=True):
+                    brushes[row].extend(strokes)
+        paint(frames.numpy(), brushes)
+        return frames
 
     def program(self, params: Mapping[str, Tensor], height: int, width: int) -> Program:
         """Pack drawn parameters for `play`: a loader can do so, while a device is busy.
+
+        Effects of a policy of which a frame gets at most one are one step, as far as their order allows: five effects
+        that may follow a lamp in five alternatives need one lamp. Parameters made by hand may contradict that; then
+        every effect is a step.
 
         Args:
             params: as returned by `draw`.
             height: rows of the frames.
             width: columns of the frames.
         """
-        numbers = self.coefficients(as_numbers(params), height, width)
-        return packed([(0, self.active(params), numbers)])
+        parts = self.parts(params)
+        stages, place = self.stages, np.zeros(len(parts), dtype=int)
+        for number, stage in enumerate(stages, 1):
+            place[stage] = number
+        changed = np.array([part[2] for part in parts], dtype=bool)
+        reached = np.maximum.accumulate(place[:, None] * changed)
+        if (changed[1:] & (place[1:, None] <= reached[:-1])).any():
+            stages = [[slot] for slot in range(len(parts))]
+        numbers, frames, steps = [np.zeros(0)], [np.zeros(0, dtype=np.int64)], []
+        for stage in stages:
+            values: Numbers = {}
+            for effect, own, here in (parts[slot] for slot in stage):
+                if here.any():
+                    for name, value in effect.coefficients(as_numbers(own), height, width).items():
+                        values[name] = np.where(here, value, values.get(name, 0.0))
+            rows = np.flatnonzero(changed[stage].any(axis=0))
+            if len(rows):
+                wide = {name: np.atleast_2d(value) for name, value in values.items()}
+                numbers += [value[:, rows].ravel() for value in wide.values()]
+                frames.append(rows)
+                steps.append((stage[0], len(rows), tuple((name, len(value)) for name, value in wide.items())))
+        together = torch.from_numpy(np.concatenate(numbers).astype(np.float32))
+        return Program(together, torch.from_numpy(np.concatenate(frames)), tuple(steps))
 
     def play(self, batch: Tensor, program: Program) -> Tensor:
         """Return the altered batch on its device, without waiting for it.
@@ -266,9 +311,13 @@ class Effect(ABC):
             out = some if count == len(out) else out.index_copy_(0, taken, some)
         return out.mul_(255).round_().to(torch.uint8) if coded else out
 
+    def parts(self, params: Mapping[str, Tensor]) -> list[tuple[Effect, Params, NDArray[np.bool_]]]:
+        """Return the single effects in their order, their parameters, and which frames (B,) each of them changes."""
+        return [(self, dict(params), self.active(params))]
+
     @property
     def renderers(self) -> Sequence[Effect]:
-        """The effects whose `render` the steps of a program call."""
+        """The effects whose `render` the steps of a program call, one for each of the parts."""
         return (self.renderer,)
 
     @property
@@ -280,7 +329,7 @@ class Effect(ABC):
         """Return which frames (B,) the effect changes: those whose strength is not neutral."""
         strengths = {key: span.neutral for key, span in self.ranges.items() if span.neutral is not None}
         changed = [(params[key] != neutral).numpy() for key, neutral in strengths.items()]
-        return np.any(changed, axis=0) if changed else np.ones(len(next(iter(params.values()))), dtype=bool)
+        return np.any(changed, axis=0) if changed else np.ones(_count(params), dtype=bool)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """Return the numbers in the formula of the effect, for frames with these parameters; by default these."""
@@ -302,8 +351,7 @@ class Effect(ABC):
 
     def describe(self, params: Mapping[str, Tensor]) -> list[str]:
         """Return what happens to each frame, in words."""
-        count = len(next(iter(params.values())))
-        return [self.name] * count
+        return [self.name] * _count(params)
 
     def spans(self, height: int, width: int) -> dict[str, Range]:
         """Return what each parameter is drawn from, for frames of this size."""
@@ -320,18 +368,36 @@ class Effect(ABC):
         """Return the drawn parameters of `count` frames, together with those that follow from them."""
         return params
 
-    @abstractmethod
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the brushes that alter it in place, as 8-bit levels."""
+        """Return for each frame the brushes that alter it in place, as 8-bit levels; `render` by default."""
+        values = self.tensors(params, height, width)
+        return [
+            [partial(self._paint, {name: value[frame : frame + 1] for name, value in values.items()})]
+            for frame in range(_count(params))
+        ]
 
     @abstractmethod
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the altered batch as a new tensor, float32, 1 being white; the caller clips values outside [0, 1].
 
+        Only the options and the coefficients may matter: effects of a policy with equal options are rendered together.
+
         Args:
             batch: (b, 3, H, W).
             values: the coefficients, (b, 1, 1, 1) or (b, k, 1, 1) each, on the device of the batch.
         """
+
+    def tensors(self, params: Mapping[str, Tensor], height: int, width: int) -> dict[str, Tensor]:
+        """Return the coefficients as `render` takes them, in main memory."""
+        numbers = self.coefficients(as_numbers(params), height, width)
+        return {
+            name: torch.from_numpy(np.atleast_2d(value).T.astype(np.float32))[..., None, None]
+            for name, value in numbers.items()
+        }
+
+    def _paint(self, values: Mapping[str, Tensor], frame: Frame) -> None:
+        done = self.render(torch.from_numpy(frame)[None].float().div_(255), values)[0]
+        frame[:] = done.mul(255).round_().clamp_(0, 255).to(torch.uint8).numpy()
 
     def checked(self, params: Mapping[str, Any], count: int, height: int, width: int) -> Params:
         """Return parameters as tensors (B,) in main memory.
@@ -471,25 +537,5 @@ def as_numbers(params: Mapping[str, Tensor]) -> Numbers:
     return {key: value.numpy().astype(np.float64) for key, value in params.items()}
 
 
-def packed(steps: Sequence[tuple[int, NDArray[np.bool_], Numbers]]) -> Program:
-    """Pack steps: the number of the effect, which frames (B,) it changes, and its coefficients for all frames."""
-    numbers, frames, described = [np.zeros(0)], [np.zeros(0, dtype=np.int64)], []
-    for number, changed, values in steps:
-        rows = np.flatnonzero(changed)
-        if len(rows):
-            wide = {name: np.atleast_2d(value) for name, value in values.items()}
-            numbers += [value[:, rows].ravel() for value in wide.values()]
-            frames.append(rows)
-            described.append((number, len(rows), tuple((name, len(value)) for name, value in wide.items())))
-    together = torch.from_numpy(np.concatenate(numbers).astype(np.float32))
-    return Program(together, torch.from_numpy(np.concatenate(frames)), tuple(described))
-
-
-@contextmanager
-def on_host() -> Iterator[None]:
-    """Make tensors in main memory, whatever torch's default device is."""
-    if torch.get_default_device().type == "cpu":
-        yield
-        return
-    with torch.device("cpu"):
-        yield
+def _count(params: Mapping[str, Tensor]) -> int:
+    return len(next(iter(params.values())))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from augment.base import Params, on_host
+from augment.base import Params
 from augment.compose import Policy
 from augment.errors import AugmentError
 
@@ -56,14 +56,13 @@ class Variant:
             frames: numbers of the frames.
             size: rows and columns of the images.
         """
-        generator, count = torch.Generator(), len(self.policy.spans(*size))
+        generator, count = torch.Generator("cpu"), len(self.policy.spans(*size))
         rows = []
-        with on_host():
-            for frame in frames:
-                state = np.random.SeedSequence([seed, frame, self.number]).generate_state(1, np.uint64)
-                generator.manual_seed(int(state[0] >> np.uint64(1)))
-                rows.append(torch.rand(count, generator=generator))
-            return self.policy.values(torch.stack(rows), *size)
+        for frame in frames:
+            state = np.random.SeedSequence([seed, frame, self.number]).generate_state(1, np.uint64)
+            generator.manual_seed(int(state[0] >> np.uint64(1)))
+            rows.append(torch.rand(count, generator=generator, device="cpu"))
+        return self.policy.values(torch.stack(rows), *size)
 
 
 def variants(depth: int, circular: bool = True) -> list[Variant]:

@@ -14,8 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Program, Range, as_numbers, packed
-from augment.brushes import Brush
+from augment.base import Effect, Params, Range
 from augment.columns import wrapped
 from augment.errors import AugmentError, hint
 from augment.registry import EFFECTS, effect
@@ -89,7 +88,7 @@ class Policy(Effect):
         self._inner = [step for step in _walk(self.tree) if step.probability < 1]
         self._choices = [step for step in _walk(self.tree) if step.kind == "one_of"]
         self._renderers = tuple(inner.renderer for inner in self.effects)
-        self._stages = _stages(self.tree, [(type(one), *one.options.items()) for one in self._renderers])
+        self.stages = _stages(self.tree, [(type(one), repr(one.options)) for one in self._renderers])
 
     def __repr__(self) -> str:
         return f"Policy({self.name!r}, {len(self.slots)} slots)"
@@ -158,43 +157,13 @@ class Policy(Effect):
                 words[frame].append(texts[frame])
         return [" + ".join(some) or "original" for some in words]
 
-    def active(self, params: Mapping[str, Tensor]) -> NDArray[np.bool_]:
-        """Return which frames (B,) any effect changes."""
-        return np.any([np.zeros(len(params["heading"]), dtype=bool), *self._changed(params)], axis=0)
-
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the brushes of the effects it got, in their order."""
-        brushes: list[list[Brush]] = [[] for _ in range(len(params["heading"]))]
-        for own, inner, changed in zip(self._owns(params), self.effects, self._changed(params), strict=True):
-            frames = torch.from_numpy(np.flatnonzero(changed))
-            if len(frames):
-                some = inner.brushes({key: value[frames] for key, value in own.items() if key != "on"}, height, width)
-                for frame, strokes in zip(frames.tolist(), some, strict=True):
-                    brushes[frame].extend(strokes)
-        return list(brushes)
-
-    def program(self, params: Mapping[str, Tensor], height: int, width: int) -> Program:
-        """Pack drawn parameters for `play`. See `Effect.program`.
-
-        Slots of which a frame gets at most one are one step, as far as the order of the effects allows: five effects
-        that may follow a lamp in five alternatives need one lamp. Parameters made by hand may contradict that; then
-        every slot is a step.
-        """
-        changed = self._changed(params)
-        numbers = {
-            slot: inner.coefficients(as_numbers(own), height, width)
-            for slot, (own, inner) in enumerate(zip(self._owns(params), self.effects, strict=True))
-            if changed[slot].any()
-        }
-        together = all(np.sum([changed[slot] for slot in stage], axis=0).max() <= 1 for stage in self._stages)
-        steps = []
-        for stage in self._stages if together else [[slot] for slot in range(len(self.slots))]:
-            values: Numbers = {}
-            for slot in filter(numbers.__contains__, stage):
-                for name, value in numbers[slot].items():
-                    values[name] = np.where(changed[slot], value, values.get(name, 0.0))
-            steps.append((stage[0], np.any([changed[slot] for slot in stage], axis=0), values))
-        return packed(steps)
+    def parts(self, params: Mapping[str, Tensor]) -> list[tuple[Effect, Params, NDArray[np.bool_]]]:
+        """Return effect, parameters and changed frames of each slot. See `Effect.parts`."""
+        parts = []
+        for own, inner in zip(self._owns(params), self.effects, strict=True):
+            on = own.pop("on").numpy().astype(bool)
+            parts.append((inner, own, on & inner.active(own) if on.any() else on))
+        return parts
 
     @property
     def renderers(self) -> Sequence[Effect]:
@@ -204,14 +173,6 @@ class Policy(Effect):
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Not called: the steps of a policy are its effects."""
         raise NotImplementedError
-
-    def _changed(self, params: Mapping[str, Tensor]) -> list[NDArray[np.bool_]]:
-        """Return for each slot which frames (B,) it changes."""
-        found = []
-        for own, inner in zip(self._owns(params), self.effects, strict=True):
-            on = own["on"].numpy().astype(bool)
-            found.append(on & inner.active(own) if on.any() else on)
-        return found
 
     def _owns(self, params: Mapping[str, Tensor]) -> list[Params]:
         """Return the parameters of each slot, without its prefix."""
@@ -229,20 +190,20 @@ class Policy(Effect):
 
     def _decide(self, params: Params, count: int) -> list[Tensor]:
         """Return for each slot which frames got it (B,)."""
-        gates = {id(step): params[f"gate{i}"] < step.probability for i, step in enumerate(self._inner)}
-        choices = {id(step): params[f"choice{i}"].contiguous() for i, step in enumerate(self._choices)}
-        taken: list[Tensor] = [torch.zeros(0)] * len(self.slots)
+        gates = iter([params[f"gate{number}"] for number in range(len(self._inner))])
+        choices = iter([params[f"choice{number}"].contiguous() for number in range(len(self._choices))])
+        taken: list[Tensor] = []
 
-        def visit(step: Step, here: Tensor) -> None:
-            if id(step) in gates:
-                here = here & gates[id(step)]
+        def visit(step: Step, here: Tensor) -> None:  # in the order of `_walk`
+            if step.probability < 1:
+                here = here & (next(gates) < step.probability)
             if step.effect is not None:
-                taken[step.slot] = here
+                taken.append(here)
             elif step.kind == "all_of":
                 for child in step.steps:
                     visit(child, here)
             else:
-                chosen = torch.bucketize(choices[id(step)], _bounds(tuple(child.weight for child in step.steps)))
+                chosen = torch.bucketize(next(choices), _bounds(tuple(child.weight for child in step.steps)))
                 for number, child in enumerate(step.steps):
                     visit(child, here & (chosen == number))
 

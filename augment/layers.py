@@ -7,7 +7,7 @@ here; lamps and reflections are in `spots`.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from math import asin, atan, ceil, floor, hypot, pi
 from typing import Any, ClassVar
@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, as_numbers, places_in
+from augment.base import Effect, Numbers, Params, Range, places_in
 from augment.brushes import Brush, Frame
 
 _SUN = (1.0, 0.93, 0.78)  # colour of sunlight: red, green, blue
@@ -45,7 +45,7 @@ class Layer(Effect):
         Args:
             rows: (..., h, 1).
             columns: (..., 1, w); some may lie beyond the seam.
-            values: the coefficients: numbers, or tensors (b, 1, 1, 1) or (b, k, 1, 1).
+            values: the coefficients: (..., 1, 1, 1) or (..., k, 1, 1) each.
             height: rows of the frame.
             width: columns of the frame.
 
@@ -62,10 +62,10 @@ class Layer(Effect):
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the application of its layer."""
-        numbers = as_numbers(params)
-        values = _of_frames(self.coefficients(numbers, height, width))
-        pairs = zip(_of_frames(numbers), values, strict=True)
-        return [[partial(self._lay, own, each, height, width)] for own, each in pairs]
+        plain = _of_frames({name: value.tolist() for name, value in params.items()})
+        values = _of_frames(self.tensors(params, height, width))
+        boxes = [self.box(each, height, width) for each in plain]
+        return [[partial(self._lay, *both)] for both in zip(boxes, values, strict=True)]
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch with its layers applied."""
@@ -84,10 +84,8 @@ class Layer(Effect):
         beyond = columns - start
         return (beyond % width if self.circular else beyond) - width // 2
 
-    def _lay(
-        self, params: Mapping[str, float], values: Mapping[str, Any], height: int, width: int, frame: Frame
-    ) -> None:
-        top, bottom, left, right = self.box(params, height, width)
+    def _lay(self, box: tuple[int, int, int, int], values: Mapping[str, Tensor], frame: Frame) -> None:
+        (_, height, width), (top, bottom, left, right) = frame.shape, box
         top, bottom = max(top, 0), min(bottom, height)
         if self.circular:
             right = min(right, left + width)
@@ -281,10 +279,5 @@ def start_of(params: Numbers, width: int) -> NDArray[np.float64]:
     return params["column"] - width // 2
 
 
-def _of_frames(values: Numbers) -> list[dict[str, Any]]:
-    """Return the numbers of each frame: plain ones, or tensors (k, 1, 1)."""
-    columns = {
-        name: value.tolist() if value.ndim == 1 else torch.from_numpy(value.astype(np.float32)).T[..., None, None]
-        for name, value in values.items()
-    }
-    return [dict(zip(columns, each, strict=True)) for each in zip(*columns.values(), strict=True)]
+def _of_frames(values: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
+    return [dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)]

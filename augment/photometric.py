@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, as_numbers
+from augment.base import Effect, Numbers, Params, Range
 from augment.brushes import Brush, Frame, flat
 
 
@@ -27,9 +27,7 @@ class PointEffect(Effect):
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the lookup of its table."""
         levels = (torch.arange(256, dtype=torch.float32) / 255).view(1, 1, 1, 256)
-        numbers = self.coefficients(as_numbers(params), height, width)
-        values = {key: torch.from_numpy(np.atleast_2d(value)).T.float() for key, value in numbers.items()}
-        curves = self.curve(levels, {key: value[..., None, None] for key, value in values.items()})
+        curves = self.curve(levels, self.tensors(params, height, width))
         tables = (curves.clamp(0, 1) * 255).round().to(torch.uint8).squeeze(2).numpy()
         return [[partial(_look_up, table)] for table in tables]
 
@@ -39,14 +37,14 @@ class PointEffect(Effect):
 
 
 class Tone(PointEffect):
-    """A power and a line: I' = gain I^gamma + offset. The effects that are one are rendered together."""
+    """A power and a line: I' = gain I^gamma + offset. Subclasses with this curve are rendered together."""
 
     name = "tone"
 
     @property
     def renderer(self) -> Effect:
         """The common formula."""
-        return Tone()
+        return Tone() if type(self).curve is Tone.curve else self
 
     def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Power, gain, offset."""
@@ -252,12 +250,8 @@ def _scale(factor: float, offset: float, frame: Frame) -> None:
 
 
 def _add(amount: int, frame: Frame) -> None:
-    if amount >= 0:
-        np.minimum(frame, 255 - amount, out=frame)
-        np.add(frame, np.uint8(amount), out=frame)
-    else:
-        np.maximum(frame, -amount, out=frame)
-        np.subtract(frame, np.uint8(-amount), out=frame)
+    add = cv2.add if amount >= 0 else cv2.subtract
+    add(flat(frame), abs(amount), dst=flat(frame))  # type: ignore[call-overload]
 
 
 def _equalize(strength: float, frame: Frame) -> None:

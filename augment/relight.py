@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from math import pi
+from math import ceil, floor, pi
 from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, as_numbers
+from augment.base import Effect, Numbers, Params, Range
 from augment.brushes import Brush, Frame
 from augment.layers import Layer, start_of
 
@@ -80,11 +81,8 @@ class Relight(Layer):
 
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame the multiplication with its gains; those of columns come from the whole batch."""
-        numbers = self.coefficients(as_numbers(params), height, width)
-        values = {key: torch.from_numpy(np.atleast_2d(value)).T.float() for key, value in numbers.items()}
         columns = torch.arange(width, dtype=torch.float32).view(1, 1, 1, -1)
-        each = {key: value[..., None, None] for key, value in values.items()}
-        parts = (part.numpy() for part in self._of_columns(columns, each, width))
+        parts = (part.numpy() for part in self._of_columns(columns, self.tensors(params, height, width), width))
         above = _above(torch.arange(height, dtype=torch.float32).view(-1, 1), height).numpy()
         return [
             [partial(_relight, level[0], slope[0], colour, above)] for level, slope, colour in zip(*parts, strict=True)
@@ -130,13 +128,10 @@ class Doorway(Layer):
         aside = self.offset(columns, values["start"], width).abs() * (1 / (2 * _SOFT * width))
         return 1 + (values["reach"] - aside).clamp(0, 1) * values["more"]
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the multiplication of its columns."""
-        numbers = self.coefficients(as_numbers(params), height, width)
-        each = {key: torch.from_numpy(value).float().view(-1, 1, 1) for key, value in numbers.items()}
-        columns = torch.arange(width, dtype=torch.float32).view(1, 1, -1)
-        gains = self.layer(columns, columns, each, height, width)
-        return [[partial(_multiply, gain)] for gain in gains.numpy()]
+    def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:
+        """Return all rows of the sector's columns."""
+        half = (params["share"] / 2 + _SOFT) * width
+        return 0, height, floor(params["column"] - half), ceil(params["column"] + half) + 1
 
 
 class Windows(Effect):
@@ -186,14 +181,7 @@ def _above(rows: Tensor, height: int) -> Tensor:
 def _relight(level: Floats, slope: Floats, colour: Floats, above: Floats, frame: Frame) -> None:
     gain = np.exp2(level + slope * above)
     for channel, tint in zip(frame, colour, strict=True):
-        _multiply(gain * tint, channel)
-
-
-def _multiply(gain: Floats, pixels: Frame) -> None:
-    """Multiply 8-bit pixels in place by gains that broadcast to them."""
-    scaled = pixels * gain
-    np.rint(np.minimum(scaled, 255, out=scaled), out=scaled)
-    pixels[...] = scaled
+        cv2.multiply(channel, gain * tint, dst=channel, dtype=cv2.CV_8U)
 
 
 def _black_out(share: float, level: float, strength: float, frame: Frame) -> None:

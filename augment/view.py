@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 from math import pi
 from typing import ClassVar
 
@@ -11,8 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Params, Range
-from augment.brushes import Brush, Frame
+from augment.base import Effect, Range
 
 
 class View(Effect):
@@ -45,12 +43,6 @@ class View(Effect):
         """The column towards which a panorama rolls."""
         return {"column": Range(0, width - 1 if self.circular else 0, whole=True)}
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame its change, through floating point."""
-        values = {key: value.float().view(-1, 1, 1, 1).split(1) for key, value in params.items()}
-        each = zip(*values.values(), strict=True)
-        return [[partial(self._move, dict(zip(values, one, strict=True)))] for one in each]
-
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch from the other view."""
         p = {key: value[..., 0] for key, value in values.items()}  # (b, 1, 1)
@@ -67,10 +59,6 @@ class View(Effect):
         y = (roll.cos() * below - roll.sin() * aside) / (p["zoom"] / p["stretch"])
         grid = torch.stack([x * (2 / width), y * (2 / height)], dim=-1)
         return F.grid_sample(batch, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
-
-    def _move(self, values: Mapping[str, Tensor], frame: Frame) -> None:
-        moved = self.render(torch.from_numpy(frame)[None].float(), values)
-        frame[:] = moved[0].round_().clamp_(0, 255).to(torch.uint8).numpy()
 
 
 def _along_columns(batch: Tensor, rows: Tensor) -> Tensor:
