@@ -25,20 +25,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
 from analytic.errors import AnalyticError
 from augment.errors import AugmentError
 from benchmarks.report import Report, parser
 from benchmarks.torture_calls import call_cases
 from benchmarks.torture_files import FILES, damaged
-from siamloc.cli.checking import check
-from siamloc.cli.compose import composed, plain
-from siamloc.cli.help import COMMANDS
-from siamloc.cli.robot import Localize, Watch
+from siamloc.cli.compose import composed
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import SiamlocError
-from siamloc.settings import Settings
+from siamloc.jobs import Localize, Watch
+from siamloc.jobs.job import Job, leaves
 from siamloc.training import fitting  # noqa: F401 (its packages take seconds to load, which no case should pay for)
 
 LONGEST = 10.0
@@ -194,25 +190,23 @@ def setting_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
     """Yield each leaf of each starting point with each strange value, once, and whether it is nonsense."""
     seen: set[tuple[str, str, str]] = set()
     for command, *words in STARTS:
-        config = composed(command, words)
-        for key, default in leaves(plain(config)):
+        job = composed(command, words)
+        for key, default in leaves(job.plain()):
             for called, value in STRANGE.items():
-                case = (COMMANDS[command].begins_with, key, f"{default!r} {called}")
+                case = (command, key, f"{default!r} {called}")
                 if case in seen:
                     continue
                 seen.add(case)
 
-                def changed(key: str = key, value: Any = value, config: Any = config, command: str = command) -> None:
-                    strange = config.copy()
-                    OmegaConf.update(strange, key, value, merge=False)
-                    check(COMMANDS[command].begins_with, strange)
+                def changed(key: str = key, value: Any = value, job: Job = job) -> None:
+                    type(job).of(with_value(job.plain(), key, value))
 
                 yield f"{command} {key}={value!r}", changed, is_nonsense(key, default, called)
     for command, kind in {"localize": Localize, "live": Watch}.items():
         for key, default in kind().plain().items():
             for called, value in STRANGE.items():
 
-                def set_to(kind: type[Settings] = kind, key: str = key, value: Any = value) -> None:
+                def set_to(kind: type[Job] = kind, key: str = key, value: Any = value) -> None:
                     kind.of({"images": ["a.png"], "bundle": "b", key: value})
 
                 yield f"{command} {key}={value!r}", set_to, is_nonsense(key, default, called)
@@ -222,19 +216,16 @@ def unknown_cases() -> Iterator[tuple[str, Callable[[], Any], bool]]:
     """Yield each group of each starting point with one unknown key added."""
     seen: set[tuple[str, str]] = set()
     for command, *words in STARTS:
-        config = composed(command, words)
-        held = plain(config)
+        job = composed(command, words)
+        held = job.plain()
         groups = ["", *(key for key, value in held.items() if isinstance(value, Mapping) and value)]
         for group in groups:
             if (command, f"{group} {held.get(group)}") in seen:
                 continue
             seen.add((command, f"{group} {held.get(group)}"))
 
-            def added(group: str = group, config: Any = config, command: str = command) -> None:
-                strange = config.copy()
-                OmegaConf.set_struct(strange, False)
-                OmegaConf.update(strange, f"{group}.zzz" if group else "zzz", 1)
-                check(COMMANDS[command].begins_with, strange)
+            def added(group: str = group, job: Job = job) -> None:
+                type(job).of(with_value(job.plain(), f"{group}.zzz" if group else "zzz", 1))
 
             yield f"{command} +{group}.zzz=1", added, True
 
@@ -273,13 +264,10 @@ def is_nonsense(key: str, default: Any, called: str) -> bool:
     return called in {"a mapping", "a list of other things", "a list of lists", "not a number", "infinity"}
 
 
-def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the keys, with dots, and the values of a configuration, except groups."""
-    for key, value in values.items():
-        if isinstance(value, Mapping) and value:
-            yield from leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
+def with_value(values: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """Return nested values with another value for a key with dots."""
+    first, _, rest = key.partition(".")
+    return {**values, first: with_value(values[first], rest, value) if rest else value}
 
 
 if __name__ == "__main__":

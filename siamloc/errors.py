@@ -73,3 +73,16 @@ def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> 
     if on_error == "raise":
         raise DataError(f"{message} (on_error=skip leaves them out)")
     logger.warning("%s; left out", message)
+
+
+def check_known(values: Iterable[str], names: Iterable[str], where: str) -> None:
+    """Refuse a key that is not among the names of a group.
+
+    Raises:
+        ConfigError: an unknown key, with the nearest valid one.
+    """
+    before = f"{where}." if where else ""
+    valid = sorted(f"{before}{name}" for name in names)
+    for key in values:
+        if f"{before}{key}" not in valid:
+            raise ConfigError(f"unknown configuration key {f'{before}{key}'!r}: {hint(f'{before}{key}', valid)}")

@@ -66,6 +66,8 @@ def test_arrows_between_packages(path):
         if within(module, package):
             wrong = [name for name in names for other in others if within(name, other)]
             assert not wrong, f"{module} must not import {wrong}"
+    if not within(module, "siamloc.cli") and not within(module, "siamloc.jobs"):
+        assert not [name for name in names if within(name, "siamloc.jobs")], f"{module} must not import the jobs"
     if not within(module, "siamloc.cli") and module != "siamloc.__main__":
         assert not [name for name in names if within(name, "siamloc.cli")], f"{module} must not import the CLI"
 
@@ -77,7 +79,7 @@ def test_arrows_between_packages(path):
         "import siamloc.simulate, siamloc.runtime, siamloc.report",
         "import analytic",
         "import augment",
-        "import siamloc.cli",
+        "import siamloc.cli, siamloc.jobs.evaluate, siamloc.jobs.train",
         "from siamloc.runtime import Localizer",
     ],
 )

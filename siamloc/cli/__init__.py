@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from siamloc import __version__
-from siamloc.cli.help import COMMANDS, overview
+from siamloc.cli.help import COMMANDS, command_help, job_of, overview
 from siamloc.errors import ConfigError, SiamlocError, hint, lacking
 from siamloc.interrupts import follows_from
 
@@ -62,24 +62,17 @@ def _dispatch(words: list[str]) -> int:
     if command is None:
         return 0
     if "-h" in overrides or "--help" in overrides:
-        from siamloc.cli.keys import command_help
-
         print(command_help(command))
         return 0
-    if COMMANDS[command].config is None:
-        from siamloc.cli import robot
-
-        status: int = getattr(robot, COMMANDS[command].function)(overrides)
-        return status
-    from siamloc.cli import commands
     from siamloc.cli.compose import run
 
-    if key := COMMANDS[command].takes:
+    if key := job_of(command).ALONE:
         alone = [word for word in overrides if not word.startswith("-") and "=" not in word]
         if len(alone) > 1:
             raise ConfigError(f"siamloc {command} takes one {key}, got {' '.join(alone)}: run it once for each")
         overrides = [_with_key(key, word) for word in overrides]
-    return run(command, getattr(commands, COMMANDS[command].function), overrides)
+    run(command, overrides)
+    return 0
 
 
 def _with_key(key: str, word: str) -> str:
@@ -100,8 +93,6 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
     if not family:
         raise ConfigError(f"unknown command {words[0]!r}: {hint(words[0], COMMANDS)}")
     if {"-h", "--help"} & set(words):
-        from siamloc.cli.keys import command_help
-
         print("\n\n".join([command_help(name) for name in family]))  # `map` is a module of this package
         return None, []
     given = " ".join(words[:2]) if len(words) > 1 and "=" not in words[1] else words[0]

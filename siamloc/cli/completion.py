@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from siamloc.cli.help import COMMANDS
+from siamloc.cli.help import COMMANDS, job_of
 from siamloc.errors import ConfigError, hint
 
 _BASH = """\
@@ -30,7 +30,7 @@ siamloc completion: complete commands, groups and keys with the tab key
   zsh    eval "$(siamloc completion zsh)"        in ~/.zshrc
   fish   siamloc completion fish | source        in ~/.config/fish/config.fish"""
 
-_INTERNAL = ("hydra", "settings", "parameters", "building", "simulate", "demo", "reproduce")
+_INTERNAL = ("hydra", "settings", "building")
 
 
 def completion(words: list[str]) -> str:
@@ -68,21 +68,11 @@ def candidates(line: str) -> list[str]:
 
 def _of_command(command: str, words: list[str]) -> list[str]:
     """Return the candidates for the last word after a command; for most commands they come from Hydra."""
-    if COMMANDS[command].config is None:
-        from siamloc.cli.robot import keys
-
+    kind = job_of(command)
+    if not kind.BY_HYDRA:
         given = {word.partition("=")[0] for word in words[:-1]}
-        return [f"{key}=" for key in keys(command) if key.startswith(words[-1]) and key not in given]
-    from hydra import initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.plugins.completion_plugin import DefaultCompletionPlugin
+        return [f"{key}=" for key in kind.key_names() if key.startswith(words[-1]) and key not in given]
+    from siamloc.cli.compose import completed
 
-    from siamloc.cli.compose import folder_of
-    from siamloc.cli.schema import register
-
-    name = COMMANDS[command].begins_with
-    register(name)
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(version_base="1.3", config_dir=str(folder_of(name))):
-        found = DefaultCompletionPlugin(GlobalHydra.instance().config_loader())._query(name, " ".join(words))
+    found = completed(kind, " ".join(words))
     return [one for one in found if not one.startswith(_INTERNAL) or one.startswith("building=")]

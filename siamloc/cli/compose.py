@@ -1,25 +1,27 @@
-"""Compose a configuration from the words on the command line, with Hydra."""
+"""Compose the settings of a job from the words on the command line, with Hydra, and run it."""
 
 from __future__ import annotations
 
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from siamloc.cli.help import COMMANDS
-from siamloc.cli.schema import register
-from siamloc.cli.sweeps import sweep_suffix
-from siamloc.errors import ConfigError, SiamlocError, hint
-from siamloc.jobs.options import choices, config_folder, groups
+from siamloc.cli.help import job_of
+from siamloc.cli.words import values_of
+from siamloc.errors import ConfigError, SiamlocError, check_known, hint
+from siamloc.jobs.job import Given, Job, merged
+from siamloc.jobs.options import choices, config_folder, groups, options
+from siamloc.jobs.sweep import Sweep
 from siamloc.runs import runs_in
 from siamloc.settings import shortened
 
-Main = Callable[[DictConfig], None]
 OF_SWEEPS = ("map", "evaluate")
 """Commands that do their work for each run if the folder of a sweep is given."""
 # Keep Hydra from changing the folder and from writing files or log lines.
@@ -31,30 +33,38 @@ _HYDRA = (
     "hydra.output_subdir=null",
     "hydra.job.chdir=false",
 )
+_NAME = "siamloc"
+"""Name of the configuration of a command, which `_register` composes."""
+_print = partial(print, flush=True)
 
 
-def run(command: str, main: Main, words: list[str]) -> int:
-    """Compose the configuration of a command and run it; with -m once for each combination.
+def run(command: str, words: list[str]) -> None:
+    """Compose the job of a command and run it; with -m once for each combination.
 
     Raises:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
     """
+    kind = job_of(command)
+    if not kind.BY_HYDRA:
+        kind.of(values_of(words, kind)).run(_print)
+        return
     _check_words(words)
     given = words = [_network_of_a_run(word) for word in words]
     words = _sweep(command, words) if {"-m", "--multirun"} & set(words) else words
     words = _flags_first([*_HYDRA, *words])
     import hydra
 
-    name = COMMANDS[command].begins_with
-    register(name)
+    _register(kind)
     failed: list[Exception] = []
 
     def job(config: DictConfig) -> None:
         sys.argv = arguments  # used by the trainer to start further processes
+        sweep = _sweep_of_the_job()
         try:
-            _for_each_run(command, config, lambda one: main(finished(command, one, given)))
+            with Sweep.running(sweep):
+                _for_each_run(command, config, lambda one: _made(kind, one, given).run(_print))
         except Exception as error:
-            if sweep_suffix():
+            if sweep.words:
                 raise
             failed.append(error)  # Hydra would print a line before passing it on
 
@@ -63,85 +73,138 @@ def run(command: str, main: Main, words: list[str]) -> int:
     arguments = sys.argv
     sys.argv = [f"siamloc {command}", *words]
     try:
-        hydra.main(version_base="1.3", config_path=str(folder_of(name)), config_name=name)(job)()
+        hydra.main(version_base="1.3", config_path=_path(kind), config_name=_NAME)(job)()
     except Exception as error:
-        raise _explained(error, given, name) from error
+        raise _explained(error, given, kind) from error
     finally:
         sys.argv = arguments
         os.environ.update(before)
     if failed:
-        raise _explained(failed[0], given, name)
-    return 0
+        raise _explained(failed[0], given, kind)
 
 
-def composed(command: str, words: list[str]) -> DictConfig:
-    """Return the configuration that a command would get from these words, without running it.
+def composed(command: str, words: list[str]) -> Job:
+    """Return the job that a command would run with these words.
 
     Raises:
         ConfigError: as `run`.
     """
-    name = COMMANDS[command].begins_with
+    kind = job_of(command)
+    if not kind.BY_HYDRA:
+        return kind.of(values_of(words, kind))
     _check_words(words)
     words = [_network_of_a_run(word) for word in words]
     try:
-        return finished(command, _hydra_compose(name, words), words)
+        return _made(kind, compose_values(kind, words), words)
     except Exception as error:
-        raise _explained(error, words, name) from error
+        raise _explained(error, words, kind) from error
 
 
-def finished(command: str, config: DictConfig, words: list[str]) -> DictConfig:
-    """Return a configuration with the settings of its run, and with every value set.
+def compose_values(kind: type[Job], words: list[str]) -> DictConfig:
+    """Compose the values of a job, and restore the state of any running Hydra job afterwards."""
+    from hydra import compose as hydra_compose
+
+    with _initialized(kind):
+        return hydra_compose(_NAME, overrides=words)
+
+
+def completed(kind: type[Job], line: str) -> list[str]:
+    """Return what may follow the words of a line, for the tab key."""
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.plugins.completion_plugin import DefaultCompletionPlugin
+
+    with _initialized(kind):
+        return DefaultCompletionPlugin(GlobalHydra.instance().config_loader())._query(_NAME, line)
+
+
+@contextmanager
+def _initialized(kind: type[Job]) -> Iterator[None]:
+    """Let Hydra know the configuration of a job, and restore the state of any running Hydra job afterwards."""
+    from hydra import initialize, initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.singleton import Singleton
+
+    state = Singleton.get_state()
+    GlobalHydra.instance().clear()
+    _register(kind)
+    folder = _path(kind)
+    try:
+        with initialize_config_dir(folder, version_base="1.3") if folder else initialize(None, version_base="1.3"):
+            yield
+    finally:
+        Singleton.set_state(state)
+
+
+def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
+    """Make a job from its composed values.
 
     Raises:
-        ConfigError: a key without a value.
+        ConfigError: an unknown key, a key without a value, or a value of the wrong type or out of range.
     """
     keys = [_key(word) for word in words if not word.startswith("-")]
-    chosen = [key for key in keys if key in groups()]
+    chosen = [key for key in keys if kind.GROUPS and key in groups()]
     for key in keys:
-        if "." in key and key.replace(".", "/") in groups():
+        if "." in key and key.replace(".", "/") in kind.GROUPS:
             raise ConfigError(f"{key} is chosen from files: write {key.replace('.', '/')}=NAME, with a slash")
-    resumed = command in ("train", "pretrain") and config.get("resume") is True
-    if (COMMANDS[command].inherits or resumed) and config.get("run") is not None:
-        from siamloc.cli.inherit import with_settings_of_the_run
-
-        config = with_settings_of_the_run(
-            config,
-            [key.replace("/", ".") for key in keys],
-            [group.replace("/", ".") for group in chosen],
-            resumed=resumed,
-            replaces_map=command == "map",
-            required=COMMANDS[command].reads_data and not resumed,
-        )
-    elif COMMANDS[command].inherits and COMMANDS[command].reads_data:
-        from siamloc.cli.inherit import check_named
-
-        check_named(config)
-    if config.get("descriptor", {}).get("name") == "pretrained" and "data.image_size" not in keys:
-        from siamloc.models.registry import PRETRAINED_SIZE
-
-        config.data.image_size = list(PRETRAINED_SIZE)
-    missing = sorted(OmegaConf.missing_keys(config))
-    if not COMMANDS[command].reads_data:
-        missing = [key for key in missing if not key.startswith("data.")]
-    if missing:
-        raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=VALUE")
-    from siamloc.cli.checking import check
-
-    check(COMMANDS[command].begins_with, config)
-    return config
+    values: Any = OmegaConf.to_container(config, resolve=True)
+    check_known(values, {key for one in together(kind) for key in one.key_names()}, "")
+    own = {key: value for key, value in values.items() if key in kind.key_names()}
+    for group in kind.GROUPS:
+        if not isinstance(own.get(group, {}), Mapping):
+            raise ConfigError(f"{group} is a group of keys: set them one by one, such as {group}.KEY=VALUE")
+    dotted = [[key.replace("/", ".") for key in some] for some in (keys, chosen)]
+    return kind.of(own, Given(*dotted))
 
 
-def composed_defaults(name: str) -> DictConfig:
-    """Return a configuration as its files define it, including values without a default."""
-    return _hydra_compose(name, [])
+def together(kind: type[Job]) -> list[type[Job]]:
+    """Return the jobs that share their keys with a job: all that experiments may set keys for, or itself alone."""
+    return [job_of(name) for name in ("prepare", "train", "map", "evaluate", "export")] if kind.SHARED else [kind]
 
 
-def plain(config: DictConfig) -> dict[str, Any]:
-    """Return a configuration as plain values, with references resolved."""
-    return OmegaConf.to_container(config, resolve=True)  # type: ignore[return-value]
+def _register(kind: type[Job]) -> None:
+    """Give Hydra the configuration of a job: its defaults, and the options of its groups from the registries."""
+    from hydra.core.config_store import ConfigStore
+
+    store = ConfigStore.instance()
+    for key in [key for key in store.repo if key != "hydra" and not key.startswith("_")]:
+        del store.repo[key]  # those of another job, whose keys may have the names of groups
+    jobs = together(kind)
+    chosen = {group: name for one in jobs for group, name in one.GROUPS.items()}
+    values: dict[str, Any] = {}
+    for one in jobs:
+        values = merged(values, one.defaults())
+    last = [{"experiment": None}] if kind.SHARED else []
+    defaults = [*({group: name} for group, name in chosen.items()), "_self_", *last]
+    store.store(_NAME, OmegaConf.create({"defaults": defaults, **values}))
+    for group, inside in options().items() if chosen else ():
+        for name, option in inside.items():
+            package = "_global_" if group == "experiment" else None
+            store.store(name, OmegaConf.create(option.node()), group=group, package=package)
 
 
-def _for_each_run(command: str, config: DictConfig, work: Main) -> None:
+def _path(kind: type[Job]) -> str | None:
+    """Return the folder of the options that are files; None for a job without groups, whose keys may be called so."""
+    return str(config_folder()) if kind.GROUPS else None
+
+
+def _sweep_of_the_job() -> Sweep:
+    """Return what distinguishes the running job from the others of its sweep."""
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.types import RunMode
+
+    hydra = HydraConfig.get()
+    if hydra.mode != RunMode.MULTIRUN:
+        return Sweep()
+    fixed = set(hydra.job.config.override_dirname.exclude_keys)
+    words = {word.partition("=")[0].lstrip("+~"): word.lstrip("+~") for word in hydra.overrides.task}
+    words = {key: word for key, word in words.items() if key not in fixed}
+    parser = OverridesParser.create()
+    values = {key: parser.parse_override(word).value() for key, word in words.items()}
+    return Sweep(values, {key: word.partition("=")[2] for key, word in words.items()}, int(hydra.job.num))
+
+
+def _for_each_run(command: str, config: DictConfig, work: Callable[[DictConfig], None]) -> None:
     """Do the work for each run of the given sweep, or once if there is none; a failing run does not stop the others.
 
     Raises:
@@ -163,29 +226,6 @@ def _for_each_run(command: str, config: DictConfig, work: Main) -> None:
     if failed:
         folder, first = next(iter(failed.items()))
         raise ConfigError(f"{len(failed)} of {len(found)} runs failed, the first is {folder}: {first}") from first
-
-
-def _hydra_compose(name: str, overrides: list[str]) -> DictConfig:
-    """Compose a configuration, and restore the state of any running Hydra job afterwards."""
-    from hydra import compose as hydra_compose
-    from hydra import initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.singleton import Singleton
-
-    register(name)
-    state = Singleton.get_state()
-    GlobalHydra.instance().clear()
-    try:
-        with initialize_config_dir(version_base="1.3", config_dir=str(folder_of(name))):
-            return hydra_compose(name, overrides=overrides)
-    finally:
-        Singleton.set_state(state)
-
-
-def folder_of(name: str) -> Path:
-    """Return the folder of a command's configuration: its own if its keys have the names of groups."""
-    folder = config_folder() / name
-    return folder if folder.is_dir() else config_folder()
 
 
 def _sweep(command: str, words: list[str]) -> list[str]:
@@ -260,7 +300,7 @@ def _quoted(text: object) -> str:
     return "'" + str(text).replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
-def _explained(error: Exception, words: list[str], name: str) -> Exception:
+def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception:
     """Turn errors of Hydra and OmegaConf into one sentence with the nearest valid name; leave others alone."""
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
@@ -270,25 +310,25 @@ def _explained(error: Exception, words: list[str], name: str) -> Exception:
     text = " ".join(str(error).split())
     if found := re.search(r"Could not override '([^']+)'", text):
         key = found[1].lstrip("+~").partition("@")[0]
-        if inside := [group for group in groups() if group.startswith(f"{key}/")]:
+        if inside := [group for group in kind.GROUPS if group.startswith(f"{key}/")]:
             return ConfigError(f"{key} is a group of groups: choose {' or '.join(f'{one}=NAME' for one in inside)}")
         added = f"; add other arguments of Lightning's Trainer with a plus: +{key}=..."
         more = added if key.startswith("trainer.") else ""
-        return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, name, words)}{more}")
+        return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, kind, words)}{more}")
     if found := re.search(r"(?:Could not find|In '[^']*': Could not find) '([^']+)'", text):
         group, _, option = found[1].rpartition("/")
         return ConfigError(f"unknown option {group}={option}: {hint(option, choices(group))}")
     return ConfigError(f"{text} (given: {' '.join(words)})")
 
 
-def _nearest_key(key: str, name: str, words: list[str]) -> str:
+def _nearest_key(key: str, kind: type[Job], words: list[str]) -> str:
     from hydra.errors import HydraException
 
-    chosen = [word for word in words if word.partition("=")[0] in groups() and "," not in word]
+    chosen = [word for word in words if word.partition("=")[0] in kind.GROUPS and "," not in word]
     try:
-        config = _hydra_compose(name, chosen)
+        config = compose_values(kind, chosen)
     except HydraException:  # a group has no such choice
-        config = _hydra_compose(name, [])
+        config = compose_values(kind, [])
     node, parents = config, []
     for part in key.split(".")[:-1]:
         if not isinstance(node, DictConfig) or not isinstance(node.get(part), DictConfig):
@@ -297,6 +337,5 @@ def _nearest_key(key: str, name: str, words: list[str]) -> str:
         parents.append(part)
     if parents:
         return hint(key, [".".join([*parents, str(name)]) for name in node])
-    if name != "config":
-        return hint(key, map(str, config))
-    return hint(key, sorted({*map(str, config), *groups()}))
+    shared = ("experiment",) if kind.SHARED else ()
+    return hint(key, sorted({*kind.key_names(), *kind.GROUPS, *shared}))

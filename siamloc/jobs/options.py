@@ -184,8 +184,7 @@ def _of_recipes() -> Iterator[tuple[str, str, Option]]:
         weights = {"branch": {"weights": model.pop("weights")}} if "weights" in model else {}
         rest = {"model": {**model, **weights}, "trainer": dict(recipe.trainer), **training}
         size = {"image_size": list(recipe.image_size)}
-        if recipe is RECIPE:
-            yield name, "settings/recipe", Option({**rest, **size}, "")
+        if recipe is RECIPE:  # of a job of its own
             continue
         circular = {} if model.get("circular") else {"circular": False}
         choices = {**dict.fromkeys(_BY_GROUP, name), **chosen}

@@ -18,8 +18,38 @@ Kind = TypeVar("Kind", bound=Settings)
 _COMPARED = ("thumbnail", "untrained")
 
 
+class Task(Settings):
+    """Base of the tasks.
+
+    Attributes:
+        names: of the tasks that are measured.
+        plots: also draw pictures.
+    """
+
+    WHERE = "task"
+    names: tuple[Any, ...]
+    plots: bool
+
+    @classmethod
+    def of(cls: type[Kind], values: Mapping[str, Any]) -> Kind:
+        """Read the settings of a task, whose class follows from its `names`.
+
+        Raises:
+            ConfigError: an unknown task or key, a value of the wrong type or out of range, or tasks that cannot be
+                measured together.
+        """
+        return super().of(values) if cls is not Task else kind_of(values).of(values)  # type: ignore[misc, return-value]
+
+    def of_call(self, kind: type[Kind]) -> Kind:
+        """Return the settings that a call of `siamloc.evaluation` takes, without the keys that choose its arguments."""
+        values, known = self.plain(), fields_of(kind)
+        if "coarse" in known:
+            values["coarse"] = {key: values["coarse"][key] for key in fields_of(CoarseRanking)}
+        return kind.of({key: value for key, value in values.items() if key in known})
+
+
 @dataclass(frozen=True)
-class LocalizationTask(Localization):
+class LocalizationTask(Localization, Task):
     """Poses and rooms of the queries.
 
     Attributes:
@@ -57,7 +87,7 @@ class CoarseTask(CoarseRanking):
 
 
 @dataclass(frozen=True)
-class HierarchicalTask(Hierarchical):
+class HierarchicalTask(Hierarchical, Task):
     """Two layers: the nodes of build=... first, then the map frames inside the nearest ones.
 
     Attributes:
@@ -70,7 +100,7 @@ class HierarchicalTask(Hierarchical):
 
 
 @dataclass(frozen=True)
-class MappingTask(MapMeasures):
+class MappingTask(MapMeasures, Task):
     """The quality of a coarse layer: silhouettes, rooms, loop closures, time and bytes.
 
     Attributes:
@@ -82,7 +112,7 @@ class MappingTask(MapMeasures):
 
 
 @dataclass(frozen=True)
-class CompactTask(Compact):
+class CompactTask(Compact, Task):
     """Localization in maps of fewer and fewer nodes, next to plain sampling ([C] 5.2-5.4).
 
     Attributes:
@@ -96,7 +126,7 @@ class CompactTask(Compact):
 
 
 @dataclass(frozen=True)
-class RobustnessTask(Settings):
+class RobustnessTask(Task):
     """How errors grow when the query images are disturbed; the map stays clean ([T] 3.4.2).
 
     Attributes:
@@ -114,7 +144,7 @@ class RobustnessTask(Settings):
 
 
 @dataclass(frozen=True)
-class BuildingsTask(Settings):
+class BuildingsTask(Task):
     """Which of several buildings a query is in ([C] 5.3.3, which uses distance=cosine).
 
     Attributes:
@@ -129,7 +159,7 @@ class BuildingsTask(Settings):
     plots: bool = True
 
 
-TASKS: dict[str, type[Settings]] = {
+TASKS: dict[str, type[Task]] = {
     "localization": LocalizationTask,
     "absolute": AbsoluteTask,
     "room_retrieval": RoomTask,
@@ -142,12 +172,11 @@ TASKS: dict[str, type[Settings]] = {
 """The tasks by the names of task=NAME."""
 
 
-def task_of(values: Mapping[str, Any]) -> Settings:
-    """Read the settings of a task, whose class follows from its `names`.
+def kind_of(values: Mapping[str, Any]) -> type[Task]:
+    """Return the class of a task from its `names`.
 
     Raises:
-        ConfigError: an unknown task or key, a value of the wrong type or out of range, or tasks that cannot be measured
-            together.
+        ConfigError: an unknown task, or tasks that cannot be measured together.
     """
     names = checked(values.get("names", LocalizationTask.names), tuple[str, ...], "task.names")
     singles = [name for name in TASKS if name != "localization"]
@@ -159,13 +188,4 @@ def task_of(values: Mapping[str, Any]) -> Settings:
     kind = LocalizationTask if len(names) > 1 else TASKS[names[0]]
     if "lost_above" in values and "lost_above" not in fields_of(kind):
         raise ConfigError(f"{names[0]} has its own settings: choose it with task={names[0]}")
-    return kind.of(values)
-
-
-def call_settings(task: Settings, kind: type[Kind]) -> Kind:
-    """Return the settings of a task that its call takes, without the keys that choose the call's arguments."""
-    values = task.plain()
-    known = fields_of(kind)
-    if "coarse" in known:
-        values["coarse"] = {key: values["coarse"][key] for key in fields_of(CoarseRanking)}
-    return kind.of({key: value for key, value in values.items() if key in known})
+    return kind

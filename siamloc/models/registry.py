@@ -38,7 +38,7 @@ class BranchSpec:
             return "A small residual network of ours, for training from random weights."
         if self.kind == "simple":
             return f"Three convolutions with {', '.join(map(str, self.widths))} outputs ([T] table 5.1)."
-        return "The convolutions of torchvision's network, with or without its ImageNet weights ([T] table 5.1)."
+        return "The convolutions of torchvision's network ([T] table 5.1)."
 
 
 PRETRAINED = Path(__file__).parent / "shipped" / "panoramas.safetensors"

@@ -14,19 +14,20 @@ from siamloc.settings import Count, Positive, Probability, Seed, Settings, Worke
 Monitor = Literal["auto", "error", "recall", "room", "accuracy", "refined", "loss"]
 
 
+_OF_PAIRS = "{} is of pairs, and batches of places have {}: leave it out"
+
+
 @dataclass(frozen=True)
-class Training(Settings):
-    """Settings for training a network.
+class Learning(Settings):
+    """Settings of a training that have the same names on the command line.
 
     Attributes:
         epochs: number of epochs, each of `pairs.epoch_pairs` pairs, or `pairs.epoch_batches` batches of places.
         batch_size: pairs per step; batches of places have `pairs.places * pairs.images` images.
         seed: of the pairs and their augmentation; that of the initial weights is set in `siamloc.models.build`.
-        workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
         pairs: which pairs of frames with which labels (`PairSettings`), or which batches of places, where all pairs in
             a batch are used (`PlaceSettings`).
         optimizer: how the weights are updated.
-        margin: of the contrastive loss; a custom loss has its own.
         clip: length to which the gradient is clipped; no clipping if None.
         average: decay of the moving average of the weights, which is then the result; no average if None.
         monitor: validation figure by which the checkpoint is chosen: "error", the mean localization error; "recall",
@@ -42,30 +43,21 @@ class Training(Settings):
             schedule ends with the last epoch, so a training that stops earlier has hardly settled.
         checkpoint_every: number of steps after which the last checkpoint is also written within an epoch; if None, only
             at the end of each epoch, and when the training is stopped.
-        augment_where: "cpu": images are augmented where batches are gathered; "gpu": after transfer to the device;
-            "auto": the latter on a GPU. The random draws are the same, the images equal up to rounding.
         compile: let torch compile the network for training steps, which takes a while at the start; "auto" does so
             only on a GPU. Results differ by rounding, and by the draws of dropout.
-
-    Example:
-        >>> Training(epochs=2, optimizer={"name": "adam"}).optimizer.name
-        'adam'
     """
 
     epochs: Count = 30
     batch_size: Count = 16
     seed: Seed = 0
-    workers: Workers = 0
     pairs: PairSettings | PlaceSettings = field(default_factory=PairSettings)
     optimizer: Optimizer = field(default_factory=Optimizer)
-    margin: Positive = Contrastive.margin
     clip: Positive | None = None
     average: Probability | None = None
     monitor: Monitor = "auto"
     recall_radius: Positive = 0.5
     patience: Count | None = None
     checkpoint_every: Count | None = None
-    augment_where: Literal["auto", "cpu", "gpu"] = "auto"
     compile: Literal["auto"] | bool = "auto"
 
     def __post_init__(self) -> None:
@@ -76,6 +68,30 @@ class Training(Settings):
                     "monitor=loss is the loss of pairs, and batches of places have no loss of the validation: choose "
                     "auto, error, recall, room, accuracy or refined"
                 )
-            for name, instead in (("batch_size", "pairs.places and pairs.images"), ("margin", "a loss of its own")):
-                if getattr(self, name) != getattr(Training, name):
-                    raise ConfigError(f"{name} is of pairs, and batches of places have {instead}: leave it out")
+            if self.batch_size != Learning.batch_size:
+                raise ConfigError(_OF_PAIRS.format("batch_size", "pairs.places and pairs.images"))
+
+
+@dataclass(frozen=True)
+class Training(Learning):
+    """Settings for training a network.
+
+    Attributes:
+        workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
+        margin: of the contrastive loss; a custom loss has its own.
+        augment_where: "cpu": images are augmented where batches are gathered; "gpu": after transfer to the device;
+            "auto": the latter on a GPU. The random draws are the same, the images equal up to rounding.
+
+    Example:
+        >>> Training(epochs=2, optimizer={"name": "adam"}).optimizer.name
+        'adam'
+    """
+
+    workers: Workers = 0
+    margin: Positive = Contrastive.margin
+    augment_where: Literal["auto", "cpu", "gpu"] = "auto"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.pairs, PlaceSettings) and self.margin != Contrastive.margin:
+            raise ConfigError(_OF_PAIRS.format("margin", "a loss of its own"))

@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 
 from siamloc import models
 from siamloc.cli import main
-from siamloc.cli.compose import composed, plain
+from siamloc.cli.compose import composed
+from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
+from siamloc.jobs.job import leaves
 from siamloc.jobs.options import choices, groups
 from siamloc.training import Run
 from tests.drawn import draw_panorama, draw_sequence, write_manifest
@@ -52,7 +53,7 @@ def small_data(experiment, cold, folder):
         config = composed("train", words)
     except ConfigError:  # COLD has no manifest
         return [f"data.root={cold}"]
-    protocol = plain(config.protocol)
+    protocol = config.protocol.plain()
     named = {name for role in ("train", "validation", "map", "query") for name in protocol[role]["sequences"] or []}
     manifest = write_manifest(folder, dict.fromkeys(sorted(named) or ["monday"], "cloudy"))
     return [f"data.manifest={manifest}", *([] if named else ["protocol.train.sequences=[monday]"])]
@@ -63,7 +64,7 @@ def test_a_step_of_every_experiment(experiment, cold, tmp_path):
     data = [*small_data(experiment, cold, tmp_path / "data"), f"data.cache={tmp_path / 'cache'}"]
     words = [f"experiment={experiment}", *data, f"run={tmp_path / 'run'}", "data.image_size=[64,64]", "epochs=1"]
     config = composed("train", words)
-    if "places" in config.pairs:
+    if isinstance(config.pairs, PlaceSettings):
         words += ["pairs.places=4", "pairs.images=2", "pairs.radius=2", "pairs.epoch_batches=1"]
     else:
         words += ["batch_size=4", "pairs.epoch_pairs=4"]
@@ -71,7 +72,7 @@ def test_a_step_of_every_experiment(experiment, cold, tmp_path):
     assert main(["train", *words]) == 0
 
     run = Run(tmp_path / "run")
-    used, wanted = run.settings, plain(config)
+    used, wanted = run.settings, config.plain()
     assert [used["model"][key] for key in ("branch", "head")] == [
         wanted["model"][key]["name"] for key in ("branch", "head")
     ]
@@ -111,7 +112,7 @@ def test_every_published_row_can_be_trained():
             if key in groups():
                 assert value in choices(key), word
             else:
-                assert type(OmegaConf.select(config, key, throw_on_missing=True)) in (int, float, str), word
+                assert type(dict(leaves(config.plain()))[key]) in (int, float, str), word
 
 
 def test_every_row_of_what_to_expect_can_be_trained():

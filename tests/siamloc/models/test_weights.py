@@ -11,7 +11,6 @@ from safetensors.torch import save_file
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.cli.compose import composed
-from siamloc.cli.objects import network_of
 from siamloc.errors import ConfigError, FormatError
 from siamloc.models import build
 from siamloc.runs import Run
@@ -298,7 +297,7 @@ def test_recipes_and_the_command_line_start_from_a_run(tmp_path):
     run = write_run(tmp_path / "run", used.build((32, 32), seed=3))
     wanted = used.build((32, 32), weights=run).state_dict()
     words = ["experiment=photographs", "data.manifest=a.csv", f"model.branch.weights={run.folder}"]
-    found = build(**network_of(composed("train", words)), image_size=(32, 32)).state_dict()
+    found = build(**composed("train", words).model.arguments(), image_size=(32, 32)).state_dict()
     assert all(torch.equal(found[name], wanted[name]) for name in wanted)
     content = torch.load(run.checkpoint("best"), weights_only=True)["state_dict"]
     assert all(torch.equal(wanted[name], content[f"network.{name}"]) for name in wanted)

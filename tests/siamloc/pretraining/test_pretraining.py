@@ -12,8 +12,7 @@ import pytest
 import torch
 
 import siamloc
-from siamloc.cli.compose import composed, plain
-from siamloc.cli.objects import loss_of, network_of, training_of
+from siamloc.cli.compose import composed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_batches
@@ -161,20 +160,20 @@ def test_settings_without_a_meaning(tmp_path):
 
 def test_the_command_is_the_recipe():
     config, wanted = composed("pretrain", []), RECIPE
-    assert training_of(config) == siamloc.training.Training.of(wanted.training)
-    assert ViewSettings.of(plain(config)["views"]) == ViewSettings()
-    options = network_of(config)
-    assert siamloc.models.build(**options, image_size=plain(config)["image_size"]).settings == wanted.build().settings
-    loss = loss_of(config)
+    assert config.training == siamloc.training.Training.of(wanted.training)
+    assert config.views == ViewSettings()
+    options = config.model.arguments()
+    assert siamloc.models.build(**options, image_size=config.image_size).settings == wanted.build().settings
+    loss = config.make_loss()
     assert {key: loss.settings[key] for key in wanted.loss} == wanted.loss
-    assert plain(config)["trainer"]["precision"] == wanted.trainer["precision"]
+    assert config.trainer.precision == wanted.trainer["precision"]
 
 
 def test_choices_of_the_command_take_the_place_of_the_recipes():
-    assert training_of(composed("pretrain", ["optimizer=sgd"])).optimizer == siamloc.training.Optimizer()
-    assert loss_of(composed("pretrain", ["loss=triplet"])).settings["name"] == "triplet"
-    assert training_of(composed("pretrain", ["pairs=in_batch"])).pairs == PlaceSettings()
-    assert training_of(composed("pretrain", ["pairs.places=8"])).pairs.places == 8
+    assert composed("pretrain", ["optimizer=sgd"]).training.optimizer == siamloc.training.Optimizer()
+    assert composed("pretrain", ["loss=triplet"]).make_loss().settings["name"] == "triplet"
+    assert composed("pretrain", ["pairs=in_batch"]).training.pairs == PlaceSettings()
+    assert composed("pretrain", ["pairs.places=8"]).training.pairs.places == 8
 
 
 @pytest.mark.slow

@@ -19,8 +19,8 @@ import pytest
 import siamloc
 from siamloc import maps, runtime
 from siamloc.cli import main
-from siamloc.cli.robot import Watch
 from siamloc.errors import ConfigError, DataError
+from siamloc.jobs import Watch
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import live as live_module
 from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 import siamloc
-from siamloc.cli.compose import composed, plain
-from siamloc.cli.objects import loss_of, network_of, training_of
+from siamloc.cli.compose import composed
 from siamloc.errors import ConfigError
 from siamloc.models.batch_losses import make_loss
 from siamloc.models.registry import LOSSES
@@ -16,40 +15,40 @@ from siamloc.training import RECIPES, Training, recipe
 @pytest.mark.parametrize("name", RECIPES)
 def test_the_experiment_of_the_command_line_is_the_recipe(name):
     config = composed("train", [f"experiment={name}", "data=manifest", "data.manifest=frames.csv"])
-    found, wanted = plain(config), recipe(name)
-    assert training_of(config) == Training.of(wanted.training)
+    wanted = recipe(name)
+    assert config.training == Training.of(wanted.training)
     made = wanted.build(seed=0).settings
-    options = network_of(config)
-    again = siamloc.models.build(**options, image_size=found["data"]["image_size"], seed=0).settings
+    options = config.model.arguments()
+    again = siamloc.models.build(**options, image_size=config.data.image_size, seed=0).settings
     assert again == made
-    assert {key: value for key, value in found["augment"].items() if key in wanted.augmentation} == wanted.augmentation
-    assert found["trainer"]["precision"] == wanted.trainer["precision"]
-    loss = loss_of(config)
+    assert config.augment.policy == wanted.augmentation
+    assert config.trainer.precision == wanted.trainer["precision"]
+    loss = config.make_loss()
     assert {key: loss.settings[key] for key in wanted.loss} == wanted.loss
 
 
 def test_a_group_on_the_command_line_takes_the_place_of_the_recipes():
     words = ["experiment=modern", "data=manifest", "data.manifest=frames.csv"]
     config = composed("train", [*words, "augment=none", "optimizer=sgd"])
-    assert plain(config)["augment"] == {"name": "none", "where": "auto"}
-    assert training_of(config).optimizer == siamloc.training.Optimizer()
+    assert config.augment.plain() == {"name": "none", "where": "auto"}
+    assert config.training.optimizer == siamloc.training.Optimizer()
     config = composed("train", [*words, "pairs=room", "loss=contrastive"])
-    assert loss_of(config) is None
-    assert training_of(config).pairs.label == "room"
+    assert config.make_loss() is None
+    assert config.training.pairs.label == "room"
     with pytest.raises(ConfigError, match="does not go with these pairs"):
-        loss_of(composed("train", [*words, "pairs=room"]))
+        composed("train", [*words, "pairs=room"]).make_loss()
 
 
 def test_a_network_that_should_wrap_around_is_not_changed_in_silence():
     words = ["experiment=modern", "data=manifest", "data.manifest=frames.csv", "data.circular=false"]
-    assert network_of(composed("train", words))["circular"] is True  # which `fit` refuses
-    assert network_of(composed("train", [*words, "model.circular=false"]))["circular"] is False
+    assert composed("train", words).model.circular is True  # which `fit` refuses
+    assert composed("train", [*words, "model.circular=false"]).model.circular is False
 
 
 @pytest.mark.parametrize("name", LOSSES)
 def test_the_command_line_has_every_loss_over_batches(name):
     words = ["pairs=in_batch", f"loss={name}", "data=manifest", "data.manifest=frames.csv"]
-    assert loss_of(composed("train", words)).settings == make_loss(name).settings
+    assert composed("train", words).make_loss().settings == make_loss(name).settings
 
 
 def test_a_recipe_of_another_name_is_refused():

@@ -1,25 +1,27 @@
-"""Settings that a command takes from the given run: those stored in the run and in its map.
+"""Settings that a job takes from the run that it names: those stored in the run and in its map.
 
-The command line wins: a key such as `protocol.map.every=2` replaces the stored one, and a group such as `data=cold`
+What is given wins: a key such as `protocol.map.every=2` replaces the stored one, and a group such as `data=cold`
 replaces everything that it chooses. The image size always comes from the network.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf, open_dict
-
-from siamloc.cli.schema import OF_TRAINING
-from siamloc.cli.sweeps import of_map, own_folder
-from siamloc.data import Protocol
+from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, FormatError
+from siamloc.jobs.job import Given
+from siamloc.jobs.sweep import of_map, own_folder
 from siamloc.models.registry import Optimizer, whole_model
 from siamloc.runs import Run, newest_run
+from siamloc.settings import fields_of
+from siamloc.training.settings import Learning
 
-# What a group on the command line chooses in addition: files in `conf/data` and `conf/experiment` choose others.
+OF_TRAINING = tuple(name for name in fields_of(Learning) if name not in ("pairs", "optimizer"))
+"""Settings of a training that are keys of their own on the command line."""
+# What a chosen option of a group sets in addition: data sets and experiments choose options of other groups.
 _CHOOSES = {
     "data": ("data", "unwrap", "protocol"),
     "experiment": (
@@ -31,49 +33,86 @@ _CHOOSES = {
 
 
 def with_settings_of_the_run(
-    config: DictConfig, keys: Sequence[str], groups: Sequence[str], *, resumed: bool, replaces_map: bool, required: bool
-) -> DictConfig:
-    """Return a configuration with the settings of its run; unchanged if there is no such run yet.
+    values: dict[str, Any],
+    given: Given,
+    known: Container[str],
+    *,
+    resumed: bool = False,
+    replaces_map: bool = False,
+) -> dict[str, Any]:
+    """Return the values of a job with the settings of its run; unchanged if there is no such run yet.
 
     Args:
-        config: with `run`, and `descriptor` where the command has one.
-        keys: those given on the command line, such as "protocol.map.every".
-        groups: those of the keys that are groups, with dots, such as "data" or "model.branch".
+        values: with `run`, and `descriptor` where the job has one.
+        given: what wins over the run.
+        known: keys of the job.
         resumed: whether to take the settings of the training as well.
         replaces_map: whether a new map is made: frames and headings of the existing one are then not taken.
-        required: whether the run must exist if its network is needed.
 
     Raises:
         ConfigError: an empty run name, or a folder that is not a run although its network is needed.
         FormatError: a run or a map of another version.
     """
-    if not str(config.run).strip():
-        raise ConfigError("run= is empty: name a folder, such as run=runs/robot")
-    run = Run(Path(config.run))
-    network = config.get("descriptor", {}).get("run")
+    if not isinstance(values["run"], str) or not values["run"].strip():
+        return values  # which the check of the job refuses
+    run = Run(Path(values["run"]))
+    network = values.get("descriptor", {}).get("run")
     trained = Run(Path(network)) if network is not None else run
-    needed = required and by_network(config)
+    by_network = values.get("descriptor", {}).get("name", "network") in ("network", "untrained")
+    needed = by_network and not resumed
     if needed and not trained.record.is_file():
         _hint_at_maps(trained.folder)
     record = trained.settings if needed or trained.record.is_file() else {}
-    made = None if resumed else _map_made(run, config)
+    made = None if resumed else _map_made(run, values)
     kept = _kept(record, made, resumed=resumed, replaces_map=replaces_map)
     _check_literal(kept, run)
-    chosen = {part for group in groups for part in _CHOOSES.get(group, (group,))}
-    said = {key: OmegaConf.select(config, key) for key in keys if key not in groups}
-    result = config.copy()
-    with open_dict(result):
-        for section, values in kept.items():
-            if section.partition(".")[0] in config and not any(
-                section == part or (section != "protocol.map" and section.startswith(f"{part}.")) for part in chosen
-            ):
-                OmegaConf.update(result, section, values, merge=False)
-        size = record.get("model", {}).get("image_size") or record.get("data", {}).get("image_size")
-        if size is not None and "data" in config and "experiment" not in groups and by_network(config):
-            result.data.image_size = size
-        for key, value in said.items():
-            OmegaConf.update(result, key, value, merge=False)
+    chosen = {part for group in given.groups for part in _CHOOSES.get(group, (group,))}
+    said = {key: _select(values, key) for key in given.keys if key not in given.groups and _has(values, key)}
+    result = dict(values)
+    for section, stored in kept.items():
+        if section.partition(".")[0] in known and not any(
+            section == part or (section != "protocol.map" and section.startswith(f"{part}.")) for part in chosen
+        ):
+            _put(result, section, stored)
+    size = record.get("model", {}).get("image_size") or record.get("data", {}).get("image_size")
+    if size is not None and "data" in known and "experiment" not in given.groups and by_network:
+        _put(result, "data.image_size", size)
+    for key, value in said.items():
+        _put(result, key, value)
     return result
+
+
+def map_file(run: Run, label: str) -> Path:
+    """Return the path of a descriptor's map in a run."""
+    return run.map if label == "network" else run.evaluation(label) / "map.npz"
+
+
+def map_of_job(run: Run, titles: Mapping[str, str]) -> Path:
+    """Return the path of a job's map: in its own folder if a sweep makes different maps, else `map_file`."""
+    label = titles["descriptor"]
+    shared = run.evaluation(label)
+    own = own_folder(shared, titles, of_map)
+    return map_file(run, label) if own == shared else own / "map.npz"
+
+
+def map_known(run: Run, titles: Mapping[str, str]) -> Path:
+    """Return the map that a job searches: its own, or one shared across distances and headings; it need not exist."""
+    label = titles["descriptor"]
+    shared = run.evaluation(label)
+    for others in ((), ("distance",), ("distance", "heading")):
+        own = own_folder(shared, titles, lambda key, others=others: of_map(key) and key not in others)  # type: ignore[misc]
+        path = map_file(run, label) if own == shared else own / "map.npz"
+        if path.is_file():
+            return path
+    return path
+
+
+def suggestion() -> str:
+    """Suggest a run for an error message."""
+    try:
+        return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
+    except ConfigError:
+        return "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none, descriptor=hog"
 
 
 def _hint_at_maps(folder: Path) -> None:
@@ -96,50 +135,17 @@ def _check_literal(stored: Any, run: Run) -> None:
     Raises:
         FormatError: there is such a text.
     """
-    if isinstance(stored, Mapping):
-        for value in stored.values():
-            _check_literal(value, run)
-    elif isinstance(stored, list | tuple):
-        for value in stored:
+    if isinstance(stored, Mapping | list | tuple):
+        for value in stored.values() if isinstance(stored, Mapping) else stored:
             _check_literal(value, run)
     elif isinstance(stored, str) and "${" in stored:
         raise FormatError(f"{run.folder} holds the setting {stored!r}, which would be looked up elsewhere: train again")
 
 
-def label_of(options: Mapping[str, Any]) -> str:
-    """Return the name for the folders and table rows of a descriptor or a build: its label, else its name."""
-    return str(options.get("label") or options["name"])
-
-
-def map_file(run: Run, label: str) -> Path:
-    """Return the path of a descriptor's map in a run."""
-    return run.map if label == "network" else run.evaluation(label) / "map.npz"
-
-
-def map_of_job(run: Run, config: DictConfig) -> Path:
-    """Return the path of a job's map: in its own folder if a sweep makes different maps, else `map_file`."""
-    label = label_of(config.descriptor)
-    shared = run.evaluation(label)
-    own = own_folder(shared, config, of_map)
-    return map_file(run, label) if own == shared else own / "map.npz"
-
-
-def map_known(run: Run, config: DictConfig) -> Path:
-    """Return the map that a job searches: its own, or one shared across distances and headings; it need not exist."""
-    label = label_of(config.descriptor)
-    shared = run.evaluation(label)
-    for others in ((), ("distance",), ("distance", "heading")):
-        own = own_folder(shared, config, lambda key, others=others: of_map(key) and key not in others)  # type: ignore[misc]
-        path = map_file(run, label) if own == shared else own / "map.npz"
-        if path.is_file():
-            return path
-    return path
-
-
 def _kept(
     record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed: bool, replaces_map: bool
 ) -> dict[str, Any]:
-    """Return the stored settings by section of the configuration."""
+    """Return the stored settings by section of the job."""
     model, training = whole_model(record.get("model", {})), record.get("training", {})
     kept = _of_data(record.get("data") or (made or {}).get("data") or {})
     if "protocol" in record:
@@ -178,11 +184,12 @@ def _of_data(data: Mapping[str, Any]) -> dict[str, Any]:
     return {"unwrap": held.pop("unwrap", None) or {"kind": "none"}, "data": held}
 
 
-def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
+def _map_made(run: Run, values: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the settings with which the map of the descriptor was made, by section; None without a map."""
-    if "descriptor" not in config:
+    if "descriptor" not in values:
         return None
-    places = (map_known(run, config), map_file(run, label_of(config.descriptor)))
+    titles = {group: str(values[group].get("label") or values[group]["name"]) for group in ("descriptor", "build")}
+    places = (map_known(run, titles), map_file(run, titles["descriptor"]))
     path = next((one for one in places if one.is_file()), None)
     if path is None:
         return None
@@ -199,24 +206,25 @@ def _map_made(run: Run, config: DictConfig) -> dict[str, Any] | None:
     return found
 
 
-def by_network(config: DictConfig) -> bool:
-    """Whether the configured descriptor is the network of a run."""
-    return config.get("descriptor", {}).get("name", "network") in ("network", "untrained")
+def _select(values: Mapping[str, Any], key: str) -> Any:
+    for part in key.split("."):
+        values = values[part]
+    return values
 
 
-def check_named(config: DictConfig) -> None:
-    """Make sure that a run is given if its network is needed.
-
-    Raises:
-        ConfigError: no run is given; the error suggests the newest one.
-    """
-    if config.get("run") is None and by_network(config) and config.descriptor.get("run") is None:
-        raise ConfigError(f"no run is named: {suggestion()}")
-
-
-def suggestion() -> str:
-    """Suggest a run for an error message."""
+def _has(values: Mapping[str, Any], key: str) -> bool:
     try:
-        return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
-    except ConfigError:
-        return "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none, descriptor=hog"
+        _select(values, key)
+    except (KeyError, TypeError):
+        return False
+    return True
+
+
+def _put(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set a nested value; mappings on the way are copied."""
+    first, _, rest = key.partition(".")
+    if rest:
+        values[first] = dict(values[first]) if isinstance(values.get(first), Mapping) else {}
+        _put(values[first], rest, value)
+    else:
+        values[first] = value

@@ -1,0 +1,69 @@
+"""`siamloc demo`: the commands of the whole workflow, one after the other."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from siamloc.errors import ConfigError
+from siamloc.jobs.choices import Folder
+from siamloc.jobs.job import Job, Say, quiet
+from siamloc.settings import Seed, Text
+
+
+@dataclass(frozen=True)
+class Demo(Job):
+    """Run the whole workflow on a small made-up building.
+
+    Draws a building, trains a small network on it, builds its map, measures localization, exports the model,
+    locates an image and writes an HTML report. Everything ends up in one folder.
+
+        run=FOLDER       output folder; runs/demo if not given
+        seed=0
+        overwrite=true   replace an existing run
+
+    Example:
+        $ siamloc demo
+    """
+
+    folder: Folder = "runs/demo"
+    data: Text = "data"
+    seed: Seed = 0
+    overwrite: bool = False
+
+    def run(self, say: Say = quiet) -> None:
+        """Simulate, train, map, evaluate, export, localize, report."""
+        from siamloc.data.frames import image_files
+        from siamloc.runs import Run
+
+        run, data, begin = Run(Path(self.folder)), Path(self.data), time.monotonic()
+        if run.record.is_file() and not self.overwrite:
+            raise ConfigError(
+                f"{run.folder} holds a run already: replace it with overwrite=true, or choose another run="
+            )
+        overwrite = ["overwrite=true"] if self.overwrite else []
+        mini = ["building=mini", f"seed={self.seed}", f"out={data}"]
+        runs = "cloudy1,cloudy2,cloudy3,night1,night2,sunny1,sunny2"
+        _step(say, "simulate", [*mini, "camera=panorama", f"runs=[{runs}]", "spacing=0.2", *overwrite])
+        _step(say, "simulate", [*mini, "runs=[cloudy1,night1,sunny1]", "preview=true"])
+        here = [f"run={run.folder}"]
+        _step(say, "train", ["experiment=demo", f"data.root={data / 'mini'}", f"seed={self.seed}", *overwrite, *here])
+        _step(say, "map", here)
+        measured = ["task.radii=[0.5]", "task.baselines=[hog,thumbnail,untrained]", "task.error_model=true"]
+        _step(say, "evaluate", [*here, *measured])
+        _step(say, "export", [*here, "thumbnails=true"])
+        photograph = image_files(next((data / "mini").glob("part_*/*night2/omni_cam")))[0]
+        _step(say, "localize", [*here, f"images=['{photograph}']"])
+        _step(say, "report", here)
+        say(f"\nThe run is in {run.folder}, the building in {data / 'mini'} with images in preview; curves for")
+        say(f"tensorboard --logdir {run.tensorboard}; {time.monotonic() - begin:.0f} s in all.")
+        say(f"To watch a drive at night: siamloc live run={run.folder} images=['{photograph.parent}']")
+
+
+def _step(say: Say, command: str, words: list[str]) -> None:
+    """Show a command as a user would type it, and run it."""
+    from siamloc.cli.compose import composed
+
+    say(f"\n$ siamloc {command} {' '.join(words)}")
+    composed(command, words).run(say)

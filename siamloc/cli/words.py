@@ -1,0 +1,71 @@
+"""Read words such as "images=[a.jpeg,'b (1).jpeg']" without Hydra, for the commands of the robot."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+from siamloc.errors import ConfigError, hint
+from siamloc.jobs.job import Job
+from siamloc.settings import fields_of
+
+_ITEM = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,'"\[\]]*[^,'"\[\]\s])\s*(,|$)""")
+_PLAIN = {"true": True, "false": False, "null": None}
+
+
+def values_of(words: Sequence[str], kind: type[Job]) -> dict[str, Any]:
+    """Read words such as "images=[a.jpeg,'b (1).jpeg']" as the values of a job.
+
+    Raises:
+        ConfigError: a word that is not key=value, an unknown key, a key that is given twice, or a list that cannot be
+            read.
+    """
+    known, values = dict(zip(kind.key_names(), fields_of(kind).values(), strict=True)), dict[str, Any]()
+    for word in words:
+        key, equals, text = word.lstrip("+").partition("=")
+        if not equals:
+            raise ConfigError(f"{word!r} is not of the form key=value, such as images=[photo.jpeg]")
+        if key not in known:
+            raise ConfigError(f"unknown key {key!r}: {hint(key, known)}")
+        if key in values:
+            raise ConfigError(f"{key} is given twice: leave one out")
+        texts = _text_only(known[key])
+        if text.startswith("[") and text.endswith("]"):
+            values[key] = [_value(item, texts) for item in _items(word, text[1:-1])]
+        else:
+            values[key] = _value(text, texts)
+    return values
+
+
+def _items(word: str, inside: str) -> Iterator[str]:
+    at = 0
+    while at < len(inside.rstrip()):
+        found = _ITEM.match(inside, at)
+        if found is None:
+            raise ConfigError(f"the list in {word!r} cannot be read: put texts with other symbols in quotes, ['a, b']")
+        yield found[1]
+        at = found.end()
+
+
+def _value(text: str, texts: bool) -> Any:
+    text = text.strip()
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
+        return re.sub(r"\\(.)", r"\1", text[1:-1])
+    if text in ("null", "None"):
+        return None
+    if texts:  # a folder may be called 2024
+        return text
+    if re.fullmatch(r"[-+]?\d{1,300}", text, re.ASCII):
+        return int(text)
+    if re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text, re.ASCII):
+        return float(text)
+    return _PLAIN.get(text, text)
+
+
+def _text_only(kind: Any) -> bool:
+    """Whether values of an annotation are texts, or lists of texts."""
+    if kind in (str, Path):
+        return True
+    return any(_text_only(part) for part in get_args(kind))

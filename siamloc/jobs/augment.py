@@ -1,0 +1,120 @@
+"""`siamloc augment expand` and `siamloc augment preview`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from siamloc.data.frames import image_files
+from siamloc.errors import DataError
+from siamloc.files import PICTURES, is_picture, write_picture
+from siamloc.jobs.choices import Folder
+from siamloc.jobs.data_job import DataJob
+from siamloc.jobs.job import Say, quiet
+from siamloc.settings import Rule, Seed, Text, Thousand
+
+Depth = Annotated[int, Rule("a whole number from 1 to 10,000", lambda value: 1 <= value <= 10_000)]
+Picture = Annotated[str, Rule(f"a picture's name, ending {' '.join(PICTURES)}", is_picture)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expand(DataJob):
+    """Write an augmented data set in the input's own layout.
+
+    Makes `depth` images of every frame (the original, spots of light and darkness, global light, blur and the other
+    effects, their combinations, rotations) and writes them in the layout of the data set: COLD's folders and names
+    with the turned heading, a manifest, or an image folder. augmentation.csv holds the parameters of every image.
+    Images are panoramas of data.image_size, already unwrapped.
+
+        data=manifest|cold|folder   kind of data set, with data.manifest=FILE or data.root=FOLDER
+        out=FOLDER                  output folder
+        depth=16                    images per frame; 16, 44, 128, 129 and 246 in the thesis
+        sequences=[...]             names or patterns of the sequences to expand; all if not given
+        resume=true                 continue an interrupted run in its folder; makes only what is missing
+        seed=0 workers=2
+        data.on_error=raise         stop at the first unreadable image instead of leaving it out
+
+    Example:
+        $ siamloc augment expand data=cold data.root=/data/COLD sequences=['*seq2_cloudy3'] depth=16 out=expanded
+    """
+
+    MORE: ClassVar = {"out": "???"}
+
+    out: Folder
+    depth: Depth = 16
+    sequences: tuple[Text, ...] | Text | None = ()
+    seed: Seed = 0
+    workers: Thousand = 2
+    resume: bool = False
+
+    def run(self, say: Say = quiet) -> Any:
+        """Write the augmented data set."""
+        from siamloc import data
+
+        frames = self.data.read()
+        if self.sequences:
+            named = [self.sequences] if isinstance(self.sequences, str) else self.sequences
+            frames = frames.select(sequence=list(named))
+        expanded = data.expand(
+            frames,
+            self.out,
+            unwrap=self.unwrap,
+            **{key: getattr(self.data, key) for key in ("image_size", "circular", "on_error")},
+            **{key: getattr(self, key) for key in ("depth", "seed", "resume", "workers")},
+        )
+        say(expanded.summary())
+        return expanded
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preview(DataJob):
+    """Draw every effect at several strengths on one sheet.
+
+    Without images or data it shows rooms of the simulated building.
+
+        out=augmentation.png      output file; .jpg and .webp work, too
+        images=[a.jpeg,folder]    panoramas to show the effects on
+        data=... unwrap=...       or frames spread over a data set
+        count=6                   number of panoramas used in turn
+
+    Example:
+        $ siamloc augment preview out=augmentation.png
+    """
+
+    MORE: ClassVar = {"data": {"manifest": None}}
+
+    out: Picture = "augmentation.png"
+    images: tuple[Text, ...] | Text | None = ()
+    count: Thousand = 6
+
+    def run(self, say: Say = quiet) -> Path:
+        """Draw the contact sheet, and return its path."""
+        import torch
+
+        import augment
+        from siamloc import simulate
+
+        paths = [str(path) for path in images_named(self.images)]
+        if not paths and (self.data.manifest or self.data.root):
+            paths = self.data.read().path.tolist()
+        panoramas = self.preprocessing.panoramas(paths, self.count) if paths else simulate.panoramas(self.count)
+        write_picture(self.out, augment.preview(torch.from_numpy(panoramas)))
+        say(f"{self.out}: {len(augment.EFFECTS)} effects on {len(panoramas)} panoramas")
+        return Path(self.out)
+
+
+def images_named(names: tuple[str, ...] | str | None) -> list[Path]:
+    """Return the image files of a key: one file or folder, or a list of them.
+
+    Raises:
+        DataError: a file that does not exist, or a folder without images.
+    """
+    paths: list[Path] = []
+    for name in [names] if isinstance(names, str) else names or ():
+        path = Path(name)
+        inside = image_files(path) if path.is_dir() else [path]
+        if not inside or not inside[0].is_file():
+            raise DataError(f"{path} holds no images" if path.is_dir() else f"there is no image {path}")
+        paths.extend(inside)
+    return paths

@@ -1,0 +1,314 @@
+"""`siamloc evaluate`: calls the function of `siamloc.evaluation` that the task asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+from urllib.parse import quote
+
+from analytic import Descriptor
+from siamloc import evaluation, maps
+from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
+from siamloc.errors import ConfigError, hint
+from siamloc.evaluation import Result
+from siamloc.evaluation.compact_maps import Compact
+from siamloc.evaluation.hierarchy import Hierarchical
+from siamloc.evaluation.layers import MapMeasures
+from siamloc.evaluation.localize import Localization
+from siamloc.files import real_path
+from siamloc.jobs.choices import DescriptorChoice
+from siamloc.jobs.inherit import map_file, map_known
+from siamloc.jobs.job import Say, quiet
+from siamloc.jobs.opening import RunJob, files_in
+from siamloc.jobs.options import choices, values_of
+from siamloc.jobs.sweep import of_layer, of_results, own_folder, swept, with_swept
+from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, Task
+from siamloc.maps import Built, VisualMap
+from siamloc.models.registry import PRETRAINED_SIZE
+from siamloc.runs import Run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(RunJob):
+    """Measure localization and room retrieval.
+
+    Locates the query frames in the map and writes results.json, queries.csv and plots. Baselines are measured with
+    the same evaluator on the same frames.
+
+        run=FOLDER                        the run, or a sweep: each of its runs; only a trained network needs one
+        protocol.query.sequences=[...]    sequences of the frames to locate
+        task=localization|absolute|room_retrieval|hierarchical|mapping|compact|robustness|buildings
+        distance=cosine                   how descriptors are compared: manhattan, euclidean, correlation or cosine
+        task.radii=[0.5,1.0]              for recall: how near a map frame must be
+        task.baselines=[hog,thumbnail,untrained]
+        descriptor=pretrained|hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
+                                          measure a descriptor other than the trained network, without training
+        task.filter=true                  also follow the robot along its drive with a filter;
+                                          task.filter_tune=true tunes it on protocol.validation
+        task.refine=interpolate           a pose between the three nearest map frames (task.neighbours=3)
+        task.refine=relative              a pose from comparing the query with each of them, for a network with
+                                          model.relative=true, such as descriptor=pretrained; with task.filter=true
+                                          it is filtered as well
+        task.error_model=true             the expected error of each query, learned from protocol.validation, and
+                                          whether it is lost: above task.lost_above=1.0, or from another building
+        heading=hog|fs|gist|radon_fourier
+                                          estimates headings for a network; as the map does if not given
+        task=hierarchical build=incremental|spectral|som|sample|rooms
+                                          search the nodes of a map first, then the frames inside the nearest ones
+        task.candidates=3                 number of nodes; task.coarse.ratio=1.3 leaves out those much farther than
+                                          the nearest, task.along=2 adds two frames of the drive on either side of
+                                          the nearest if they are in another node
+        task.coarse.descriptor=hog_mapping task.coarse.by=representatives|vote|classifier
+                                          how nodes are ranked
+        task=compact task.nodes=[10,20,40] task.ways=[spectral,som,sample]
+                                          how well maps of so few nodes locate, with one descriptor per node;
+                                          task.clusters=gist groups the frames by another descriptor
+        task=mapping build=incremental    measure the nodes of a map instead: see `siamloc map --help`
+        task=robustness                   error under noise, occlusion, turns and effects
+        task=buildings task.maps=[runs/a,runs/b]
+                                          which building a query is in, given the maps of several
+        -m descriptor.bins=8,16 distance=euclidean,correlation
+                                          a sweep: each result in its own folder, such as
+                                          evaluation/hog-euclidean/descriptor.bins-8; `siamloc compare` compares them
+
+    Example:
+        $ siamloc evaluate run=runs/vgg16 protocol.query.sequences=['*cloudy2','*night2','*sunny2']
+    """
+
+    GROUPS: ClassVar = {**RunJob.GROUPS, "task": "localization"}
+
+    task: Task
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        known = choices("descriptor")
+        for name in getattr(self.task, "baselines", ()):
+            if name not in known:
+                raise ConfigError(f"unknown descriptor {name!r} in task.baselines: {hint(name, known)}")
+
+    def run(self, say: Say = quiet) -> Result:
+        """Measure the task, and write the results."""
+        run = self.here
+        name, result = self._measure(say)
+        folder = own_folder(run.evaluation(name), self.titles, of_results)
+        if folder != run.evaluation(name):
+            result = replace(result, name=with_swept(result.name))
+        if swept():
+            result = replace(result, about={**result.about, "swept": dict(swept())})
+        pictures = result.save(folder, pictures=self.task.plots)
+        run.record_written(files_in(folder))
+        say(f"data: {self.data.summary()}")
+        say(result.table())
+        for path in pictures:
+            say(f"picture: {path}")
+        say(f"results: {folder / 'results.json'}, one row each in {folder / next(iter(result.tables))}.csv")
+        return result
+
+    @property
+    def label(self) -> str:
+        """The name of the descriptor's results, with the distance if one is given."""
+        title = self.descriptor.title
+        return title if self.distance is None else f"{title}-{self.distance}"
+
+    def _measure(self, say: Say) -> tuple[str, Result]:
+        """Return the name of the folder of the results, and the results."""
+        task, label = self.task, self.label
+        common: dict[str, Any] = {"protocol": self.protocol}
+        if isinstance(task, MapMeasures):
+            return self._mapping(say, task.of_call(MapMeasures))
+        if isinstance(task, Hierarchical):
+            return self._hierarchical(say, task, task.of_call(Hierarchical), common)
+        if isinstance(task, BuildingsTask):
+            return self._buildings(say, task, common)
+        if isinstance(task, Compact):
+            return self._compact(say, task, task.of_call(Compact), {**common, "seed": self.seed})
+        common |= {"seed": self.seed, "name": label}
+        if isinstance(task, RobustnessTask):
+            known, images, roles = self._known(say, "query")
+            common["baselines"] = self._baselines(say)
+            result = evaluation.robustness(known, images, roles["query"], settings=task.robustness, **common)
+            return f"robustness-{label}", result
+        settings = task.of_call(Localization)
+        learned = settings.error_model or settings.filter_tune
+        learned |= settings.refine == "relative" and self.protocol.validation != Role()
+        known, images, roles = self._known(say, "query", *(["validation"] if learned else []))
+        common |= {"baselines": self._baselines(say), "validation": roles.get("validation")}
+        return label, evaluation.localization(known, images, roles["query"], settings=settings, **common)
+
+    def _hierarchical(
+        self, say: Say, task: Any, settings: Hierarchical, common: Mapping[str, Any]
+    ) -> tuple[str, Result]:
+        known, images, roles = self._known(say, "query")
+        known = known.placed()
+        label, other = self.label, task.coarse.descriptor
+        coarse, coarse_label = None, label
+        if other is not None and other != self.descriptor.title:
+            trained = (Path(other) / "run.json").is_file()
+            values = {"name": "network", "run": other} if trained else values_of("descriptor", other)
+            chosen = DescriptorChoice.of(values)
+            coarse_label = f"network-{real_path(other).name}" if trained else chosen.title
+            coarse = maps.build(self.make_descriptor(chosen), images, known.frames, distance=self.distance)
+        if (known if coarse is None else coarse).aligned and settings.coarse.by == "representatives":
+            raise ConfigError(
+                f"descriptors of {coarse_label} are compared after turning, so their means are meaningless: use "
+                "task.coarse.by=vote, or another task.coarse.descriptor"
+            )
+        built, _ = self._layer(say, known if coarse is None else coarse, coarse_label)
+        by = [] if settings.coarse.by == "representatives" else [settings.coarse.by]
+        name = "-".join(dict.fromkeys([label, coarse_label, self.build.title, *by]))
+        result = evaluation.hierarchical(
+            known, images, roles["query"], built, coarse_map=coarse, name=name, settings=settings, **common
+        )
+        return f"hierarchical-{name}", result
+
+    def _mapping(self, say: Say, settings: MapMeasures) -> tuple[str, Result]:
+        known, _, _ = self._known(say)
+        built, folder = self._layer(say, known, self.label)
+        result = evaluation.mapping(known, built, name=f"{self.build.title} over {self.label}", settings=settings)
+        return f"mapping-{self.label}-{self.build.title}", replace(result, layer=folder)
+
+    def _compact(self, say: Say, task: Any, settings: Compact, common: Mapping[str, Any]) -> tuple[str, Result]:
+        known, images, roles = self._known(say, "query")
+        name, other, clusters = self.label, task.clusters, None
+        if other is not None and other != self.descriptor.title:
+            name = f"{name}-by-{other}"
+            chosen = DescriptorChoice.of(values_of("descriptor", other))
+            clusters = maps.build(self.make_descriptor(chosen), images, known.frames)
+        result = evaluation.compact(
+            known, images, roles["query"], clusters=clusters, name=name, settings=settings, **common
+        )
+        return f"compact-{name}", result
+
+    def _buildings(self, say: Say, task: BuildingsTask, common: Mapping[str, Any]) -> tuple[str, Result]:
+        label = self.label
+        if task.maps is None:
+            known, images, roles = self._known(say, "query")
+            candidates = [known]
+        else:
+            images, roles = self.open_roles("query")
+            saved = _saved_maps(task.maps, self.descriptor.title, self.make_descriptor())
+            candidates = [one.with_distance(self.distance) for one in saved]
+        layers = None
+        if self.build.name != "none":
+            parts, layers = evaluation.by_building(candidates), {}
+            for building, part in parts.items():
+                # A building may have any name.
+                shared = self.here.layer(f"{label}-{quote(building, safe=' ')}", self.build.title)
+                folder = own_folder(shared, self.titles, of_layer)
+                layers[building] = maps.group(part, folder=folder, **self.way).layer
+                self.here.record_written(files_in(folder))
+            label = f"{label}-{self.build.title}"
+        result = evaluation.buildings(candidates, images, roles["query"], layers=layers, name=label, **common)
+        return f"buildings-{label}", result
+
+    def _known(self, say: Say, *roles: str) -> tuple[VisualMap, PanoramaLibrary, dict[str, FrameTable]]:
+        """Return the saved map, or one made from the configured frames, with the frames of some roles.
+
+        Nothing is written: only `siamloc map` creates and replaces maps.
+
+        Raises:
+            ConfigError: the saved map has another descriptor, or other frames than protocol.map asks for.
+        """
+        described, heading = self.make_descriptor(), self.make_heading(say)
+        path = map_known(self.here, self.titles)
+        known = VisualMap.load(path, described) if path.is_file() else None
+        if known is not None and self._is_wanted(known):
+            images, frames = self.open_roles(*roles, known=known)
+            return known.with_heading(heading).with_distance(self.distance), images, frames
+        if known is not None and roles:
+            raise ConfigError(
+                f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "
+                "intended protocol.map keys"
+            )
+        images, frames = self.open_roles("map", *roles)
+        known = maps.build(described, images, frames["map"], heading=heading, distance=self.distance)
+        return known, images, frames
+
+    def _is_wanted(self, known: VisualMap) -> bool:
+        """Whether a saved map was made from the frames that the protocol asks for."""
+        role = known.made.get("role")
+        if role is not None:
+            return Protocol.of({"map": role}).map == self.protocol.map
+        if self.protocol.map == Role():  # a map made in Python, and no other frames requested
+            return True
+        asked = self.protocol.frames("map", self.data.read())
+        return asked.identities() == known.frames.identities()
+
+    def _layer(self, say: Say, known: VisualMap, label: str) -> tuple[Built, Path]:
+        """Return the configured layer over a map and its folder: an existing one, if it fits.
+
+        A layer over any other map does not replace that of the saved map.
+        """
+        if self.build.name == "none":
+            ways = "|".join(maps.WAYS)
+            raise ConfigError(f"task={self.task.names[0]} needs a coarse layer: choose one with build={ways}")
+        shared, saved = self.here.layer(label, self.build.title), map_file(self.here, label)
+        folder = own_folder(shared, self.titles, of_layer)
+        if folder == shared and saved.is_file() and VisualMap.load(saved).digest != known.digest:
+            folder = self.here.evaluation(f"layer-{folder.name}")
+        before = _changed(folder / "layer.npz")
+        built = maps.group(known, folder=folder, **self.way)
+        if _changed(folder / "layer.npz") != before:
+            say(built.summary(folder))
+        self.here.record_written(files_in(folder))
+        return built, folder
+
+    def _baselines(self, say: Say) -> dict[str, Descriptor]:
+        """Return the baseline descriptors by name; those that need a network only if the run has one."""
+        main, found = self.descriptor.title, {}
+        for name in getattr(self.task, "baselines", ()):
+            if name == main:
+                continue
+            if name in ("network", "untrained") and not self.here.record.is_file():
+                say(f"baseline {name} left out: {self.here.folder} holds no trained network")
+                continue
+            size = _size_of(name, self.here)
+            if size is not None and size != list(self.data.image_size):
+                say(f"baseline {name} left out: it takes panoramas of {size[0]} x {size[1]}, unlike {main}")
+                continue
+            found[name] = self.make_descriptor(DescriptorChoice.of(values_of("descriptor", name)))
+        return found
+
+
+def _size_of(name: str, run: Run) -> list[int] | None:
+    """Return the size of panoramas that a named network takes; None for any."""
+    if name == "pretrained":
+        return list(PRETRAINED_SIZE)
+    size = run.settings["model"].get("image_size") if name in ("network", "untrained") else None
+    return None if size is None else list(size)
+
+
+def _saved_maps(named: Any, label: str, described: Descriptor) -> list[VisualMap]:
+    """Return saved maps, each given by its file or the folder of its run.
+
+    Raises:
+        ConfigError: fewer than two maps, a map that does not exist, or one with another descriptor.
+    """
+    if isinstance(named, str):
+        raise ConfigError(
+            f"task.maps must be a list of run folders or map files, such as [runs/a,runs/b], got {named!r}"
+        )
+    if len(named) < 2:
+        raise ConfigError(f"task=buildings chooses between maps, and task.maps names {len(named)}: give two or more")
+    found = []
+    for path in map(Path, named):
+        file = path if path.is_file() else map_file(Run(path), label)
+        if not file.is_file():
+            others = [other.parent.name for other in sorted(path.glob("evaluation/*/map.npz"))]
+            held = f"it holds one by {' and one by '.join(others)}; choose that descriptor, or " if others else ""
+            raise ConfigError(
+                f"{path} holds no map by {label}: {held}make it with `siamloc map run={path}` and the same descriptor "
+                "and data"
+            )
+        try:
+            found.append(VisualMap.load(file, described))
+        except ConfigError as error:
+            raise ConfigError(f"{file}: {error}") from error
+    return found
+
+
+def _changed(path: Path) -> int | None:
+    """Return when a file was last written; None if it does not exist."""
+    return path.stat().st_mtime_ns if path.is_file() else None

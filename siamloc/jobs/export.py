@@ -1,0 +1,122 @@
+"""`siamloc export`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from siamloc.files import read_json
+from siamloc.jobs.choices import Folder
+from siamloc.jobs.inherit import map_file
+from siamloc.jobs.job import Say, quiet
+from siamloc.jobs.opening import RunJob, files_in
+from siamloc.jobs.tasks import Task
+from siamloc.maps import Built, ErrorModel, LayerSearch, Refinement, VisualMap
+
+_RANKING = ("by", "neighbours", "ratio")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(RunJob):
+    """Write the model file for the robot.
+
+    Writes a bundle with the descriptor (the network as ONNX, or an analytic descriptor), the map and the image
+    preprocessing, and compares its output with the original's. If the map holds headings, the robot also gets its
+    own. After an evaluation with task.error_model=true it gets its expected error and whether it is lost; after one
+    with task.refine its poses are refined in the same way, finer than the map.
+
+        run=FOLDER              the run
+        bundle=FOLDER           output folder; inside the run if not given; robot.zip makes one file
+        descriptor=hog          another map of the run: of an analytic descriptor, or of the network that ships with
+                                siamloc, descriptor=pretrained
+        precision=int8          8-bit numbers, for a faster bundle; or float16. Both are smaller and need less memory;
+                                auto takes the smallest that loses at most 2 % of the error on protocol.validation,
+                                and shows what each loses
+        build=spectral          the coarse layer that `siamloc map build=spectral` made, for the robot to search first,
+                                as set by task=hierarchical task.candidates=1
+        thumbnails=true         small images of the map frames, which `siamloc live` shows
+
+    Example:
+        $ siamloc export run=runs/vgg16
+    """
+
+    GROUPS: ClassVar = {**RunJob.GROUPS, "task": "localization"}
+
+    task: Task
+    bundle: Folder | None = None
+    precision: Literal["float32", "float16", "int8", "auto"] = "float32"
+    thumbnails: bool = False
+
+    def run(self, say: Say = quiet) -> Any:
+        """Write the bundle for the robot."""
+        from siamloc import runtime
+
+        run, label, precision = self.here, self.descriptor.title, self.precision
+        described, path = self.make_descriptor(), map_file(run, label)
+        known = VisualMap.load(path, described) if path.is_file() else None
+        further: dict[str, Any] = {}
+        if known is None:
+            further["preprocessing"] = self.preprocessing
+        else:
+            evaluation = run.evaluation(label)
+            further["errors"] = ErrorModel.saved(evaluation / "error_model.json", known)
+            further["refinement"] = Refinement.saved(evaluation / "refinement.json", known)
+            further["figures"] = _figures_in(evaluation / "results.json")
+            if self.build.name != "none":
+                further["layer"] = Built.load(run.layer(label, self.build.title))
+                further["search"] = LayerSearch.of(self._search())
+            if self.thumbnails or precision in ("int8", "auto"):
+                roles = ["validation"] if precision == "auto" else []
+                images, opened = self.open_roles(*roles, known=known)
+                further |= {"images": images, "thumbnails": self.thumbnails, **opened}
+        folder = Path(self.bundle) if self.bundle is not None else run.bundle
+        bundle = runtime.export(described, known, folder, precision=precision, **further)
+        if folder == run.bundle:
+            run.record_written(files_in(folder))
+        if compared := runtime.precision_table(bundle):
+            say(compared)
+        say(bundle.summary())
+        if known is not None:
+            for line in self._further_steps(known, further["errors"], further["refinement"]):
+                say(line)
+            where = f"run={run.folder}" if folder == run.bundle else f"bundle={folder}"
+            say(f"next: siamloc localize {where} images=[photo.jpeg]")
+        return bundle
+
+    def _search(self) -> dict[str, Any]:
+        """Return how task=hierarchical searches a coarse layer, as arguments of `siamloc.maps.LayerSearch`."""
+        task = self.task.plain()
+        if "candidates" not in task:
+            return {}
+        return {"candidates": task["candidates"], "along": task["along"], **{k: task["coarse"][k] for k in _RANKING}}
+
+    def _further_steps(self, known: VisualMap, errors: ErrorModel | None, refinement: Refinement | None) -> list[str]:
+        """Return lines that say what else could be exported for the robot."""
+        label, lines = self.descriptor.title, []
+        folder, named = self.here.evaluation(label), f"run={self.here.folder}"
+        named += "" if label == "network" else f" descriptor={label}"
+        none = known.heading is None and known.orientation is None
+        if none and known.made.get("data", {}).get("circular", True):
+            which = "" if known.descriptor.tells_heading else " heading=hog"
+            lines.append(f"for a heading as well: siamloc map {named}{which}, then export again")
+        if errors is None:
+            if (folder / "error_model.json").is_file():
+                lines.append("error_model.json left out, it was learned on another map")
+            lines.append(f"for expected errors: siamloc evaluate {named} task.error_model=true, then export again")
+        if refinement is None:
+            if (folder / "refinement.json").is_file():
+                lines.append("refinement.json left out, it was learned on another map")
+            elif getattr(known.descriptor, "compares", False):
+                step = f"siamloc evaluate {named} task.refine=relative"
+                lines.append(f"for poses finer than the map: {step}, then export again")
+        return lines
+
+
+def _figures_in(path: Path) -> dict[str, Any] | None:
+    """Return the date of an evaluation and its errors; None if there is no evaluation."""
+    if not path.is_file():
+        return None
+    found = read_json(path)
+    measures = {name: part.get("overall", {}).get("error") for name, part in found.get("measures", {}).items()}
+    return {"created": found.get("created"), "errors": {name: error for name, error in measures.items() if error}}

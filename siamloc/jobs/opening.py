@@ -1,0 +1,156 @@
+"""`RunJob`: the base of the jobs that work on a run; opens its data, network, descriptors and headings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
+from siamloc.device import chosen_device
+from siamloc.errors import ConfigError
+from siamloc.jobs.choices import Build, DescriptorChoice, Device, Folder, Heading, Model
+from siamloc.jobs.data_job import DataJob
+from siamloc.jobs.inherit import suggestion, with_settings_of_the_run
+from siamloc.jobs.job import Given, Say
+from siamloc.models.registry import PRETRAINED_SIZE
+from siamloc.runs import Run
+from siamloc.settings import Seed
+
+EXPERIMENTAL = {
+    **DataJob.GROUPS,
+    "pairs": "default",
+    "loss": "contrastive",
+    "augment": "none",
+    "model/branch": "vgg16",
+    "model/head": "fc500_500_5",
+    "optimizer": "sgd",
+    "descriptor": "network",
+    "heading": "none",
+    "build": "none",
+    "task": "localization",
+}
+"""The groups that an experiment may choose from."""
+
+
+def of_job(names: Sequence[str]) -> dict[str, str]:
+    """Return some of the groups that an experiment may choose from."""
+    return {group: name for group, name in EXPERIMENTAL.items() if group in names}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunJob(DataJob):
+    """Base of the jobs that describe images for a run.
+
+    Attributes:
+        folder: of the run.
+        model: the architecture of the network, to make sure that the run's network has it.
+        checkpoint: of the network: best on the validation sequence, or last; best falls back to last.
+        device: where descriptors are computed.
+        descriptor: a network or an analytic descriptor.
+        heading: the descriptor that estimates headings for a network that cannot.
+        distance: how descriptors are compared; the descriptor's own if None.
+        build: how the frames of the map are grouped into nodes.
+        seed: seed of all random draws.
+    """
+
+    GROUPS: ClassVar = of_job([*DataJob.GROUPS, "model/branch", "model/head", "descriptor", "heading", "build"])
+    SHARED = True
+    REPLACES_MAP: ClassVar[bool] = False
+
+    folder: Folder | None = None
+    model: Model
+    checkpoint: Literal["best", "last"] = "best"
+    device: Device = "auto"
+    descriptor: DescriptorChoice
+    heading: Heading
+    distance: Literal["manhattan", "euclidean", "correlation", "cosine"] | None = None
+    build: Build
+    seed: Seed = 0
+
+    @classmethod
+    def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
+        """Return values together with the settings of the run."""
+        chosen = values["descriptor"]
+        by_network = chosen.get("name") in ("network", "untrained")
+        if values.get("run") is not None:
+            values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=cls.REPLACES_MAP)
+        elif by_network and chosen.get("run") is None:
+            raise ConfigError(f"no run is named: {suggestion()}")
+        if values["descriptor"].get("name") == "pretrained" and "data.image_size" not in given.keys:
+            values["data"] = {**values["data"], "image_size": list(PRETRAINED_SIZE)}
+        return values
+
+    @cached_property
+    def titles(self) -> dict[str, str]:
+        """The titles of the descriptor and the build, for folders and tables."""
+        return {"descriptor": self.descriptor.title, "build": self.build.title}
+
+    @cached_property
+    def here(self) -> Run:
+        """The run that the job works on; analytic descriptors need none and have their own folder."""
+        if self.folder is not None:
+            return Run(Path(self.folder))
+        return Run(Path("runs") / (self.data.name or "data") / self.descriptor.title)
+
+    @property
+    def way(self) -> dict[str, Any]:
+        """How frames are grouped into nodes, as arguments of `siamloc.maps.group`."""
+        return {"way": self.build.name, "seed": self.seed, **self.build.parameters}
+
+    def make_descriptor(self, chosen: DescriptorChoice | None = None) -> Descriptor:
+        """Make a descriptor on the job's device; the job's own if None."""
+        chosen = chosen or self.descriptor
+        if chosen.name == "thumbnail":
+            return Thumbnail(**chosen.parameters)
+        if chosen.name in DESCRIPTORS:
+            device = chosen_device(self.device)
+            return descriptor(chosen.name, **chosen.parameters, circular=self.data.circular, device=device)
+        from siamloc import models
+
+        if chosen.name == "pretrained":
+            self._check_size(PRETRAINED_SIZE, "the network that ships with siamloc")
+            return models.as_descriptor(models.pretrained(circular=self.data.circular), self.device)
+        trained = Run(Path(chosen.parameters["run"])) if chosen.parameters.get("run") else self.here
+        network = models.load(trained, which="untrained" if chosen.name == "untrained" else self.checkpoint)
+        self._check_architecture(network, trained, own=trained == self.here)
+        return models.as_descriptor(network, self.device)
+
+    def make_heading(self, say: Say) -> Descriptor | None:
+        """Make the descriptor that estimates headings; None if there is none, or the job's descriptor gives them."""
+        name = self.heading.name
+        if name == "none":
+            return None
+        if self.descriptor.name in DESCRIPTORS:
+            say(f"heading={name} left out: {self.descriptor.name} gives headings itself")
+            return None
+        if not self.data.circular:
+            raise ConfigError(f"heading={name} needs columns that are a full turn, and data.circular is false")
+        return descriptor(name, **self.heading.parameters, device=chosen_device(self.device))
+
+    def _check_architecture(self, network: Any, run: Run, *, own: bool) -> None:
+        """Refuse a network for other images than configured, or with another architecture than configured."""
+        self._check_size(getattr(network, "image_size", None), f"the network of {run.folder}")
+        for key in ("branch", "head") if own else ():
+            found, wanted = getattr(getattr(network, key, None), "name", None), getattr(self.model, key).name
+            if found is not None and found != wanted:
+                raise ConfigError(
+                    f"the checkpoint of {run.folder} is of another architecture: its {key} is {found}, and the "
+                    f"configuration says {wanted}: leave model/{key} out, or train another run"
+                )
+
+    def _check_size(self, size: Sequence[int] | None, network: str) -> None:
+        """Refuse panoramas of a size that the network does not take."""
+        if size is not None and tuple(size) != tuple(self.data.image_size):
+            rows, columns = size
+            raise ConfigError(
+                f"{network} takes panoramas of {rows} x {columns}, and data.image_size says "
+                f"{list(self.data.image_size)}: leave it out, or say data.image_size=[{rows},{columns}]"
+            )
+
+
+def files_in(folder: Path) -> list[Path]:
+    """Return all files in a folder, for the record of files written into a run."""
+    return sorted(path for path in folder.rglob("*") if path.is_file())

@@ -1,0 +1,208 @@
+"""`siamloc localize` and `siamloc live`, which run without torch and without Hydra."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from siamloc.errors import ConfigError, DataError
+from siamloc.jobs.job import Job, Say, quiet
+from siamloc.runs import Run, newest_run
+from siamloc.settings import Count, Pace, Port, Rule, Text
+
+if TYPE_CHECKING:
+    from siamloc.runtime import Localizer
+
+Threads = Annotated[int, Rule("a whole number from 1 to 1,024", lambda value: 1 <= value <= 1024)]
+
+
+@dataclass(frozen=True)
+class Robot(Job):
+    """Base of the two jobs of the robot.
+
+    Attributes:
+        images: files, folders, videos, and cameras such as camera:0.
+        folder: of the run whose bundle is used.
+        bundle: another bundle.
+        top: number of map frames to list for each image.
+        track: follow the robot from image to image; each folder, video and camera is a drive.
+        threads: number of onnxruntime threads; onnxruntime chooses if None.
+        hierarchical: search the coarse layer first; if None, whenever the bundle has one.
+    """
+
+    BY_HYDRA = False
+
+    images: tuple[Text, ...] | Text = ()
+    folder: Path | None = None
+    bundle: Path | None = None
+    top: Count = 3
+    track: bool = False
+    threads: Threads | None = None
+    hierarchical: bool | None = None
+
+    def localizer(self) -> Localizer:
+        """Return the localizer, after making sure that images are given.
+
+        Raises:
+            ConfigError: neither a bundle nor a run is given, or no images.
+        """
+        if self.bundle is None and self.folder is None:
+            raise ConfigError(f"no bundle and no run given: give bundle=FOLDER, or {_suggestion()}")
+        from siamloc.runtime import Localizer
+        from siamloc.runtime.stream import named
+
+        named(self.images)  # refused before the bundle is loaded
+        bundle = self.bundle if self.bundle is not None or self.folder is None else Run(self.folder).bundle
+        assert bundle is not None
+        return Localizer(bundle, top=self.top, threads=self.threads, hierarchical=self.hierarchical)
+
+
+@dataclass(frozen=True)
+class Localize(Robot):
+    """Locate image files with an exported bundle.
+
+    Needs only numpy, OpenCV and onnxruntime. Prints a line for each image as soon as it is located: position and
+    room; heading, expected error and verdict if the bundle supports them; covariance and agreement of refined
+    poses; and the error if file names carry poses as COLD's do. Ctrl-C keeps the results so far.
+
+        images=[a.jpeg,folder]   files, folders, videos, or cameras such as camera:0
+        run=FOLDER               the run whose bundle is used
+        bundle=FOLDER            another bundle, or FILE.zip
+        top=3                    number of map frames to list
+        track=true               follow the robot from image to image; each folder, video and camera is a drive
+        format=table|jsonl|csv   readable lines, or output for other programs
+        out=FILE                 write a .csv or .jsonl file, too; locations.csv by default with format=table
+        on_error=skip|raise      skip images that cannot be read, or stop at the first one
+        threads=2                number of onnxruntime threads
+        hierarchical=false       search the whole map even if the bundle has a coarse layer
+
+    Example:
+        $ siamloc localize run=runs/vgg16 images=[photo.jpeg]
+    """
+
+    format: Literal["table", "jsonl", "csv"] = "table"
+    out: Path | None = None
+    on_error: Literal["skip", "raise"] = "skip"
+
+    @property
+    def target(self) -> Path | None:
+        """The file of the locations."""
+        if self.out is not None or self.format != "table":
+            return self.out
+        inside = self.folder if self.bundle is None else None
+        return Path("locations.csv") if inside is None else inside / "locations.csv"
+
+    def run(self, say: Say = quiet) -> int:
+        """Locate the images, say each location as soon as it is known, and return the number of located images.
+
+        Raises:
+            DataError: no image can be read.
+            KeyboardInterrupt: after the last line, if the user stopped it.
+        """
+        localizer = self.localizer()
+        from siamloc.runtime import locate_all, written
+        from siamloc.runtime.stream import LINES
+
+        located = locate_all(localizer, self.images, on_error=self.on_error, track=self.track)
+        target = self.target
+        off, faults, count, stopped = list[float](), 0, 0, False
+        line = None if self.format == "table" else LINES[f".{self.format}"]()
+        if line and line.head:
+            say(line.head.rstrip("\n"))
+        with closing(located if target is None else written(target, located)) as passing:
+            try:
+                for one in passing:
+                    say(line(one).rstrip("\n") if line else one.describe(localizer.unit))
+                    count += 1
+                    faults += one.location is None
+                    if not math.isnan(one.off_by):
+                        off.append(one.off_by)
+            except KeyboardInterrupt:
+                stopped = True
+            except DataError:
+                if count and target is not None:
+                    _note(f"{count - faults} of {count} images located before this: {target}")
+                raise
+        if count == faults and not stopped:
+            raise DataError(f"none of the {count} images could be read")
+        if target is not None and self.folder is not None and target.parent == Run(self.folder).folder:
+            Run(self.folder).record_written([target])
+        conclude = _note if line else say
+        where = "" if target is None else f": {target}"
+        conclude(f"{count - faults} of {count} images located{', then interrupted' if stopped else ''}{where}")
+        if off:
+            middle = sorted(off)[len(off) // 2]
+            conclude(
+                f"from the poses in their names: mean {sum(off) / len(off):.2f} {localizer.unit}, median {middle:.2f} "
+                f"{localizer.unit}, largest {max(off):.2f} {localizer.unit}"
+            )
+        if stopped:
+            raise KeyboardInterrupt("stopped by the user")
+        return count - faults
+
+
+@dataclass(frozen=True)
+class Watch(Robot):
+    """Show on a web page where the robot is while it drives.
+
+    Locates images as localize does, and serves a web page: the floor plan with the pose, its uncertainty and the
+    path so far, the camera image next to the map image, the room, expected error and time. The page is read-only,
+    and visible only from this machine unless host= says otherwise. Needs `pip install siamloc[live]`.
+
+        images=[drive.mp4]   files, folders, videos, or cameras such as camera:0
+        bundle=FOLDER        the bundle, or FILE.zip; export it with thumbnails=true to see the map images
+        run=FOLDER           or the run whose bundle is used
+        track=true           follow the robot from image to image
+        fps=5                images per second at most, 0 for full speed; cameras keep their own rate
+        port=8000            0 picks a free port
+        host=127.0.0.1       0.0.0.0 lets everybody on the network watch
+
+    Example:
+        $ siamloc live run=runs/vgg16 images=[drive.mp4]
+    """
+
+    host: Text = "127.0.0.1"
+    port: Port = 8000
+    fps: Pace = 5.0
+
+    def run(self, say: Say = quiet) -> None:
+        """Locate the images, and serve the page until the user stops it.
+
+        Raises:
+            KeyboardInterrupt: the user stopped it.
+        """
+        localizer = self.localizer()
+        from siamloc.runtime import Live
+
+        page = Live(localizer, self.images, track=self.track, host=self.host, port=self.port, fps=self.fps)
+        if self.host not in ("127.0.0.1", "localhost", "::1"):
+            say(f"everybody who can reach {self.host} can watch: leave host out to keep it on this machine")
+        with page:
+            say(f"{page.url} shows where the robot is; Ctrl-C stops it")
+            try:
+                page.join()
+                say(f"{page.count} images, all done: the page stays until Ctrl-C")
+                while True:
+                    time.sleep(60)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt("stopped by the user") from None
+            except DataError:
+                time.sleep(1)  # so that the page can show the reason as well
+                raise
+
+
+def _note(line: str) -> None:
+    """Print a line for people where the output is for other programs."""
+    print(line, file=sys.stderr)
+
+
+def _suggestion() -> str:
+    try:
+        return f"run=FOLDER, such as run={newest_run().folder}, the newest one"
+    except ConfigError:
+        return "run=FOLDER"

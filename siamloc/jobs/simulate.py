@@ -1,0 +1,50 @@
+"""`siamloc simulate`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from siamloc.jobs.job import Given, Job, Say, quiet
+from siamloc.simulate.config import SimulateConfig
+from siamloc.simulate.produce import Summary, simulate
+
+
+@dataclass(frozen=True)
+class Simulate(SimulateConfig, Job):
+    """Render a made-up building in the COLD layout.
+
+    Renders drives of a robot with an omnidirectional camera in cloudy, night and sunny light, and writes them with
+    COLD's folders and file names. The same seed gives the same bytes, whatever the number of workers.
+
+        building=freiburg_like      or annex, mini, random, or a YAML file
+        out=data                    output folder
+        runs=[cloudy1,night1]       lighting and number; each number is a different hour of a different day
+        path=path2                  the route through the building
+        trajectory=FILE.places.lst  or a COLD list of poses: one image for each
+        spacing=0.15                metres between frames
+        camera=omnidirectional      640 x 480; or panorama: 512 x 128, already unwrapped
+        workers=2 seed=0
+        preview=true                only a contact sheet and a floor plan
+
+    Example:
+        $ siamloc simulate camera=panorama
+    """
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], given: Given | None = None) -> Simulate:
+        """Make the job from plain values; see `SimulateConfig.of`."""
+        return cls(**vars(SimulateConfig.of(values)))
+
+    def run(self, say: Say = quiet) -> Summary:
+        """Render the building."""
+        summary = simulate(SimulateConfig(**vars(self)))
+        for path in summary.files:
+            say(f"picture: {path}")
+        for sequence, count in summary.sequences.items():
+            say(f"{sequence}: {count} frames")
+        if summary.sequences:
+            rate = f", {summary.rendered / summary.seconds:.1f} frames/s" if summary.rendered else ""
+            say(f"{summary.folder}: {summary.rendered} frames rendered in {summary.seconds:.0f} s{rate}")
+        return summary

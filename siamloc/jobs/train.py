@@ -1,0 +1,237 @@
+"""`siamloc train` and `siamloc pretrain`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from siamloc.data.pairs import PairSettings
+from siamloc.data.places import PlaceSettings
+from siamloc.errors import ConfigError
+from siamloc.jobs.choices import Augment, Folder, Loader, Loss, Model, TrainerKeys
+from siamloc.jobs.data_job import DataJob
+from siamloc.jobs.inherit import with_settings_of_the_run
+from siamloc.jobs.job import Given, Job, Say, quiet
+from siamloc.jobs.opening import of_job
+from siamloc.jobs.sweep import sweep_suffix
+from siamloc.models.registry import LOSSES, Optimizer
+from siamloc.pretraining.settings import RECIPE, ViewSettings
+from siamloc.runs import Run
+from siamloc.settings import Count, Positive, Probability, Size, defaults_of
+from siamloc.training.settings import Learning, Training
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Training(Learning, Job):
+    """Base of the two jobs that train a network.
+
+    Attributes:
+        folder: of the run that is written.
+        model: the network.
+        loss: the loss.
+        augment: how training images are augmented.
+        trainer: arguments of Lightning's Trainer.
+        loader: how images are loaded.
+        resume: continue from the last checkpoint of the run.
+        overwrite: replace the run in the folder.
+    """
+
+    folder: Folder | None = None
+    pairs: PairSettings | PlaceSettings
+    optimizer: Optimizer
+    model: Model
+    loss: Loss
+    augment: Augment
+    trainer: TrainerKeys = field(default_factory=TrainerKeys)
+    loader: Loader = field(default_factory=Loader)
+    resume: bool = False
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.training
+
+    @classmethod
+    def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
+        """Return values together with the settings of the run, if it is resumed."""
+        if values.get("resume") is True and values.get("run", cls.folder) is not None:
+            values = {"run": cls.folder, **values}
+            return with_settings_of_the_run(values, given, cls.key_names(), resumed=True)
+        return values
+
+    @property
+    def training(self) -> Training:
+        """The settings of the training."""
+        margin = {"margin": m} if (m := self.loss.parameters.get("margin")) and self.loss.name == "contrastive" else {}
+        own = {key: getattr(self, key) for key in defaults_of(Learning)}
+        return Training(**own, workers=self.loader.workers, augment_where=self.augment.where, **margin)
+
+    def make_loss(self) -> Any:
+        """Make the loss over batches of places; None for the contrastive loss, whose margin is a setting.
+
+        Raises:
+            ConfigError: a loss that does not fit the way batches are drawn.
+        """
+        from siamloc.models.batch_losses import make_loss
+
+        in_batch = isinstance(self.pairs, PlaceSettings)
+        if self.loss.name == "contrastive" and not in_batch:
+            return None
+        if self.loss.name == "contrastive" or not in_batch:
+            raise ConfigError(
+                f"loss={self.loss.name} does not go with these pairs: pairs=in_batch goes with "
+                f"loss={'|'.join(LOSSES)}, other pairs with loss=contrastive"
+            )
+        return make_loss(self.loss.name, **self.loss.parameters)
+
+    def target(self, data: str) -> Path:
+        """Return the folder that the training writes into."""
+        names = [data, self.model.branch.name, self.model.head.name, f"seed{self.seed}"]
+        folder = Path("runs") / "-".join(names) if self.folder is None else Path(self.folder)
+        return folder / sweep_suffix() if sweep_suffix() else folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(_Training, DataJob):
+    """Train a siamese network.
+
+    Writes a run folder with checkpoints (best on the validation sequence, last), training curves, and the settings,
+    which the other commands read from there.
+
+        run=FOLDER                        where the run is written
+        protocol.train.sequences=[...]    training sequences; names or patterns
+        protocol.validation.sequences=[...]  sequences for choosing the best checkpoint
+        experiment=modern|fine_tuning|photographs|rooms
+                                          our recipes: modern for panoramas with positions, from random weights;
+                                          fine_tuning for the same, shorter, from the shipped weights; photographs for
+                                          images of an ordinary camera; rooms for such images with room labels.
+                                          You can still change any key
+        model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
+                                          panoresnet
+        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000, fc4096_4096; flat, gem,
+                                          bands, fourier, magnitudes
+        model.circular=true               the network wraps around the azimuth
+        model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file
+        model.normalize=local             remove lighting from the image first; or channels, image, local_brightness
+        pairs=room|distance|in_batch      pairs with binary labels (room) or metric labels (distance); in_batch uses all
+                                          pairs of a batch and needs
+                                          loss=soft_contrastive|metric_calibrated|triplet|circle|multi_similarity
+        pairs=frames loss=cross_entropy   learn to name the room of a frame, as experiment=rooms_classifier does
+        loss.miner=batch_hard loss.distance=cosine
+                                          for triplet and similar losses: which pairs count and how they are compared
+        pairs.by=sequence pairs.radius=1    batches without positions; loss.room=0.5 to learn from rooms as well
+        pairs.same_room_share=0.4 pairs.epoch_pairs=10000
+        pairs.lightings={night:2}         twice as many night images per batch as images of each other lighting
+        augment=thesis|lighting|strong|any_light
+                                          augmentation of training images; augment.where=cpu|gpu sets the device
+        epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
+        monitor=error|recall|room|accuracy|loss
+                                          validation figure that picks the best checkpoint; recall_radius=0.5
+        compile=auto|true|false           let torch compile the network for training; auto does so on a GPU
+        patience=5                        stop after this many epochs without a better validation
+        debug=one_batch|overfit|profile   inspect the training instead: one step, learning one batch, where time goes
+        resume=true                       continue from the last checkpoint; checkpoint_every=200 writes it within
+                                          epochs, too
+        -m model/branch=vgg11,vgg13       a sweep, each run in its own folder inside run=runs/sweep; `siamloc map`,
+                                          `evaluate` and `report` take that folder, `siamloc compare` makes a table
+
+    Example:
+        $ siamloc train experiment=modern data=cold data.root=/data/COLD protocol=freiburg run=runs/freiburg
+    """
+
+    GROUPS: ClassVar = of_job([*DataJob.GROUPS, "pairs", "loss", "augment", "model/branch", "model/head", "optimizer"])
+    MORE: ClassVar = {"augment": {"where": "auto"}}
+    SHARED = True
+
+    debug: Literal["overfit", "one_batch", "profile"] | None = None
+
+    def run(self, say: Say = quiet) -> Run:
+        """Train the network."""
+        from siamloc import models, training
+        from siamloc.training.fitting import process_rank
+        from siamloc.training.trainer import check_trainer
+
+        validated = self.protocol.validation.sequences is not None
+        loss, trainer = self.make_loss(), self.trainer.plain()
+        check_trainer(trainer)  # before any image is decoded
+        images, roles = self.open_roles("train", *(["validation"] if validated else []))
+        network = models.build(**self.model.arguments(), image_size=images.image_size, seed=self.seed)
+        run = training.fit(
+            network,
+            images,
+            roles["train"],
+            run=self.target(self.data.name or "data"),
+            validation=roles.get("validation"),
+            loss=loss,
+            augmentation=self.augment.policy,
+            trainer=trainer,
+            protocol=self.protocol.plain(),
+            resume=self.resume,
+            overwrite=self.overwrite,
+            debug=self.debug,
+            settings=self.training,
+        )
+        if process_rank() == 0 and self.debug is None:
+            say(f"next: siamloc map run={run.folder}")
+        return run
+
+
+_RECIPE = RECIPE.training
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pretrain(_Training):
+    """Train a network on random buildings, before it sees any data.
+
+    Draws, furnishes, lights and renders one building after another while the network learns from those already
+    there. Everything follows from the seed. `siamloc train` can start from the resulting weights.
+
+        run=runs/pretrained         where the run is written
+        epochs=12                   of 500 batches each; a new building every views.batches=15
+        views.processes=1           number of processes that render alongside the training
+        seed=0 resume=true
+        trainer.devices=2 trainer.strategy=ddp   each process has its own buildings
+
+    Example:
+        $ siamloc pretrain run=runs/pretrained
+    """
+
+    GROUPS: ClassVar = {
+        **dict.fromkeys(("pairs", "loss", "augment", "optimizer"), "pretraining"),
+        "model/branch": RECIPE.model["branch"],
+        "model/head": RECIPE.model["head"],
+    }
+    MORE: ClassVar = {
+        "augment": {"where": "auto"},
+        "trainer": RECIPE.trainer,
+        "model": {key: RECIPE.model[key] for key in ("circular", "normalize", "canonical")},
+    }
+
+    folder: Folder = "runs/pretrained"
+    views: ViewSettings = field(default_factory=ViewSettings)
+    image_size: Size = RECIPE.image_size
+    epochs: Count = _RECIPE["epochs"]
+    clip: Positive | None = _RECIPE["clip"]
+    average: Probability | None = _RECIPE["average"]
+
+    def run(self, say: Say = quiet) -> Run:
+        """Train the network on random buildings."""
+        from siamloc import models, pretraining
+        from siamloc.training.fitting import process_rank
+
+        network = models.build(**self.model.arguments(), image_size=self.image_size, seed=self.seed)
+        run = pretraining.pretrain(
+            network,
+            run=self.target("pretrained"),
+            views=self.views,
+            loss=self.make_loss(),
+            augmentation=self.augment.policy,
+            trainer=self.trainer.plain(),
+            resume=self.resume,
+            overwrite=self.overwrite,
+            settings=self.training,
+        )
+        if process_rank() == 0:
+            say(f"next: siamloc train experiment=fine_tuning model.branch.weights={run.weights}")
+        return run
