@@ -138,7 +138,7 @@ def checked(value: Any, kind: Any, key: str, error: type[Exception] = ConfigErro
     """Return a value in the form of its annotation: lists become tuples, numpy numbers and arrays plain values.
 
     Raises:
-        ConfigError: naming the key, what it should be, and what it is; another class if `error` names one.
+        ConfigError: naming the key, what it should be, and what it is; or another `error`.
     """
     if wrong := complaint(value, kind):
         raise error(f"{key} {wrong}")
@@ -158,6 +158,25 @@ def complaint(value: Any, kind: Any) -> str:
     only_too_small = isinstance(value, float) and 0 < value < SMALLEST and _fit(SMALLEST, kind)[0]
     least = f", at least {SMALLEST:g}" if only_too_small else ""
     return f"must be {words_for(kind)}{most or least}, got {shortened(repr(value))}"
+
+
+def misfit(values: Mapping[str, Any], kinds: Mapping[str, Any], prefix: str = "") -> str | None:
+    """Return the dotted name of the first value in a file that does not fit its annotation; None if all fit.
+
+    Args:
+        values: content of the file; it may have more keys.
+        kinds: annotations by key; for a mapping inside the mapping, annotations of its keys.
+
+    >>> misfit({"name": "a", "size": {"rows": 2.5}}, {"name": str, "size": {"rows": int}})
+    'size.rows'
+    """
+    for key, kind in kinds.items():
+        value, name = values.get(key), prefix + key
+        if complaint(value, Mapping if isinstance(kind, Mapping) else kind):
+            return name
+        if isinstance(kind, Mapping) and (inner := misfit(value or {}, kind, f"{name}.")):
+            return inner
+    return None
 
 
 def shortened(text: str, most: int = 120) -> str:

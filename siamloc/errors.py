@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from foundation.errors import ConfigError, DataError, FormatError, SiamlocError, StorageError, hint
 

@@ -36,12 +36,14 @@ class Demo(Job):
         """Simulate, train, map, evaluate, export, localize, report."""
         from siamloc.data.frames import image_files
         from siamloc.runs import Run
+        from siamloc.training.run_folder import check_folder
 
         run, data, begin = Run(Path(self.folder)), Path(self.data), time.monotonic()
         if run.record.is_file() and not self.overwrite:
             raise ConfigError(
                 f"{run.folder} holds a run already: replace it with overwrite=true, or choose another run="
             )
+        check_folder(run, resume=False, overwrite=self.overwrite)  # before a minute of rendering
         overwrite = ["overwrite=true"] if self.overwrite else []
         mini = ["building=mini", f"seed={self.seed}", f"out={data}"]
         runs = "cloudy1,cloudy2,cloudy3,night1,night2,sunny1,sunny2"

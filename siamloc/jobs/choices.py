@@ -123,19 +123,14 @@ class DescriptorChoice(Choice):
         """Return the names of the descriptors."""
         from analytic import DESCRIPTORS
 
-        return (*NETWORKS, "thumbnail", *DESCRIPTORS)
+        return (*NETWORKS, *DESCRIPTORS)
 
     @classmethod
     def check(cls, name: str, parameters: Mapping[str, Any]) -> None:
         """Check the parameters of a descriptor."""
-        from analytic import Thumbnail
-
         if name in NETWORKS:
             check_known(parameters, ["run"] if name == "network" else [], "descriptor")
             checked(parameters.get("run"), Text | None, "descriptor.run")
-        elif name == "thumbnail":
-            check_known(parameters, ["rows", "columns"], "descriptor")
-            Thumbnail(**parameters)
         else:
             _check_analytic(name, parameters, "descriptor")
 
@@ -167,11 +162,11 @@ class Heading(Choice):
 
 
 def _check_analytic(name: str, parameters: Mapping[str, Any], where: str) -> None:
-    """Check the parameters of an analytic descriptor; those that follow from data and device cannot be set."""
+    """Check the parameters of an analytic descriptor; `circular` follows from the data."""
     from analytic import descriptor
     from analytic.descriptors.registry import parameters as every
 
-    check_known(parameters, set(every(name)) - {"circular", "device"}, where)
+    check_known(parameters, set(every(name)) - {"circular"}, where)
     descriptor(name, **parameters)
 
 

@@ -30,7 +30,7 @@ class Export(RunJob):
         bundle=FOLDER           output folder; inside the run if not given; robot.zip makes one file
         descriptor=hog          another map of the run: of an analytic descriptor, or of the network that ships with
                                 siamloc, descriptor=pretrained
-        precision=int8          8-bit numbers, for a faster bundle; or float16. Both are smaller and need less memory;
+        precision=int8          8-bit numbers, for a smaller and faster bundle; float16 for a smaller map only;
                                 auto takes the smallest that loses at most 2 % of the error on protocol.validation,
                                 and shows what each loses
         build=spectral          the coarse layer that `siamloc map build=spectral` made, for the robot to search first,

@@ -8,8 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from analytic import DESCRIPTORS, Descriptor, Thumbnail, descriptor
-from siamloc.device import chosen_device
+from analytic import DESCRIPTORS, Descriptor, descriptor
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import Build, DescriptorChoice, Device, Folder, Heading, Model
 from siamloc.jobs.data_job import DataJob
@@ -48,7 +47,7 @@ class RunJob(DataJob):
         folder: of the run.
         model: the architecture of the network, to make sure that the run's network has it.
         checkpoint: of the network: best on the validation sequence, or last; best falls back to last.
-        device: where descriptors are computed.
+        device: where networks describe.
         descriptor: a network or an analytic descriptor.
         heading: the descriptor that estimates headings for a network that cannot.
         distance: how descriptors are compared; the descriptor's own if None.
@@ -101,13 +100,10 @@ class RunJob(DataJob):
         return {"way": self.build.name, "seed": self.seed, **self.build.parameters}
 
     def make_descriptor(self, chosen: DescriptorChoice | None = None) -> Descriptor:
-        """Make a descriptor on the job's device; the job's own if None."""
+        """Make a descriptor, a network's on the job's device; the job's own if None."""
         chosen = chosen or self.descriptor
-        if chosen.name == "thumbnail":
-            return Thumbnail(**chosen.parameters)
         if chosen.name in DESCRIPTORS:
-            device = chosen_device(self.device)
-            return descriptor(chosen.name, **chosen.parameters, circular=self.data.circular, device=device)
+            return descriptor(chosen.name, **chosen.parameters, circular=self.data.circular)
         from siamloc import models
 
         if chosen.name == "pretrained":
@@ -123,12 +119,12 @@ class RunJob(DataJob):
         name = self.heading.name
         if name == "none":
             return None
-        if self.descriptor.name in DESCRIPTORS:
+        if self.descriptor.name in DESCRIPTORS and descriptor(self.descriptor.name).tells_heading:
             say(f"heading={name} left out: {self.descriptor.name} gives headings itself")
             return None
         if not self.data.circular:
             raise ConfigError(f"heading={name} needs columns that are a full turn, and data.circular is false")
-        return descriptor(name, **self.heading.parameters, device=chosen_device(self.device))
+        return descriptor(name, **self.heading.parameters)
 
     def _check_architecture(self, network: Any, run: Run, *, own: bool) -> None:
         """Refuse a network for other images than configured, or with another architecture than configured."""

@@ -152,7 +152,7 @@ class Watch(Robot):
 
     Locates images as localize does, and serves a web page: the floor plan with the pose, its uncertainty and the
     path so far, the camera image next to the map image, the room, expected error and time. The page is read-only,
-    and visible only from this machine unless host= says otherwise. Needs `pip install siamloc[live]`.
+    and visible only from this machine unless host= says otherwise. Needs the extra `live`: `pip install '.[live]'`.
 
         images=[drive.mp4]   files, folders, videos, or cameras such as camera:0
         bundle=FOLDER        the bundle, or FILE.zip; export it with thumbnails=true to see the map images
