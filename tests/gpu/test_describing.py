@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import analytic
 import siamloc
 from siamloc.models import as_descriptor
 from tests.gpu.conftest import SIZE
@@ -69,10 +68,3 @@ def test_queries_are_found_where_the_cpu_finds_them(network, here, images, drive
                 np.testing.assert_allclose(column, other, rtol=1e-3, atol=1e-4)
             else:
                 np.testing.assert_array_equal(column, other)
-
-
-@pytest.mark.parametrize("name", analytic.DESCRIPTORS)
-def test_analytic_descriptors_compute_there(gpu, name):
-    batch = np.random.default_rng(0).integers(0, 256, (2, 64, 512), dtype=np.uint8)
-    there, here = (analytic.descriptor(name, device=device).describe(batch) for device in (NAME, "cpu"))
-    np.testing.assert_allclose(there.position, here.position, rtol=1e-4, atol=1e-5)
