@@ -15,6 +15,7 @@ from siamloc.pretraining import RECIPE, pretrain, rendering, view_batches
 from siamloc.training import batches
 from tests.gpu.trainer import Steps, pretend_trainer
 from tests.siamloc.pretraining.test_pretraining import drawn
+from tests.siamloc.training.test_stopping import Killed, Stop, kill
 
 SIZE = (16, 64)
 PAIRS = {"batch_size": 4, "pairs": {"label": "room", "epoch_pairs": 20}}
@@ -110,18 +111,17 @@ def test_no_step_of_pretraining_waits(there, steps, tmp_path, monkeypatch):
 @KINDS
 def test_the_weights_are_those_of_the_cpu_and_of_a_training_that_was_resumed(fit, gpu, settings):
     """Up to the order of sums in the optimizer, and bit for bit."""
-    resumed = small()
+    resumed, options = small(), {"augment_where": "gpu", "checkpoint_every": 3, **settings}
 
-    def there(network, **more):
-        return fit(
-            network, trainer=pretend_trainer("32-true"), augment_where="gpu", **{"epochs": 2, **settings, **more}
-        )
+    def there(network, callbacks=(), **more):
+        return fit(network, trainer=pretend_trainer("32-true", callbacks=list(callbacks)), **options, **more)
 
     with full_precision():
         whole = there(small(), run="whole")
-        there(resumed, epochs=1)
+        with pytest.raises(Killed):
+            there(resumed, [Stop(4, kill)])
         there(resumed, resume=True)
-        here = fit(small(), run="here", trainer={"accelerator": "cpu"}, augment_where="gpu", epochs=2, **settings)
+        here = fit(small(), run="here", trainer={"accelerator": "cpu"}, **options)
     for name, weight in whole.items():
         assert torch.equal(weight.cpu(), resumed.state_dict()[name].cpu())
         torch.testing.assert_close(weight.cpu(), here[name], rtol=1e-4, atol=1e-6)
