@@ -47,8 +47,8 @@ class Report:
         self._targets.append({"target": text, "met": bool(met)})
         print(f"target {text}: {'met' if met else 'NOT met'}")
 
-    def kept(self, rows: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
-        """Return the rows of the existing file, updated with those of this run, in the given order.
+    def kept(self, rows: Mapping[str, Any], order: Sequence[str] | None = None) -> dict[str, Any]:
+        """Return the rows of the existing file, updated with those of this run, in the given order if there is one.
 
         For each row that this run did not measure, the new file gives the date and the processor it comes from.
         """
@@ -57,7 +57,7 @@ class Report:
         whence = {"date": former.get("date"), "cpu": former.get("hardware", {}).get("cpu")}
         self._kept = {name: former.get("kept", {}).get(name, whence) for name in old}
         merged = {**old, **rows}
-        return {name: merged[name] for name in order if name in merged}
+        return {name: merged[name] for name in order or merged if name in merged}
 
     def former(self, key: str) -> dict[str, Any]:
         """Return a table of the existing file that this run did not measure."""
