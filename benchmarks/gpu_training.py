@@ -223,9 +223,10 @@ def _resumed(bench: Bench, name: str) -> Figures:
 
 
 def core(bench: Bench) -> Figures:
-    """Return what a single core delivers per second, in CPU time: what a GPU needs of it depends on the network.
+    """Return what a single core delivers per second of CPU time, and what the networks compute for each image.
 
-    Panoramas gathered from the store; augmented, or only drawn and packed for a device; and views of random buildings.
+    A core delivers panoramas from the store, augmented ones, the draws of an augmentation that a device applies, and
+    views of random buildings.
     """
     sizes, images = bench.sizes, bench.images
     wanted = np.random.default_rng(0).integers(0, len(images), 2 * sizes.pairs)
@@ -245,7 +246,9 @@ def core(bench: Bench) -> Figures:
     views, seconds = quick(1, sizes.views)
     found["views"] = views / seconds
     print(f"  per second: {shown(found)}")
-    return {"per_second": found}
+    needed = {name: flops(bench.build(name), sizes.image) for name in sizes.networks}
+    needed["pretraining"] = flops(RECIPE.build(sizes.rendered), sizes.rendered)
+    return {"per_second": found, "flops_per_image": needed}
 
 
 def _packed(effect: augment.Effect, batch: torch.Tensor, generator: torch.Generator) -> None:

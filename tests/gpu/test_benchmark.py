@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -62,3 +63,9 @@ def test_without_a_gpu_only_what_needs_none_is_measured(tmp_path, capsys, monkey
     record = read_json(tmp_path / "gpu.json")
     assert (record["core"], record["gpu"], record["targets"]) == ({"per_second": {"gathered": 1.0}}, None, [])
     assert "networks" not in record
+
+
+def test_the_page_on_speed_lists_the_targets():
+    page = (Path(__file__).parents[2] / "docs/results/speed.md").read_text(encoding="utf-8")
+    listed = [line.removeprefix("- ") for line in page.partition("## On a GPU")[2].splitlines() if line.startswith("-")]
+    assert listed == [target.text for target in benchmark.TARGETS]
