@@ -73,7 +73,7 @@ TINY = Sizes(
     seconds=0.1,
     networks=("modern",),
     quickest="modern",
-    policies=("none", "thesis"),
+    policies=("thesis",),
 )
 """The sizes of a trial."""
 

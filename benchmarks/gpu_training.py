@@ -232,7 +232,7 @@ def core(bench: Bench) -> Figures:
     wanted = np.random.default_rng(0).integers(0, len(images), 2 * sizes.pairs)
     batch, generator = torch.from_numpy(images.batch(wanted)), torch.Generator().manual_seed(0)
     works: dict[str, Callable[[], Any]] = {"gathered": lambda: images.batch(wanted)}
-    for name in sizes.policies[1:]:
+    for name in [one for one in sizes.policies if one != "none"]:
         effect = augment.policy(name)
         works[f"augmented, {name}"] = partial(effect, batch, generator)
         works[f"drawn, {name}"] = partial(_packed, effect, batch, generator)
