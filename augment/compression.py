@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import lru_cache
 
 import numpy as np
@@ -25,7 +26,7 @@ _FROM_COLOURS = ((1.0, 0.0, 1.402), (1.0, -0.344136, -0.714136), (1.0, 1.772, 0.
 
 
 def compressed(batch: Tensor, brightness: Tensor, colour: Tensor) -> Tensor:
-    """Compress and decode images.
+    """Compress and decode images, in full precision also where a network is in another one.
 
     Args:
         batch: (B, 3, H, W), RGB in [0, 1].
@@ -34,15 +35,17 @@ def compressed(batch: Tensor, brightness: Tensor, colour: Tensor) -> Tensor:
     """
     height, width = batch.shape[2:]
     there, back, waves, lift = _constants(str(batch.device))
-    levels = torch.einsum("kc,bchw->bkhw", there, (batch * 255).round()).round()
-    levels = F.pad(levels, (0, -width % (2 * _BLOCK), 0, -height % (2 * _BLOCK)), mode="replicate")
-    light = _rounded(levels[:, :1] - 128, brightness, waves)
-    quarters = F.avg_pool2d(levels[:, 1:], 2)  # halves of a level go down and up in turn, as in the codec
-    colours = _rounded((quarters + lift.repeat(quarters.shape[3] // 2)).floor(), colour, waves)
-    # Bilinear between the middles of the colours' pixels, like the decoder's triangle filter.
-    colours = F.interpolate(colours, scale_factor=2, mode="bilinear", align_corners=False).round()
-    decoded = torch.cat([light + 128, colours], dim=1)[..., :height, :width]
-    return torch.einsum("kc,bchw->bkhw", back, decoded).round().clamp(0, 255) / 255
+    device = batch.device.type
+    with torch.autocast(device, enabled=False) if torch.amp.is_autocast_available(device) else nullcontext():
+        levels = torch.einsum("kc,bchw->bkhw", there, (batch * 255).round()).round()
+        levels = F.pad(levels, (0, -width % (2 * _BLOCK), 0, -height % (2 * _BLOCK)), mode="replicate")
+        light = _rounded(levels[:, :1] - 128, brightness, waves)
+        quarters = F.avg_pool2d(levels[:, 1:], 2)  # halves of a level go down and up in turn, as in the codec
+        colours = _rounded((quarters + lift.repeat(quarters.shape[3] // 2)).floor(), colour, waves)
+        # Bilinear between the middles of the colours' pixels, like the decoder's triangle filter.
+        colours = F.interpolate(colours, scale_factor=2, mode="bilinear", align_corners=False).round()
+        decoded = torch.cat([light + 128, colours], dim=1)[..., :height, :width]
+        return torch.einsum("kc,bchw->bkhw", back, decoded).round().clamp(0, 255) / 255
 
 
 def _rounded(levels: Tensor, steps: Tensor, waves: Tensor) -> Tensor:
@@ -54,6 +57,7 @@ def _rounded(levels: Tensor, steps: Tensor, waves: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=4)
+@torch.inference_mode(False)
 def _constants(device: str) -> tuple[Tensor, ...]:
     """Return the colour transform, its inverse, the cosine transform of 8 values, and how two means are rounded."""
     number = np.arange(_BLOCK)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
@@ -36,7 +36,7 @@ class Sharpen(Effect):
         brushes: list[Sequence[Brush]] = []
         for s in params["strength"].tolist():
             mask = np.array([[0, -s, 0], [-s, 1 + 4 * s, -s], [0, -s, 0]], dtype=np.float32)
-            brushes.append([partial(_convolve, mask, self.circular)])
+            brushes.append([partial(_filtered, _convolution(mask), 1, self.circular)])
         return brushes
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
@@ -72,12 +72,10 @@ class Blur(Effect):
         size = self.options["size"]
         brushes: list[Sequence[Brush]] = []
         for strength in params["strength"].tolist():
-            if strength == 1:
-                brushes.append([partial(_box, size, size, self.circular)])
-            else:
-                mask = np.full((size, size), strength / size**2, dtype=np.float32)
-                mask[size // 2, size // 2] += 1 - strength
-                brushes.append([partial(_convolve, mask, self.circular)])
+            mask = np.full((size, size), strength / size**2, dtype=np.float32)
+            mask[size // 2, size // 2] += 1 - strength
+            work = _box(size, size) if strength == 1 else _convolution(mask)
+            brushes.append([partial(_filtered, work, size // 2, self.circular)])
         return brushes
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
@@ -102,7 +100,7 @@ class MotionBlur(Effect):
     def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
         """Return for each frame a box filter along its rows."""
         lengths = [_odd(length, width) for length in params["length"].tolist()]
-        return [[partial(_box, length, 1, self.circular)] if length > 1 else [] for length in lengths]
+        return [[partial(_filtered, _box(length, 1), length // 2, self.circular)] for length in lengths]
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """r."""
@@ -136,33 +134,17 @@ def _extended(batch: Tensor, columns: int, rows: int, circular: bool) -> Tensor:
     return F.pad(batch, (0, 0, rows, rows), mode="replicate") if rows else batch
 
 
-def _convolve(mask: np.ndarray, circular: bool, frame: Frame) -> None:
-    radius = mask.shape[1] // 2
-    wide = _padded(frame, radius, circular)
-    for channel in range(3):
-        done = cv2.filter2D(wide[channel], -1, mask, borderType=cv2.BORDER_REPLICATE)
-        frame[channel] = done[:, radius : radius + frame.shape[2]]
+def _filtered(work: Callable[[Frame], Any], columns: int, circular: bool, frame: Frame) -> None:
+    """Filter the channels of a frame, extended on both sides by columns beyond the seam, or by repeating the edge."""
+    border = cv2.BORDER_WRAP if circular else cv2.BORDER_REPLICATE
+    for channel in frame:
+        wide = cv2.copyMakeBorder(channel, 0, 0, columns, columns, border)
+        channel[:] = work(wide)[:, columns : columns + channel.shape[1]]
 
 
-def _box(columns: int, rows: int, circular: bool, frame: Frame) -> None:
-    radius = columns // 2
-    wide = _padded(frame, radius, circular)
-    for channel in range(3):
-        done = cv2.blur(wide[channel], (columns, rows), borderType=cv2.BORDER_REPLICATE)
-        frame[channel] = done[:, radius : radius + frame.shape[2]]
+def _convolution(mask: np.ndarray) -> Callable[[Frame], Any]:
+    return partial(cv2.filter2D, ddepth=-1, kernel=mask, borderType=cv2.BORDER_REPLICATE)
 
 
-def _padded(frame: Frame, columns: int, circular: bool) -> Frame:
-    """Extend a frame to (3, H, W + 2 columns) by what lies beyond the seam, or by repeating the edge."""
-    width = frame.shape[2]
-    out = np.empty((*frame.shape[:2], width + 2 * columns), dtype=np.uint8)
-    out[:, :, columns : columns + width] = frame
-    if circular and columns <= width:
-        out[:, :, :columns] = frame[:, :, width - columns :]
-        out[:, :, columns + width :] = frame[:, :, :columns]
-    elif circular:
-        out[:] = np.take(frame, np.arange(-columns, width + columns) % width, axis=2)
-    else:
-        out[:, :, :columns] = frame[:, :, :1]
-        out[:, :, columns + width :] = frame[:, :, -1:]
-    return out
+def _box(columns: int, rows: int) -> Callable[[Frame], Any]:
+    return partial(cv2.blur, ksize=(columns, rows), borderType=cv2.BORDER_REPLICATE)

@@ -67,8 +67,8 @@ class Spot(Layer):
 
     @property
     def renderer(self) -> Effect:
-        """Spots of every shape, in one formula."""
-        return _AnySpot(circular=self.circular)
+        """The shapes of this module, in one formula."""
+        return _AnySpot(circular=self.circular) if type(self) in (Bulb, Square, Trapezoid) else self
 
     @abstractmethod
     def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
@@ -92,7 +92,7 @@ class Spot(Layer):
             "slope": (rim - centre) * levels,
             "middle": 1 / (1 + abs(taper)),
             "lean": taper / (1 + abs(taper)),
-            "round": np.full(len(centre), float(self.name == Bulb.name)),
+            "round": np.full(len(centre), float(type(self) is Bulb)),
         }
 
     def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:

@@ -7,7 +7,7 @@ import torch
 
 import augment
 from augment import Policy
-from augment.compression import compressed
+from augment.compression import _constants, compressed
 from tests.augment.pictures import generator, panoramas
 
 SPOTS = [{"effect": "bulb"}, {"effect": "square"}, {"effect": "trapezoid"}]
@@ -92,6 +92,10 @@ def test_frames_without_effects_are_left_out():
     assert torch.allclose(out[1], batch[1] ** 0.5, atol=1e-6)
 
 
+def coefficients(effect, batch):
+    return effect.tensors(effect.draw(generator(), batch), *batch.shape[2:])
+
+
 @pytest.mark.parametrize("quality", [10, 35, 60, 90])
 def test_compression_on_a_gpu_is_that_of_the_codec(quality):
     """Coefficients near a half round either way; everything else agrees."""
@@ -99,12 +103,27 @@ def test_compression_on_a_gpu_is_that_of_the_codec(quality):
     batch = (smooth.clamp(0, 1) * 255).round().to(torch.uint8)
     effect = augment.effect("jpeg", quality=quality)
     params = effect.draw(generator(), batch)
-    program = effect.program(params, 40, 72)
-    steps = program.numbers.view(-1, 4).split([length for _, length in program.steps[0][2]])
-    values = dict(
-        zip((name for name, _ in program.steps[0][2]), (step.T[..., None, None] for step in steps), strict=True)
-    )
+    values = coefficients(effect, batch)
     found = compressed(batch / 255, values["brightness"], values["colour"]) * 255
     codec = effect.apply(batch, params).float()
     loss = (codec - batch).abs().mean()
     assert (found - codec).abs().mean() < max(0.2 * loss, 0.3)
+
+
+def test_compression_is_as_precise_where_a_network_is_not():
+    batch = panoramas(2, dtype=torch.float32)
+    values = coefficients(augment.effect("jpeg"), batch)
+    wanted = compressed(batch, values["brightness"], values["colour"])
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert torch.equal(compressed(batch, values["brightness"], values["colour"]), wanted)
+
+
+def test_tables_made_in_inference_mode_serve_gradients():
+    _constants.cache_clear()
+    batch = panoramas(1, dtype=torch.float32)
+    values = coefficients(augment.effect("jpeg"), batch)
+    with torch.inference_mode():
+        compressed(batch, values["brightness"], values["colour"])
+    pictures = batch.clone().requires_grad_()
+    compressed(pictures, values["brightness"], values["colour"]).sum().backward()
+    assert pictures.grad is not None

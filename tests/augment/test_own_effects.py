@@ -1,0 +1,80 @@
+"""Effects that users write: one formula, or less, is enough for every device and dtype."""
+
+from typing import ClassVar
+
+import pytest
+import torch
+
+import augment
+from augment.base import Effect, Range
+from augment.layers import Layer
+from augment.photometric import PointEffect, Tone
+from augment.spots import Square
+from tests.augment.pictures import generator, panoramas
+
+STRENGTH = {"strength": Range(0.2, 0.8, minimum=0, maximum=1, neutral=0)}
+
+
+class Grey(Effect):
+    """I' = I + strength (mean of the channels - I)."""
+
+    name = "grey"
+    RANGES: ClassVar = STRENGTH
+
+    def render(self, batch, values):
+        return torch.lerp(batch, batch.mean(dim=1, keepdim=True).expand_as(batch), values["strength"])
+
+
+class Solarize(PointEffect):
+    name = "solarize"
+    RANGES: ClassVar = STRENGTH
+
+    def curve(self, level, values):
+        return torch.where(level > 0.5, level + values["strength"] * (1 - 2 * level), level)
+
+
+class Dusk(Layer):
+    """Darker from row to row."""
+
+    name = "dusk"
+    RANGES: ClassVar = STRENGTH
+
+    def layer(self, rows, columns, values, height, width):
+        return torch.exp(-values["strength"] * rows / height)
+
+
+class Diamond(Square):
+    name = "diamond"
+
+    def distance(self, across, down, values):
+        return across.abs() + down.abs()
+
+
+class Negative(Tone):
+    name = "negative"
+    RANGES: ClassVar = STRENGTH
+
+    def curve(self, level, values):
+        return torch.lerp(level, 1 - level, values["strength"])
+
+
+class Still(Effect):
+    name = "still"
+
+    def render(self, batch, values):
+        return batch.clone()
+
+
+@pytest.mark.parametrize("kind", [Grey, Solarize, Dusk, Diamond, Negative])
+def test_8_bit_and_float_follow_the_formula(kind):
+    effect, batch = kind(), panoramas(5, 32, 128)
+    params = effect.draw(generator(), batch)
+    bits, exact = effect.apply(batch, params).float(), effect.apply(batch / 255, params) * 255
+    assert float((bits - exact).abs().max()) <= 0.5 + 1e-3
+    assert (bits - batch).abs().amax(dim=(1, 2, 3)).min() > 5
+    assert torch.equal(effect.apply(batch, effect.at(0, batch)), batch)
+
+
+def test_an_effect_without_parameters_is_refused():
+    with pytest.raises(augment.AugmentError, match="still draws nothing: give it at least one range"):
+        Still()(panoramas(1), generator())
