@@ -15,12 +15,11 @@ from analytic.descriptors.base import Description, Descriptor, check_alike
 from analytic.errors import AnalyticError
 from analytic.linear_algebra import one_thread
 from analytic.mapper import graph, storage
-from analytic.mapper.closure import image_level
 from analytic.mapper.decision import Decision, EventLog, Location, header, line_of
 from analytic.mapper.node import Node
 from analytic.mapper.parameters import parameters
 from analytic.mapper.state import State
-from analytic.mapper.steps import closures_of, maintain, step
+from analytic.mapper.steps import locate, maintain, step
 
 LARGEST_VALUE = 1e38
 LARGEST_POSITION = 4096  # numbers: beyond, the covariance of a single node takes more than 128 MiB
@@ -129,7 +128,7 @@ class IncrementalMapper:
         pose = _plain(frame)
         draft = self._state.copy()
         with one_thread():
-            decision = step(draft, self.descriptor, description, self._orientation(description))
+            decision = step(draft, self.descriptor, description)
         self._commit(draft, decision, [pose])
         return decision
 
@@ -171,8 +170,10 @@ class IncrementalMapper:
         Raises:
             AnalyticError: a map without nodes, and what `add` raises for descriptions.
         """
+        if not self._state.nodes:
+            raise AnalyticError(f"the map has no node yet after {len(self)} frames: add more before querying it")
         with one_thread():
-            return self._located(self._checked(description, 1))
+            return locate(self._state, self.descriptor, self._checked(description, 1), self._poses)
 
     def save(self, path: str | Path) -> None:
         """Save the map in one file: arrays without pickles, written under a temporary name and renamed.
@@ -217,32 +218,6 @@ class IncrementalMapper:
         mapper._log = EventLog(stored.lines, log)
         return mapper
 
-    def _located(self, description: Description) -> Location:
-        state, rules = self._state, self.parameters
-        if not state.nodes:
-            raise AnalyticError(f"the map has no node yet after {len(self)} frames: add more before querying it")
-        closures = closures_of(state, description)
-        x = rules.x(len(closures))
-        closing = closures.nodes[closures.closing(x)].tolist()
-        orientation = self._orientation(description)
-        candidates = [state.nodes[key] for key in closing or [closures.nearest().node]]
-        similarity = image_level(self.descriptor, description, candidates, rules.distance, orientation)
-        means = similarity.means()
-        node = min(means, key=lambda key: (-means[key], key))
-        if rules.version == 1:
-            node = int(similarity.nodes[similarity.best()])
-        row = similarity.best(node)
-        frame = int(similarity.frames[row])
-        scores = {
-            "x": x,
-            "nodes": closures.scores(),
-            "candidates": closing,
-            "mean_similarity": {str(key): value for key, value in means.items()},
-            "similarity": float(similarity.values[row]),
-        }
-        heading = self._heading(description, node, frame) if orientation else None
-        return Location(node, frame, self._poses[frame], heading, bool(closing), scores)
-
     def _commit(self, draft: State, decision: Decision, poses: list[Any]) -> None:
         """Replace the map by a draft. Until the last line, poses and events beyond those of the map do not count."""
         draft.calls += 1
@@ -256,17 +231,8 @@ class IncrementalMapper:
                 "this map was loaded for queries and is read-only: load it with extend=True to add frames"
             )
 
-    def _orientation(self, description: Description) -> bool:
-        turns = getattr(self.descriptor, "circular", True)
-        return self.parameters.orientation and turns and description.orientation is not None
-
-    def _heading(self, description: Description, node: int, frame: int) -> float:
-        gallery = next(m.gallery for m in self._state.nodes[node].modes if frame in m.gallery.frames)
-        reference = gallery.row(int(np.flatnonzero(gallery.frames == frame)[0]))
-        return float(self.descriptor.align(description, reference).heading[0, 0])
-
     def _checked(self, description: Description, count: int | None) -> Description:
-        """Check a description and return a copy that the map can keep."""
+        """Check a description and return a copy that the map can keep, without an orientation part that is not used."""
         if not isinstance(description, Description):
             raise AnalyticError(
                 f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"
@@ -282,8 +248,9 @@ class IncrementalMapper:
             )
         if count is not None and len(description) != count:
             raise AnalyticError(f"the mapper takes one image at a time, got a description of {len(description)}")
-        parts = [description.position] + ([] if description.orientation is None else [description.orientation])
-        for name, part in zip(("position", "orientation"), parts, strict=False):
+        for name, part in (("position", description.position), ("orientation", description.orientation)):
+            if part is None:
+                continue
             if len(part) != len(description):
                 raise AnalyticError(f"{len(description)} positions need as many orientation parts, got {len(part)}")
             if part.dtype.kind not in "fiub":
@@ -298,10 +265,14 @@ class IncrementalMapper:
                     "leave it out"
                 )
         self.descriptor.check(description, description)
+        turns = self.parameters.orientation and getattr(self.descriptor, "circular", True)
+        orientation = description.orientation if turns else None
+        kept = Description(
+            description.position.copy(), None if orientation is None else orientation.copy(), description.identity
+        )
         if self._state.recent:
-            check_alike(self._state.recent[-1][1], description)
-        copies = [np.array(part) for part in parts]
-        return Description(copies[0], copies[1] if len(copies) > 1 else None, description.identity)
+            check_alike(self._state.recent[-1][1], kept)
+        return kept
 
 
 def _plain(frame: Any) -> Any:

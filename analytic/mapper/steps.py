@@ -6,18 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from analytic.descriptors.base import Description, Descriptor
-from analytic.mapper.closure import (
-    Closures,
-    Similarity,
-    image_level,
-    node_levels,
-    point_of,
-    prominences,
-    similarity_curve,
-)
-from analytic.mapper.decision import NONE, Decision, Reason
+from analytic.mapper.closure import NodeLevel, Similarity, image_level, node_level, point_of, prominences_of
+from analytic.mapper.decision import NONE, Decision, Location, Reason
 from analytic.mapper.growth import (
-    Known,
     first_node,
     grow_version_1,
     grow_version_2,
@@ -40,7 +31,7 @@ class Placement:
         mode: index of the mode in the node.
         match: the most similar frame, or -1.
         scores: what was measured.
-        closures: node-level distances of the frame to every node.
+        found: the comparison of the frame with every node.
     """
 
     reason: Reason
@@ -48,40 +39,102 @@ class Placement:
     mode: int = 0
     match: int = NONE
     scores: dict[str, Any] = field(default_factory=dict)
-    closures: Closures | None = None
+    found: NodeLevel | None = None
 
 
-def step(state: State, descriptor: Descriptor, description: Description, orientation: bool) -> Decision:
-    """Add a frame to a state and decide where it belongs.
+def step(state: State, descriptor: Descriptor, description: Description) -> Decision:
+    """Add a frame to a state, which is changed, and decide where it belongs.
 
     Args:
-        state: a copy of the map, which is changed.
+        state: a copy of the map.
         descriptor: descriptor of the map.
         description: description of the frame.
-        orientation: whether orientation parts are compared.
     """
-    placement = place(state, descriptor, description, orientation) if state.nodes else Placement(Reason.FIRST_FRAMES)
+    placement = place(state, descriptor, description) if state.nodes else Placement(Reason.FIRST_FRAMES)
     frame = state.append(description, NONE, placement.match)
     if placement.node != NONE:
         join(state, frame, description, placement.node, placement.mode)
         state.pending = ()
     created = _grow(state, placement, frame, description)
     if created is not None and state.rules.version == 2 and len(state.nodes) > 1:
-        reconsider(state, descriptor, created.id, orientation)
+        reconsider(state, descriptor, created.id)
     changed = placement.node if created is None else created.id
     wanted = {"changed": changed != NONE, "created": created is not None}
     if wanted.get(state.rules.merge, False):
-        # The distances of the frame are valid for nodes that have not changed since it was placed.
-        known = Known(point_of(description), placement.closures) if created is None and placement.closures else None
+        known = None if created is not None or placement.found is None else (point_of(description), placement.found)
         merge_alike(state, changed, known)
     label = int(state.labels[frame])
-    return Decision(
-        None if label == NONE else label,
-        _reason(state, placement.reason, frame),
-        placement.scores,
-        frame,
-        state.changes,
-    )
+    reason = _reason(state, placement.reason, frame)
+    return Decision(None if label == NONE else label, reason, placement.scores, frame, state.changes)
+
+
+def place(state: State, descriptor: Descriptor, description: Description) -> Placement:
+    """Find where a frame belongs ([I] algorithm 1), without changing the state, which has at least one node."""
+    rules = state.rules
+    x = rules.x(len(state.nodes))
+    point = point_of(description)
+    found = node_level(point, state.ordered(), rules.two_sided)
+    closing = found.nodes[found.closing(x)].tolist()
+    scores: dict[str, Any] = {"x": x, "nodes": found.scores(), "candidates": closing}
+    if not closing:
+        return Placement(Reason.NO_CANDIDATE_NODE, scores=scores)
+    similarity = image_level(descriptor, description, [state.nodes[key] for key in closing], rules.distance)
+    node, row = _most_similar(similarity, rules.version)
+    match = int(similarity.frames[row])
+    if rules.version == 2:
+        scores["mean_similarity"] = {str(key): value for key, value in similarity.means().items()}
+    scores |= {"node": node, "match": match, "similarity": float(similarity.values[row])}
+    mode = int(found.modes[found.nodes == node][0])
+    if rules.version == 1:
+        heights = prominences_of(similarity, state.labels, closing)
+        # In this order, so that a single peak among gamma frames exactly reaches its own limit.
+        least = rules.gamma / len(heights) * float(heights.sum())
+        scores |= {"prominence": float(heights[row]), "least_prominence": least}
+        if heights[row] < least:  # eq. 8; frames that are not a peak have prominence 0
+            return Placement(Reason.NOT_PROMINENT, match=match, scores=scores)
+    own = state.nodes[node].modes[mode]
+    scores |= {"centroid_shift": own.shift(point), "most_centroid_shift": own.reach}
+    if own.shift(point) > own.reach:  # eq. 9
+        return Placement(Reason.MOVES_CENTROID, match=match, scores=scores)
+    return Placement(Reason.ASSIGNED, node, mode, match, scores, found)
+
+
+def locate(state: State, descriptor: Descriptor, description: Description, poses: list[Any]) -> Location:
+    """Find a frame in a state with at least one node; of the nodes, those that close compete, or else the nearest."""
+    rules = state.rules
+    found = node_level(point_of(description), state.ordered(), rules.two_sided)
+    x = rules.x(len(state.nodes))
+    rows = found.closing(x)
+    closing = found.nodes[rows].tolist()
+    candidates = closing or [int(found.nodes[found.best(slice(None))])]
+    similarity = image_level(descriptor, description, [state.nodes[key] for key in candidates], rules.distance)
+    node, row = _most_similar(similarity, rules.version)
+    frame = int(similarity.frames[row])
+    scores = {
+        "x": x,
+        "nodes": found.scores(),
+        "candidates": closing,
+        "mean_similarity": {str(key): value for key, value in similarity.means().items()},
+        "similarity": float(similarity.values[row]),
+    }
+    heading = None
+    if description.orientation is not None:
+        gallery = state.nodes[node].modes[int(similarity.modes[row])].gallery
+        heading = float(descriptor.align(description, gallery.keep(gallery.frames == frame).shown).heading[0, 0])
+    return Location(node, frame, poses[frame], heading, bool(closing), scores)
+
+
+def _most_similar(similarity: Similarity, version: int) -> tuple[int, int]:
+    """Return the most similar node, and the row of its most similar frame.
+
+    Version 1 takes the node of the most similar frame (eq. 7), version 2 that with the highest mean ([T] 4.6).
+    """
+    if version == 1:
+        row = similarity.best()
+        return int(similarity.nodes[row]), row
+    means = similarity.means()
+    node = min(means, key=lambda key: (-means[key], key))
+    return node, similarity.best(node)
 
 
 def maintain(state: State, node: int, descriptions: list[Description]) -> Decision:
@@ -90,9 +143,8 @@ def maintain(state: State, node: int, descriptions: list[Description]) -> Decisi
     for description in descriptions:
         state.append(description, node, NONE)
     frames = range(start, len(state.labels))
-    mode = Mode.of(state.rules, frames, descriptions)
     known = state.nodes[node]
-    state.nodes[node] = Node(node, (*known.modes, mode))
+    state.nodes[node] = Node(node, (*known.modes, Mode.of(state.rules, frames, descriptions)))
     state.pending = ()
     state.note(Reason.MAINTAINED, node, frames)
     return Decision(node, Reason.MAINTAINED, {"modes": len(known.modes) + 1}, frames[-1], state.changes)
@@ -127,66 +179,3 @@ def _reason(state: State, placed: Reason, frame: int) -> Reason:
         if frame in change.frames and change.reason is not Reason.PARKED_FORGOTTEN:
             reason = change.reason
     return reason
-
-
-def place(state: State, descriptor: Descriptor, description: Description, orientation: bool) -> Placement:
-    """Find where a frame belongs, without changing anything.
-
-    Args:
-        state: the map, with at least one node.
-        descriptor: descriptor of the map.
-        description: description of the frame.
-        orientation: whether orientation parts are compared.
-    """
-    rules = state.rules
-    x = rules.x(len(state.nodes))
-    closures = closures_of(state, description)
-    scores: dict[str, Any] = {"x": x, "nodes": closures.scores()}
-    closing = closures.nodes[closures.closing(x)].tolist()
-    scores["candidates"] = closing
-    if not closing:
-        return Placement(Reason.NO_CANDIDATE_NODE, scores=scores)
-    candidates = [state.nodes[node] for node in closing]
-    similarity = image_level(descriptor, description, candidates, rules.distance, orientation)
-    if rules.version == 1:
-        row = similarity.best()
-        node = int(similarity.nodes[row])
-    else:
-        means = similarity.means()
-        node = min(means, key=lambda key: (-means[key], key))
-        row = similarity.best(node)
-        scores["mean_similarity"] = {str(key): value for key, value in means.items()}
-    match = int(similarity.frames[row])
-    scores |= {"node": node, "match": match, "similarity": float(similarity.values[row])}
-    mode = closures.of(node).mode
-    found = Placement(Reason.ASSIGNED, match=match, scores=scores, closures=closures)
-    if rules.version == 1 and not _stands_out(similarity, row, state, found):
-        found.reason = Reason.NOT_PROMINENT
-    elif not _keeps_centroid(state.nodes[node].modes[mode], description, scores):
-        found.reason = Reason.MOVES_CENTROID
-    else:
-        found.node, found.mode = node, mode
-    return found
-
-
-def closures_of(state: State, description: Description) -> Closures:
-    """Return the node-level distances of a frame to every node, the oldest first."""
-    return node_levels(point_of(description), state.ordered(), state.rules.two_sided)
-
-
-def _stands_out(similarity: Similarity, row: int, state: State, found: Placement) -> bool:
-    """Test eq. 8. The mean is over all candidate images; those that are not a peak have prominence 0."""
-    curve, where = similarity_curve(similarity, state.labels, found.scores["candidates"])
-    heights = prominences(curve)
-    prominence = float(heights[where[row]])
-    # In this order, so that a single peak among gamma frames exactly reaches its own limit.
-    least = state.rules.gamma / len(where) * float(heights.sum())
-    found.scores |= {"prominence": prominence, "least_prominence": least}
-    return prominence >= least
-
-
-def _keeps_centroid(mode: Mode, description: Description, scores: dict[str, Any]) -> bool:
-    """Test eq. 9."""
-    shift, reach = mode.shift(point_of(description)), mode.reach
-    scores |= {"centroid_shift": shift, "most_centroid_shift": reach}
-    return shift <= reach

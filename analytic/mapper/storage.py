@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,17 +16,18 @@ from analytic.arrays_file import DAMAGE, read_arrays
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.errors import AnalyticError
-from analytic.mapper.frames import Gallery, Rows
+from analytic.mapper.gallery import Gallery
 from analytic.mapper.graph import write
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters, parameters
 from analytic.mapper.state import State
-from analytic.mapper.statistics import Model, Moments
 
 FORMAT = "analytic.mapper"
-VERSION = 1
+VERSION = 2
 
 Arrays = Mapping[str, NDArray[Any]]
+
+_PARTS = ("frames", "held", "points", "centre", "mean")  # of a mode, besides its scatter and its gallery
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,9 @@ def save(path: str | Path, state: State, poses: list[Any], identity: Mapping[str
     }
     arrays: dict[str, NDArray[Any]] = {"header": _text(json.dumps(head, default=str)), "log": _text("\n".join(lines))}
     arrays |= {"labels": state.labels, "matches": state.matches}
-    arrays |= _descriptions("recent", [frame for frame, _ in state.recent], [d for _, d in state.recent])
+    if state.recent:
+        recent = Gallery.of(*zip(*state.recent, strict=True))
+        arrays |= _gallery_arrays("recent", recent)
     for node in nodes:
         for index, mode in enumerate(node.modes):
             arrays |= _mode_arrays(f"node{node.id}.{index}", mode)
@@ -86,9 +89,10 @@ def load(path: str | Path) -> Stored:
         head = json.loads(_string(arrays["header"]))
         if head["format"] != FORMAT:
             raise ValueError(f"format {head['format']!r}")
-        if head["version"] > VERSION:
+        if head["version"] != VERSION:
             raise AnalyticError(
-                f"{path} has format version {head['version']}, and this program reads up to {VERSION}: use a newer one"
+                f"{path} has format version {head['version']}, and this program reads version {VERSION}: build the map "
+                "again"
             )
         lines = _string(arrays["log"]).split("\n")
         return Stored(_state(head, arrays, len(lines) - 1), head["poses"], head["descriptor"], lines)
@@ -136,7 +140,7 @@ def _state(head: Mapping[str, Any], arrays: Arrays, calls: int) -> State:
         tuple(nodes[split:]),
         labels,
         matches,
-        tuple(zip(arrays["recent.frames"].tolist(), _rows("recent", arrays), strict=True)),
+        tuple(zip(*_frames("recent", arrays), strict=True)) if "recent.frames" in arrays else (),
         tuple(head["pending"]),
         head["next_id"],
         calls=calls,
@@ -144,49 +148,28 @@ def _state(head: Mapping[str, Any], arrays: Arrays, calls: int) -> State:
 
 
 def _mode_arrays(name: str, mode: Mode) -> dict[str, NDArray[Any]]:
-    moments = mode.model.moments
-    return {
-        f"{name}.frames": mode.frames,
-        f"{name}.held": mode.held,
-        f"{name}.rows": mode.rows.array,
-        f"{name}.squares": mode.squares,
-        f"{name}.centre": mode.centre,
-        f"{name}.count": np.array(moments.count),
-        f"{name}.mean": moments.mean,
-        f"{name}.scatter": moments.scatter,
-        f"{name}.third": moments.third,
-        f"{name}.fourth": np.array(moments.fourth),
-        **_descriptions(f"{name}.gallery", mode.gallery.frames.tolist(), mode.gallery.descriptions()),
-    }
+    parts = {part: getattr(mode, part) for part in _PARTS}
+    if mode.scatter is not None:
+        parts["scatter"] = mode.scatter
+    return {f"{name}.{part}": value for part, value in parts.items()} | _gallery_arrays(f"{name}.gallery", mode.gallery)
 
 
 def _mode(rules: Parameters, arrays: Arrays, name: str) -> Mode:
-    def of(part: str) -> NDArray[Any]:
-        return arrays[f"{name}.{part}"]
-
-    moments = Moments(int(of("count")), of("mean"), of("scatter"), of("third"), float(of("fourth")))
-    gallery = Gallery.of(of("gallery.frames").tolist(), _rows(f"{name}.gallery", arrays), rules.exemplars)
-    model = Model(moments, rules.shrinkage)
-    return Mode(rules, of("frames"), of("held"), Rows.of(of("rows")), of("squares"), of("centre"), model, gallery)
+    parts = {part: arrays[f"{name}.{part}"] for part in _PARTS}
+    gallery = Gallery.of(*_frames(f"{name}.gallery", arrays))
+    return Mode(rules, **parts, scatter=arrays.get(f"{name}.scatter"), gallery=gallery)
 
 
-def _descriptions(name: str, frames: Sequence[int], descriptions: Sequence[Description]) -> dict[str, NDArray[Any]]:
-    arrays: dict[str, NDArray[Any]] = {f"{name}.frames": np.array(frames, dtype=np.int64)}
-    if descriptions:
-        whole = Description.concatenate(descriptions)
-        arrays[f"{name}.position"] = whole.position
-        if whole.orientation is not None:
-            arrays[f"{name}.orientation"] = whole.orientation
-    return arrays
+def _gallery_arrays(name: str, gallery: Gallery) -> dict[str, NDArray[Any]]:
+    shown = gallery.shown
+    orientation = {} if shown.orientation is None else {f"{name}.orientation": shown.orientation}
+    return {f"{name}.frames": gallery.frames, f"{name}.position": shown.position, **orientation}
 
 
-def _rows(name: str, arrays: Arrays) -> list[Description]:
-    count = len(arrays[f"{name}.frames"])
-    if not count:
-        return []
-    orientation = arrays.get(f"{name}.orientation")
-    whole = Description(arrays[f"{name}.position"], orientation)
-    return [whole.take(slice(row, row + 1)) for row in range(count)]
+def _frames(name: str, arrays: Arrays) -> tuple[list[int], list[Description]]:
+    frames = arrays[f"{name}.frames"].tolist()
+    shown = Description(arrays[f"{name}.position"], arrays.get(f"{name}.orientation"))
+    return frames, [shown.take(slice(row, row + 1)) for row in range(len(frames))]
 
 
 def _text(text: str) -> NDArray[np.uint8]:

@@ -154,14 +154,11 @@ def _explained(
     if frame not in known or not all(int(other) in known for other in frames):
         return None
     others = Description.concatenate([known[int(other)] for other in frames])
-    turns = mapper.parameters.orientation and getattr(mapper.descriptor, "circular", True)
-    position = _similarity(mapper, known[frame], others, frames, labels, orientation=False)
-    if turns and others.orientation is not None:
-        both = _similarity(mapper, known[frame], others, frames, labels, orientation=True)
-        orientation = both.values / position.values
-        values = both.values
-    else:
-        both, orientation, values = position, None, position.values
+    both = _similarity(mapper, known[frame], others, frames, labels)
+    position, orientation, values = both, None, both.values
+    if others.orientation is not None:
+        position = _similarity(mapper, Description(known[frame].position), others, frames, labels)
+        orientation = values / position.values
     explained = Explained(frame, scores, frames, labels[frames], position.values, orientation, values, labels)
     logged, node = scores["similarity"], scores["node"]
     same = abs(float(values[both.best(node)]) - logged) <= _TOLERANCE * logged
@@ -174,23 +171,21 @@ def _similarity(
     others: Description,
     frames: NDArray[np.int64],
     labels: NDArray[np.int64],
-    orientation: bool,
 ) -> Similarity:
     """Return the mapper's similarity to frames, with the nodes as they were at the time."""
+    from analytic.descriptors.base import Description
     from analytic.mapper.closure import Similarity as Compared
     from analytic.mapper.closure import image_level
+    from analytic.mapper.gallery import Gallery
 
-    class Gallery(SimpleNamespace):
-        def __len__(self) -> int:
-            return len(self.frames)
-
+    if query.orientation is None:
+        others = Description(others.position)
     nodes = []
     for node in np.unique(labels[frames]).tolist():
         rows = np.flatnonzero(labels[frames] == node)
-        gallery = Gallery(frames=frames[rows], blocks=(others.take(rows),))
+        gallery = Gallery(frames[rows], others.take(rows))
         nodes.append(SimpleNamespace(id=node, modes=(SimpleNamespace(gallery=gallery),)))
-    distance = mapper.parameters.distance
-    found = image_level(mapper.descriptor, query, cast(Any, nodes), distance, orientation)
+    found = image_level(mapper.descriptor, query, cast(Any, nodes), mapper.parameters.distance)
     order = np.argsort(found.frames, kind="stable")
     return Compared(found.frames[order], found.values[order], found.nodes[order], found.modes[order])
 
@@ -198,7 +193,7 @@ def _similarity(
 def _descriptions(mapper: IncrementalMapper) -> dict[int, Description]:
     """Return the descriptors that the map holds, by frame."""
     return {
-        int(frame): mode.gallery.row(row)
+        int(frame): mode.gallery.shown.take([row])
         for node in mapper.nodes
         for mode in node.modes
         for row, frame in enumerate(mode.gallery.frames)

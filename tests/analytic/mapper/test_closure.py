@@ -3,7 +3,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analytic.mapper.closure import Similarity, image_level, prominences, similarity_curve
+from analytic.mapper.closure import (
+    Similarity,
+    image_level,
+    node_level,
+    node_levels,
+    prominences,
+    prominences_of,
+    within_reach,
+)
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters
 from tests.analytic.mapper.world import World, corridor_drive, rows
@@ -39,7 +47,7 @@ def test_similarity_is_the_product_of_two_shares(steps):
     labels = np.array([0] * 15 + [-1] * 5 + [1] * 20)
     nodes = nodes_of(world, poses, labels)
     query = world.at(poses[7] + 0.1, seed=1)
-    found = image_level(world, query, nodes[::-1], "euclidean", bool(steps))
+    found = image_level(world, query, nodes[::-1], "euclidean")
     slow = SlowMapper()
     slow.frames = [(d.position[0], d.orientation[0] if steps else None) for d in rows(world.at(poses))]
     slow.nodes = {node.id: [(frame, False) for frame in node.frames] for node in nodes}
@@ -49,7 +57,7 @@ def test_similarity_is_the_product_of_two_shares(steps):
     assert found.means() == pytest.approx(slow.means(compared, expected), rel=1e-4)
     assert found.frames[found.best()] == compared[int(np.argmax(expected))][0]
     assert found.nodes[found.best(node=1)] == 1
-    without = image_level(world, query, nodes, "euclidean", bool(steps), leave_out=3)
+    without = image_level(world, query, nodes, "euclidean", leave_out=3)
     assert 3 not in without.frames
     assert len(without.frames) == len(found.frames) - 1
 
@@ -59,24 +67,25 @@ def test_an_equal_image_is_most_similar_and_nothing_is_infinite():
     poses = corridor_drive(20)
     nodes = nodes_of(world, poses, np.zeros(20, dtype=int))
     query = world.at(poses).take([4])
-    found = image_level(world, query, nodes, "euclidean", False)
+    found = image_level(world, query, nodes, "euclidean")
     assert found.frames[found.best()] == 4
     assert np.isfinite(found.values).all()
-    same = nodes_of(world, np.tile(poses[:1], (20, 1)), np.zeros(20, dtype=int))[0].modes[0]
-    alike = Mode.of(RULES, range(5), [same.gallery.row(0)] * 5)
-    found = image_level(world, same.gallery.row(0), [Node(0, (alike,))], "euclidean", False)
+    same = nodes_of(world, np.tile(poses[:1], (20, 1)), np.zeros(20, dtype=int))[0].modes[0].gallery.shown.take([0])
+    alike = Mode.of(RULES, range(5), [same] * 5)
+    found = image_level(world, same, [Node(0, (alike,))], "euclidean")
     assert found.values.tolist() == [0.2] * 5
     assert found.best() == 0
 
 
-def test_the_curve_falls_to_zero_between_frames_of_other_nodes():
+def test_the_curve_falls_to_zero_at_frames_of_other_nodes():
     world = World(steps=0)
     labels = np.array([0] * 12 + [1] * 10 + [0] * 3 + [-1] + [0] * 4)
     nodes = nodes_of(world, corridor_drive(30), labels)
-    found = image_level(world, world.at([[0, 0, 0]]), nodes[:1], "euclidean", False)
-    curve, where = similarity_curve(found, labels, [0])
-    assert np.flatnonzero(curve == 0).tolist() == [12, 16]
-    assert curve[where].tolist() == found.values.tolist()
+    found = image_level(world, world.at([[0, 0, 0]]), nodes[:1], "euclidean")
+    curve = np.zeros(30)
+    curve[labels == 0] = found.values
+    assert prominences_of(found, labels, [0]).tolist() == prominences(curve)[labels == 0].tolist()
+    assert len(found.frames) == 19
 
 
 def test_the_mean_similarity_of_a_node_is_that_of_its_best_mode():
@@ -87,3 +96,52 @@ def test_the_mean_similarity_of_a_node_is_that_of_its_best_mode():
     for node, mean in found.items():
         parts = [values[(nodes == node) & (modes == mode)] for mode in np.unique(modes[nodes == node])]
         assert mean == max(part.mean() for part in parts)
+
+
+def some_nodes(world):
+    frames = rows(world.at(corridor_drive(200, seed=4), noise=0.2))
+    modes = [Mode.of(RULES, range(s, s + 20), frames[s : s + 20]) for s in range(0, 160, 20)]
+    many = Mode.of(RULES, range(100), frames[:100])
+    nodes = [Node(3 * i, (mode,)) for i, mode in enumerate(modes[:5])]
+    return [*nodes, Node(40, (modes[5], modes[6])), Node(41, (modes[7], many))], frames
+
+
+@pytest.mark.parametrize("two_sided", [True, False])
+def test_a_node_s_distance_does_not_depend_on_the_nodes_beside_it(two_sided):
+    nodes, frames = some_nodes(World(size=64, steps=0, reach=4.0, seed=7))
+    points = np.concatenate([frame.position for frame in frames[::9]]).astype(np.float64)
+    for point, together in zip(points, node_levels(points, nodes, two_sided), strict=True):
+        whole = node_level(point, nodes, two_sided)
+        np.testing.assert_allclose(together.distances, whole.distances, rtol=1e-9)
+        assert together.modes.tolist() == whole.modes.tolist()
+        assert together.closing(1.85).tolist() == whole.closing(1.85).tolist()
+        ratios = []
+        for row, node in enumerate(nodes):
+            alone = [node_level(point, [Node(node.id, (mode,))], two_sided) for mode in node.modes]
+            best = int(np.argmin([one.ratios[0] for one in alone]))
+            assert whole.modes[row] == best
+            assert whole.scores()[str(node.id)] == alone[best].scores()[str(node.id)]
+            assert (row in whole.closing(1.85)) == (len(alone[best].closing(1.85)) == 1)
+            distance, mean, std = whole.scores()[str(node.id)]
+            deviation = abs(distance - mean) if two_sided else max(distance - mean, 0)
+            ratios.append(deviation / std)
+            assert (row in whole.closing(1.85)) == (deviation <= 1.85 * std)
+        assert whole.best(slice(None)) == int(np.argmin(ratios))
+
+
+@pytest.mark.parametrize("size", [8, 64])
+@pytest.mark.parametrize("two_sided", [True, False])
+def test_nodes_out_of_reach_do_not_close_and_some_are_spared(size, two_sided):
+    nodes, frames = some_nodes(World(size=size, steps=0, reach=4.0, seed=5))
+    generator = np.random.default_rng(0)
+    spared = 0
+    for scale in (0.0, 1e-3, 0.03, 0.3):
+        for frame in frames[::10]:
+            point = frame.position[0].astype(np.float64)
+            near = point + scale * generator.normal(size=size)
+            within = within_reach(nodes, point, node_level(point, nodes, two_sided), near, 1.5)
+            spared += len(nodes) - len(within)
+            assert {40, 41} <= {node.id for node in within}  # they have two modes
+            closing = node_level(near, nodes, two_sided).closing(1.5)
+            assert {nodes[row].id for row in closing} <= {node.id for node in within}
+    assert spared > 100

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sklearn.covariance import ledoit_wolf
 
 from analytic.descriptors.base import Description
 from analytic.mapper import IncrementalMapper, Reason, replay, steps
 from analytic.mapper import mapper as mapper_module
 from analytic.mapper.node import Mode
-from analytic.mapper.state import State
-from analytic.mapper.statistics import LowRank
+from tests.analytic.mapper.test_node import check
 from tests.analytic.mapper.world import World, cold_drive, corridor_drive, rows
 from tests.oracles.mapper import SlowMapper
 
@@ -72,7 +70,7 @@ def test_every_decision_on_wide_descriptors_is_that_of_the_oracle(version, param
     mapper, slow = IncrementalMapper(world, version, **parameters), SlowMapper(version, **parameters)
     seen = compare(mapper, slow, frames)
     assert happens | {"ASSIGNED", "NO_CANDIDATE_NODE"} <= set(seen)
-    assert any(isinstance(mode.metric, LowRank) for node in mapper.nodes for mode in node.modes)
+    assert any(mode.scatter is None for node in mapper.nodes for mode in node.modes)
 
 
 @pytest.mark.parametrize(("version", "parameters", "happens"), SYNTHETIC)
@@ -148,20 +146,7 @@ def test_statistics_are_those_of_the_members_and_similar_nodes_merge(version):
     for node in mapper.nodes:
         (mode,) = node.modes
         assert node.frames == np.flatnonzero(labels == node.id).tolist()
-        points = description.position[mode.frames].astype(np.float64)
-        model = points[~mode.held]
-        np.testing.assert_allclose(mode.centre, points.mean(axis=0), rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(mode.model.moments.mean, model.mean(axis=0), rtol=1e-6, atol=1e-9)
-        covariance, intensity = ledoit_wolf(model)
-        assert mode.model.intensity == pytest.approx(intensity, rel=1e-6)
-        np.testing.assert_allclose(mode.model.covariance, covariance, rtol=1e-6, atol=1e-6 * covariance.max())
-        away = points[mode.held] - model.mean(axis=0)
-        distances = np.einsum("nd,de,ne->n", away, np.linalg.inv(covariance), away)
-        assert mode.gaussian.mean == pytest.approx(distances.mean(), rel=1e-6)
-        assert mode.gaussian.std == pytest.approx(distances.std(ddof=1), rel=1e-6)
-        assert mode.reach == pytest.approx(
-            np.linalg.norm(points - points.mean(axis=0), axis=1).max() / (len(points) - 1), rel=1e-6
-        )
+        check(mode, description.position[mode.frames].astype(np.float64))
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -223,8 +208,7 @@ def test_bounded_exemplars_keep_the_statistics_of_all_frames():
     for node in mapper.nodes:
         (mode,) = node.modes
         assert len(mode.gallery) <= 12
-        assert len(mode.sample) <= 12
-        assert mode.model.moments.count == int((~mode.held).sum())
+        assert len(mode.points) == len(node.frames)
     assert np.array_equal(replay(mapper.events), mapper.labels())
 
 
@@ -367,7 +351,7 @@ def test_a_robot_that_stops_stays_in_its_node_though_the_held_out_frames_are_all
         mapper = IncrementalMapper(world, 2)
         decisions = feed(mapper, [*frames[:4], *[frames[4]] * 30])
         (mode,) = mapper.nodes[0].modes
-        assert len(np.unique(mode.rows.array[mode.held], axis=0)) == 1
+        assert len(np.unique(mode.points[mode.held], axis=0)) == 1
         assert {decision.reason for decision in decisions[20:]} == {Reason.ASSIGNED}
 
 
@@ -402,4 +386,3 @@ def test_what_is_decided_does_not_depend_on_the_run_before():
     for mapper in labels:
         feed(mapper, drive(120))
     assert all(a.events == b.events for a, b in pairwise(labels))
-    assert isinstance(labels[0]._state, State)

@@ -69,8 +69,8 @@ def test_merging_keeps_the_modes_of_both():
     from analytic.mapper.growth import _merge
 
     state = mapper._state.copy()
-    closure = node_level(state.nodes[far].modes[0].centre, state.nodes[near], True)
-    assert _merge(state, state.nodes[far], 0, closure) == near
+    found = node_level(state.nodes[far].modes[0].centre, [state.nodes[near]], True)
+    assert _merge(state, state.nodes[far], 0, found, 0) == near
     (merged,) = state.ordered()
     assert [len(mode) for mode in merged.modes] == [len(mapper.nodes[0]) + len(mapper.nodes[1].modes[0]), 30]
     assert merged.frames == np.flatnonzero(state.labels == near).tolist()

@@ -160,7 +160,7 @@ def rewritten(path, goal, **changes):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"version": storage.VERSION + 1}, "format version 2, and this program reads up to 1: use a newer one"),
+        ({"version": storage.VERSION + 1}, "format version 3, and this program reads version 2: build the map again"),
         ({"format": "other"}, "not a map"),
         ({"parameters": {"gamma": -1}}, "gamma must be a positive number"),
         ({"poses": []}, "40 labels, 40 matches and 0 poses"),

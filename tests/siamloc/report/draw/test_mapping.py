@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from analytic.mapper.closure import Similarity, prominences, similarity_curve
+from analytic.mapper.closure import Similarity, prominences_of
 from benchmarks import sweeps
 from siamloc import evaluation, maps
 from siamloc.data.frames import FrameTable
@@ -269,8 +269,7 @@ def test_a_decision_is_explained_by_the_numbers_of_the_log(runs: dict, version: 
         assert means == pytest.approx(scores["mean_similarity"], rel=1e-4)
     else:
         similarity = Similarity(found.frames, found.values, found.node, 0 * found.node)
-        curve, where = similarity_curve(similarity, found.labels, scores["candidates"])
-        heights = prominences(curve)[where]
+        heights = prominences_of(similarity, found.labels, scores["candidates"])
         assert heights[found.values.argmax()] == pytest.approx(scores["prominence"], rel=1e-4)
         assert heights[found.values.argmax()] >= 5 * heights.mean()
     text = text_of(decision.explain(found, story))
