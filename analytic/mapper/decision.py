@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -100,7 +101,7 @@ class EventLog:
     """The log of a run, in memory and, if asked for, in a file. A copy keeps only the lines, not the file.
 
     Args:
-        lines: lines of the run so far.
+        lines: lines of the run so far, in ASCII.
         target: a path, which is overwritten with the whole run, or an open text file; None for memory alone.
 
     Attributes:
@@ -112,9 +113,8 @@ class EventLog:
 
     def __init__(self, lines: Iterable[str], target: str | Path | TextIO | None = None) -> None:
         self.lines = list(lines)
-        self._ends = np.cumsum([len(_line(line)) for line in self.lines]).tolist()
-        self._path = Path(target) if isinstance(target, (str, Path)) else None
-        self._file = None if isinstance(target, (str, Path)) else target
+        self._ends = list(accumulate(len(line) + 1 for line in self.lines))
+        self._target = Path(target) if isinstance(target, str) else target
         self._write("".join(f"{line}\n" for line in self.lines), None)
 
     def __reduce__(self) -> tuple[type[EventLog], tuple[list[str]]]:
@@ -130,28 +130,24 @@ class EventLog:
         del self.lines[before:], self._ends[before:]
         end = self._ends[-1]
         self._write(f"{line}\n", end)
-        self._ends.append(end + len(_line(line)))
+        self._ends.append(end + len(line) + 1)
         self.lines.append(line)
 
     def _write(self, text: str, end: int | None) -> None:
         """Write text to the file: after its first `end` bytes, or from the start for None."""
         try:
-            if self._path is not None:
-                with self._path.open("wb" if end is None else "ab") as file:
+            if isinstance(self._target, Path):
+                with self._target.open("wb" if end is None else "ab") as file:
                     if end is not None and file.tell() > end:
                         file.truncate(end)
                     file.write(text.encode())
-            elif self._file is not None:
-                self._file.write(text)
+            elif self._target is not None:
+                self._target.write(text)
         except (OSError, ValueError) as error:
             raise AnalyticError(
-                f"the log of the mapper cannot be written to {self._path or self._file} ({error}): give a path in a "
-                "folder that can be written to"
+                f"the log of the mapper cannot be written to {self._target} ({error}): give a path in a folder that "
+                "can be written to"
             ) from error
-
-
-def _line(line: str) -> bytes:
-    return f"{line}\n".encode()
 
 
 def header(rules: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
@@ -166,16 +162,23 @@ def line_of(decision: Decision, poses: list[Any]) -> str:
         decision: on one frame, or on several that were added at once; then its `frame` is the last.
         poses: poses of those frames.
     """
-    frames = list(range(decision.frame - len(poses) + 1, decision.frame + 1))
     event = {
-        "frames": frames,
+        "frames": list(range(decision.frame - len(poses) + 1, decision.frame + 1)),
         "poses": poses,
         "node": decision.node,
         "reason": decision.reason.name,
         "scores": _short(decision.scores),
-        "changes": [_change(change) for change in decision.changes],
+        "changes": [_short(vars(change) | {"reason": change.reason.name}) for change in decision.changes],
     }
     return json.dumps(event, separators=(",", ":"))
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _short(item) for key, item in value.items()}
+    return [_short(item) for item in value] if isinstance(value, list) else value
 
 
 def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
@@ -194,65 +197,38 @@ def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
     """
     labels: list[int] = []
     for number, line in enumerate(events, start=1):
-        if isinstance(line, str) and not line.strip():
+        if line in ("", "\n"):
             continue
         try:
             event = json.loads(line) if isinstance(line, str) else line
-            if "format" in event:
-                _check_version(event)
-                continue
-            frames = [int(frame) for frame in event["frames"]]
-            if frames != list(range(len(labels), len(labels) + len(frames))):
+            if (event.get("format", FORMAT), event.get("version", VERSION)) != (FORMAT, VERSION):
                 raise AnalyticError(
-                    f"event {number} is about frames {frames}, but {len(labels)} came before it: replay whole logs, "
-                    "in order"
+                    f"this is not the log of a mapper in format version {VERSION} but {event['format']!r} in version "
+                    f"{event.get('version')}: give the file that `log` names"
                 )
-            labels += [NONE if event["node"] is None else int(event["node"])] * len(frames)
-            for change in event["changes"]:
-                _apply(labels, change)
-        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-            if isinstance(error, AnalyticError):
-                raise
+            if "format" not in event:
+                _apply(labels, event)
+        except AnalyticError:
+            raise
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
             raise AnalyticError(
-                f"event {number} of the log is not a line that a mapper wrote ({error!r}): the file is cut short or "
-                "not a log"
+                f"event {number} of the log is not a line that a mapper wrote ({error!r}): the file is cut short, not "
+                "a log, or not whole and in order"
             ) from error
     return np.array(labels, dtype=np.int64)
 
 
-def _apply(labels: list[int], change: Mapping[str, Any]) -> None:
-    reason = Reason[change["reason"]]
-    if reason is Reason.NODES_MERGED:
-        gone = change["scores"]["gone"]
-        labels[:] = [change["node"] if label == gone else label for label in labels]
-    elif reason in (Reason.NEW_NODE, Reason.REASSIGNED, Reason.MAINTAINED):
-        for frame in change["frames"]:
-            labels[frame] = change["node"]
-
-
-def _check_version(event: Mapping[str, Any]) -> None:
-    if event["format"] != FORMAT:
-        raise AnalyticError(
-            f"this is not the log of a mapper but of {event['format']!r}: give the file that `log` names"
-        )
-    if event["version"] > VERSION:
-        raise AnalyticError(
-            f"the log has format version {event['version']}, and this program reads up to {VERSION}: use a newer one"
-        )
-
-
-def _change(change: Change) -> dict[str, Any]:
-    return {
-        "reason": change.reason.name,
-        "node": change.node,
-        "frames": list(change.frames),
-        "scores": _short(change.scores),
-    }
-
-
-def _short(value: Any) -> Any:
-    if isinstance(value, float):
-        return float(f"{value:.6g}")
-    if isinstance(value, dict):
-        return {key: _short(item) for key, item in value.items()}
-    return [_short(item) for item in value] if isinstance(value, list) else value
+def _apply(labels: list[int], event: Mapping[str, Any]) -> None:
+    """Add the frames of an event to the labels of those before it, and make its changes."""
+    frames = [int(frame) for frame in event["frames"]]
+    if frames != list(range(len(labels), len(labels) + len(frames))):
+        raise ValueError(f"it is about frames {frames}, but {len(labels)} came before it")
+    labels += [NONE if event["node"] is None else int(event["node"])] * len(frames)
+    for change in event["changes"]:
+        reason = Reason[change["reason"]]
+        if reason is Reason.NODES_MERGED:
+            gone = change["scores"]["gone"]
+            labels[:] = [change["node"] if label == gone else label for label in labels]
+        elif reason in (Reason.NEW_NODE, Reason.REASSIGNED, Reason.MAINTAINED):
+            for frame in change["frames"]:
+                labels[frame] = change["node"]

@@ -68,11 +68,11 @@ def test_maintenance_is_in_the_log():
 @pytest.mark.parametrize(
     ("events", "says"),
     [
-        (['{"format": "other"}'], "not the log of a mapper but of 'other'"),
-        (['{"format": "analytic.mapper.log", "version": 2}'], "format version 2, and this program reads up to 1"),
+        (['{"format": "other"}'], "not the log of a mapper .* but 'other'"),
+        (['{"format": "analytic.mapper.log", "version": 2}'], "format version 1 but .* in version 2"),
         (['{"frames": [0], "node": nul'], "event 1 of the log is not a line that a mapper wrote"),
         (['{"frames": [0], "node": null, "changes": []}', "[]"], "event 2 of the log is not a line"),
-        (['{"frames": [3], "node": null, "changes": []}'], r"event 1 is about frames \[3\], but 0 came before"),
+        (['{"frames": [3], "node": null, "changes": []}'], r"event 1 .* about frames \[3\], but 0 came before"),
         ([{"frames": [0], "node": 1, "changes": [{"reason": "BORED"}]}], "event 1 of the log is not a line"),
     ],
 )

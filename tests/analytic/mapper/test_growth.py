@@ -15,8 +15,8 @@ def node(*centres):
 
 def test_a_place_is_as_far_as_the_nearest_of_its_modes():
     place, other = node([0, 0], [10, 0]), node([4, 0])
-    assert distinctness(np.array([9.0, 0]), [place, other]) == (3, 4)
-    assert distinctness(np.array([9.0, 0]), [place]) == (1, 0)
+    assert distinctness(np.array([9.0, 0]), [place, other]) == ({"distance": 3, "least_distance": 4}, False)
+    assert distinctness(np.array([9.0, 0]), [place]) == ({"distance": 1, "least_distance": 0}, True)
 
 
 @pytest.mark.parametrize("most_modes", [1, 3])
@@ -30,7 +30,9 @@ def test_mean_distances_are_those_of_all_pairs(most_modes):
 
     away = np.mean([apart(node(centre), other) for other in nodes])
     among = np.mean([apart(*pair) for pair in combinations(nodes, 2)])
-    assert distinctness(centre, nodes) == pytest.approx((away, among), rel=1e-12)
+    measured, distinct = distinctness(centre, nodes)
+    assert list(measured.values()) == pytest.approx([away, among], rel=1e-12)
+    assert distinct == (away >= among)
 
 
 @pytest.mark.parametrize("size", [16, 64])

@@ -66,11 +66,11 @@ def test_merging_keeps_the_modes_of_both():
     near, far = (node.id for node in mapper.nodes)
     mapper.maintain(far, seen_by_night(12.0, 30, 52))
     from analytic.mapper.closure import node_level
-    from analytic.mapper.growth import _merge
+    from analytic.mapper.growth import merge
 
     state = mapper._state.copy()
     found = node_level(state.nodes[far].modes[0].centre, [state.nodes[near]], True)
-    assert _merge(state, state.nodes[far], 0, found, 0) == near
+    assert merge(state, state.nodes[far], 0, found, 0) == near
     (merged,) = state.ordered()
     assert [len(mode) for mode in merged.modes] == [len(mapper.nodes[0]) + len(mapper.nodes[1].modes[0]), 30]
     assert merged.frames == np.flatnonzero(state.labels == near).tolist()
