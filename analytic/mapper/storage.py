@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.arrays_file import DAMAGE, read_arrays
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.errors import AnalyticError
@@ -21,6 +20,7 @@ from analytic.mapper.graph import write
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters, parameters
 from analytic.mapper.state import State
+from foundation.arrays import DAMAGE, read_arrays
 
 FORMAT = "analytic.mapper"
 VERSION = 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.arrays_file import DAMAGE, read_arrays
+from foundation.arrays import read_headed, write_arrays
 from siamloc.calls import typed
 from siamloc.errors import DataError, FormatError
-from siamloc.files import atomic_path, check_version, parsed_json, plain
 from siamloc.maps.visual_map import VisualMap
 from siamloc.models.room_classifier import RoomClassifier
 
-_FORMAT = "siamloc-coarse-layer"
+_FORMAT = "coarse layer"
 _VERSION = 1
 UNASSIGNED = -1
 
@@ -149,17 +147,10 @@ class CoarseLayer:
         Raises:
             StorageError: the disk is full or cannot be written to.
         """
-        header = {"format": _FORMAT, "version": _VERSION, "nodes": len(self), "made": plain(self.made)}
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez(
-                file,
-                header=np.array(json.dumps(header, ensure_ascii=False)),
-                **self._arrays(),
-            )
-
-    def _arrays(self) -> dict[str, Any]:
+        header = {"format": _FORMAT, "version": _VERSION, "nodes": len(self), "made": self.made}
         classes = () if self.classifier is None else (self.classifier.weight, self.classifier.bias)
-        return {name: getattr(self, name) for name in _ARRAYS} | dict(zip(_CLASSES, classes, strict=False))
+        arrays = {name: getattr(self, name) for name in _ARRAYS} | dict(zip(_CLASSES, classes, strict=False))
+        write_arrays(path, header, arrays)
 
     @classmethod
     @typed
@@ -167,42 +158,31 @@ class CoarseLayer:
         """Read a layer that `save` wrote.
 
         Raises:
-            FormatError: the file is missing, truncated, not a coarse layer, or of a newer version.
+            FormatError: the file is missing, truncated, not a coarse layer, or of another version.
         """
         path = Path(path)
         if not path.is_file():
             raise FormatError(f"{path} does not exist: build the layer first with `siamloc map build=...`")
-        return cls._read(path, path)
+        return cls.read(path, path)
 
     @classmethod
-    def loads(cls, content: bytes, source: str) -> CoarseLayer:
-        """Read a layer from the content of a file that `save` wrote.
+    def read(cls, content: Path | bytes, path: str | Path) -> CoarseLayer:
+        """Read a layer that `save` wrote, from its path or its content.
 
         Args:
-            content: of the file.
-            source: what to call it in error messages.
+            content: the path, or the content of the file.
+            path: what to call it in error messages.
 
         Raises:
             FormatError: as for `load`.
         """
-        return cls._read(content, source)
-
-    @classmethod
-    def _read(cls, content: Path | bytes, path: str | Path) -> CoarseLayer:
-        try:
-            held = read_arrays(content)
-            header = parsed_json(str(held["header"][()]))
-            arrays = {name: held[name] for name in _ARRAYS}
-        except DAMAGE as error:
-            raise FormatError(f"{path} is not a coarse layer, or not a whole one: build it again") from error
-        if not isinstance(header, dict) or header.get("format") != _FORMAT:
-            raise FormatError(f"{path} is not a coarse layer: build it with `siamloc map build=...`")
-        check_version(header.get("version"), _VERSION, f"the coarse layer {path}", "build it again")
+        header, held = read_headed(content, path, _FORMAT, _VERSION, "build it again with `siamloc map build=...`")
         try:
             classes = [held[name] for name in _CLASSES if name in held]
-            classifier = RoomClassifier(arrays["names"], *classes) if classes else None
+            classifier = RoomClassifier(held["names"], *classes) if classes else None
+            arrays = {name: held[name] for name in _ARRAYS}
             return cls(**arrays, made=header.get("made", {}), classifier=classifier)
-        except (DataError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise FormatError(f"{path} is not a whole coarse layer ({error}): build it again") from error
 
 

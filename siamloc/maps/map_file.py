@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.arrays_file import DAMAGE, read_arrays
+from foundation.arrays import read_headed, write_arrays
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
-from siamloc.files import atomic_path, check_version, parsed_json
 from siamloc.maps.heading import HeadingPart
 from siamloc.maps.packing import Precision, packed, shares_values, unpacked
 
-_FORMAT = "siamloc-map"
+_FORMAT = "siamloc map"
 _VERSION = 2
 
 
@@ -60,19 +57,12 @@ def write_map(
     if heading is not None:
         header["heading"] = heading.identity
         arrays["heading"] = heading.values
-    arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
     arrays.update({f"frame_{name}": column for name, column in frames.columns().items()})
     if precision != "float32":
         arrays = {**arrays, **packed("descriptors", descriptors, precision)}
         if "orientation" in arrays:
             arrays.update(packed("orientation", arrays["orientation"], "float16"))
-    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-        for name, array in arrays.items():
-            # With a fixed date, the file depends only on its contents. Text compresses well, descriptors do not.
-            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
-            entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind == "U" else zipfile.ZIP_STORED
-            with archive.open(entry, "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
+    write_arrays(path, header, arrays)
 
 
 def read_map(content: Path | bytes, path: str | Path) -> tuple[dict[str, Any], tuple[Any, Any]]:
@@ -85,16 +75,11 @@ def read_map(content: Path | bytes, path: str | Path) -> tuple[dict[str, Any], t
     Raises:
         FormatError: a file that is truncated, altered, not a map, or of another version.
     """
-    damaged = f"{path} is not a siamloc map, or not a whole one: build it again"
-    try:
-        arrays = read_arrays(content)
-    except DAMAGE as error:
-        raise FormatError(damaged) from error
-    header = _read_header(path, arrays)
+    header, arrays = read_headed(content, path, _FORMAT, _VERSION, "build it again")
     try:
         _unpack(arrays)
-    except DAMAGE as error:
-        raise FormatError(damaged) from error
+    except ValueError as error:
+        raise not_whole(path, error) from error
     columns: dict[str, Any] = {
         name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")
     }
@@ -132,15 +117,3 @@ def _stored_orientation(header: Mapping[str, Any], arrays: Mapping[str, Any]) ->
     if "orientation" in arrays or header.get("orientation") is None:
         return arrays.get("orientation")
     return arrays["descriptors"].reshape(header["orientation"])
-
-
-def _read_header(path: str | Path, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
-    try:
-        header = parsed_json(str(arrays["header"][()]))
-        known = header["format"] == _FORMAT and isinstance(header["version"], int)
-    except (KeyError, TypeError, ValueError):
-        known = False
-    if not known:
-        raise FormatError(f"{path} is not a siamloc map: give the file that `siamloc map` wrote")
-    check_version(header["version"], _VERSION, f"the map {path}", "build it again")
-    return header

@@ -134,7 +134,7 @@ class Bundle:
 
         if LAYER not in self.files:
             return None
-        return CoarseLayer.loads(self.parts.read(LAYER), f"{self.path}/{LAYER}"), self._map(COARSE)
+        return CoarseLayer.read(self.parts.source(LAYER), f"{self.path}/{LAYER}"), self._map(COARSE)
 
     def thumbnail(self, row: int) -> bytes | None:
         """Return a thumbnail of a map frame as JPEG; None if the bundle has none.

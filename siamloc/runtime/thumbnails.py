@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.arrays_file import DAMAGE, read_arrays
+from foundation.arrays import DAMAGE, read_arrays, write_arrays
 from siamloc.errors import FormatError
-from siamloc.files import atomic_path
 
 if TYPE_CHECKING:
     from siamloc.data.frames import FrameTable
@@ -71,8 +70,7 @@ def save_thumbnails(path: str | Path, images: PanoramaLibrary, frames: FrameTabl
         for panorama in batch:
             pictures[next(at)] = jpeg(panorama)
     ends = np.cumsum([len(picture) for picture in pictures], dtype=np.int64)
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, jpeg=np.frombuffer(b"".join(pictures), dtype=np.uint8), ends=ends)
+    write_arrays(path, {}, {"jpeg": np.frombuffer(b"".join(pictures), dtype=np.uint8), "ends": ends})
 
 
 def jpeg(panorama: NDArray[np.uint8], columns: int = _COLUMNS) -> bytes:

@@ -72,7 +72,7 @@ def test_files_that_are_no_layer(tmp_path):
     ("changed", "sentence"),
     [
         ({"header": np.array("[]")}, "not a coarse layer"),
-        ({"header": np.array(json.dumps({"format": "siamloc-coarse-layer"}))}, "has format version None"),
+        ({"header": np.array(json.dumps({"format": "coarse layer"}))}, "has format version None"),
         ({"representatives": np.zeros(2)}, r"needs representatives \(k, D\)"),
         ({"representatives": np.array(1.0)}, r"needs representatives \(k, D\)"),
         ({"edges": np.array([[0, 2]])}, "the edges of a coarse layer lie between its nodes, 0 to 1"),

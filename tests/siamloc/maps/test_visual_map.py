@@ -47,7 +47,7 @@ def test_equal_maps_give_equal_files(tmp_path: Path) -> None:
 def test_the_file_needs_no_pickle(tmp_path: Path) -> None:
     make_map().save(tmp_path / "map.npz")
     with np.load(tmp_path / "map.npz", allow_pickle=False) as archive:
-        assert json.loads(str(archive["header"]))["format"] == "siamloc-map"
+        assert json.loads(str(archive["header"]))["format"] == "siamloc map"
         assert archive["descriptors"].dtype == np.float32
 
 
@@ -178,7 +178,7 @@ def test_load_refuses_what_is_not_a_whole_map(tmp_path: Path) -> None:
     cases[tmp_path / "single.npy"] = "not a siamloc map"
     np.savez(tmp_path / "other.npz", a=np.ones(3))
     cases[tmp_path / "other.npz"] = "not a siamloc map"
-    np.savez(tmp_path / "pickled.npz", header=np.array([{"format": "siamloc-map"}], dtype=object))
+    np.savez(tmp_path / "pickled.npz", header=np.array([{"format": "siamloc map"}], dtype=object))
     cases[tmp_path / "pickled.npz"] = "not a siamloc map"
     newer = rewritten(good, tmp_path / "newer.npz", header={"version": 3})
     cases[newer] = "format version 3, this siamloc reads version 2: update siamloc"

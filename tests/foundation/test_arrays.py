@@ -8,7 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from analytic.arrays_file import DAMAGE, read_arrays
+from foundation.arrays import DAMAGE, read_arrays
 
 
 def file_of(path, **members: bytes):

@@ -1,10 +1,12 @@
-"""Read the arrays of an untrusted `npz` file."""
+"""Arrays in an `npz` file with a header in JSON: written atomically, and read from an untrusted source."""
 
 from __future__ import annotations
 
+import json
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Mapping
 from io import BytesIO
 from math import prod
 from pathlib import Path
@@ -12,6 +14,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from foundation.errors import FormatError
+from foundation.files import atomic_path, check_version, parsed_json, plain
 
 DAMAGE = (
     OSError,
@@ -31,6 +36,48 @@ that does not exist, or corrupt the header of an array."""
 
 _AT_ONCE = 2**20  # bytes
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that arrays may always take, and that they may take per byte of the file
+
+
+def write_arrays(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a header of plain values and arrays to one file, atomically; equal contents give equal files.
+
+    Raises:
+        StorageError: the disk is full or cannot be written to.
+    """
+    every = {**arrays, "header": np.array(json.dumps(plain(dict(header)), ensure_ascii=False))}
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, array in every.items():
+            # With a fixed date, the file depends only on its contents. Text compresses well, descriptors do not.
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED if array.dtype.kind == "U" else zipfile.ZIP_STORED
+            with archive.open(entry, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+
+def read_headed(
+    content: Path | bytes, path: str | Path, what: str, version: int, again: str
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read the header and the arrays that `write_arrays` wrote.
+
+    Args:
+        content: the file, or its content.
+        path: what to call it in error messages.
+        what: `format` in the header, such as "siamloc map".
+        version: `version` in the header.
+        again: how to make it again.
+
+    Raises:
+        FormatError: a damaged file, another format, or another version of it.
+    """
+    try:
+        arrays = read_arrays(content)
+        header = parsed_json(str(arrays.pop("header")[()]))
+    except DAMAGE as error:
+        raise FormatError(f"{path} is not a {what}, or not a whole one: {again}") from error
+    if not isinstance(header, dict) or header.get("format") != what:
+        raise FormatError(f"{path} is not a {what}: {again}")
+    check_version(header.get("version"), version, f"the {what} {path}", again)
+    return header, arrays
 
 
 def read_arrays(path: str | Path | bytes) -> dict[str, NDArray[Any]]:
