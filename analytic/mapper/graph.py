@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -16,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic.errors import AnalyticError
+from foundation.errors import StorageError
+from foundation.files import write_bytes
 
 _NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
 _KEYS = {
@@ -114,32 +114,15 @@ def coordinates(pose: Any) -> tuple[float, float] | None:
 
 
 def write(path: str | Path, data: bytes) -> None:
-    """Write a file under a temporary name and rename it; one process at a time.
-
-    The name is always the same, so that leftovers of a killed process disappear when the file is written again.
+    """Write a file, whole or not at all.
 
     Raises:
         AnalyticError: a path that cannot be written.
     """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.tmp")
     try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
-def _unwritable(path: Path, error: OSError) -> AnalyticError:
-    return AnalyticError(
-        f"{path} cannot be written ({error.strerror or error}): give a file name in an existing, writable folder"
-    )
+        write_bytes(path, data)
+    except StorageError as error:
+        raise AnalyticError(str(error)) from error
 
 
 def _data(element: ElementTree.Element, values: dict[str, Any]) -> None:

@@ -85,4 +85,4 @@ def test_graphml_holds_the_same(tmp_path):
 def test_a_graph_that_cannot_be_written(tmp_path):
     mapper, _ = mapped(False)
     with pytest.raises(AnalyticError, match="cannot be written"):
-        mapper.graph().to_graphml(tmp_path / "missing" / "map.graphml")
+        mapper.graph().to_graphml(tmp_path)

@@ -180,7 +180,7 @@ def test_files_that_are_no_maps_and_paths_that_lead_nowhere(tmp_path):
     with pytest.raises(AnalyticError, match="cannot be read"):
         IncrementalMapper.load(tmp_path, WORLD)
     with pytest.raises(AnalyticError, match="cannot be written"):
-        mapped(3).save(tmp_path / "missing" / "map")
+        mapped(3).save(tmp_path)
     np.save(tmp_path / "array.npy", np.ones(3))
     with pytest.raises(AnalyticError, match="not a map"):
         IncrementalMapper.load(tmp_path / "array.npy", WORLD)
@@ -203,7 +203,7 @@ def test_a_failed_write_leaves_the_file_that_was_there(tmp_path, monkeypatch):
     def full(_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("analytic.mapper.graph.os.fsync", full)
+    monkeypatch.setattr("foundation.files.os.fsync", full)
     with pytest.raises(AnalyticError, match="No space left"):
         mapped(20).save(tmp_path / "map")
     assert (tmp_path / "map").read_bytes() == before
