@@ -204,7 +204,7 @@ def test_a_failed_write_leaves_the_file_that_was_there(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("foundation.files.os.fsync", full)
-    with pytest.raises(AnalyticError, match="No space left"):
+    with pytest.raises(AnalyticError, match="no space left"):
         mapped(20).save(tmp_path / "map")
     assert (tmp_path / "map").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["map"]
