@@ -95,7 +95,7 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     before = {**before, "training": Training.of(before["training"]).plain(), "model": whole_model(before["model"])}
     now = {**now, "model": whole_model(now["model"])}
     before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
-    if before["loss"].get("name") in LOSSES:  # with the keys that older records lack
+    if before["loss"].get("name") in LOSSES:  # with the keys that were not given
         before["loss"] = {**defaults_of(LOSSES[before["loss"]["name"]][0]), **before["loss"]}
     planned = before["training"]["epochs"]
     scheduled = {
@@ -141,13 +141,7 @@ def same_kind_of_pairs(run: Run, settings: Training) -> bool:
 
 def monitor_of(run: Run) -> Monitor:
     """Return the figure that chooses the checkpoint of a run, as `Training.monitor`; "auto" if still undecided."""
-    training = run.settings["training"]
-    if "monitor" in training:
-        return Training.of(training).monitor
-    if "places" not in training.get("pairs", {}):  # older runs, which had no choice
-        return "loss"
-    logged = run.curves() if run.metrics.is_file() else {}
-    return "error" if "val/error" in logged else "room" if "val/room" in logged else "auto"
+    return Training.of(run.settings["training"]).monitor
 
 
 def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any], what: str) -> None:

@@ -52,7 +52,7 @@ def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
 def differing_frames(before: Mapping[str, Any] | None, now: Mapping[str, Any] | None, role: str) -> str | None:
     """Describe how frames differ from those of an earlier note; None if they are the same.
 
-    Parts that one of the notes lacks, such as those of older runs, are not compared.
+    Parts that one of the notes lacks are not compared.
 
     Args:
         before: earlier result of `note_frames`; None if there were no frames of this role.

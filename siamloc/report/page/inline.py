@@ -22,8 +22,6 @@ _NAMED = {
 _COLOUR = re.compile("|".join(_NAMED), re.IGNORECASE)
 _REFERENCE = re.compile(r'(?:url\(#|href="#)([^)"]+)')
 _STYLE = re.compile(r'style="([^"]*)"')
-_PATH = re.compile(r' d="([^"]*)"')
-_GROUP = re.compile(r"<g(\s[^>]*)?>|</g>")
 _PLACE = re.compile(r' (?:d|x|y|transform)="[^"]*"')
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
 
@@ -50,8 +48,7 @@ def inline(figure: Picture, name: str, title: str) -> Markup:
     body = _own_names(body.replace("xlink:href", "href"), name)
     body = _STYLE.sub(lambda found: f'style="{_restyled(found[1])}"', body)
     body = _PLACE.sub(lambda found: _LONG_NUMBER.sub(_rounded, found[0]), body)
-    body = _PATH.sub(lambda found: f' d="{_shortened(found[1])}"', body)
-    body = re.sub(r">\s+<", "><", _without_bare_groups(body)).strip()
+    body = re.sub(r">\s+<", "><", body).strip()
     svg = tag(
         "svg",
         Markup(body),
@@ -70,32 +67,6 @@ def _own_names(body: str, name: str) -> str:
     names = {found: f"{name}-{next(numbers)}" for found in dict.fromkeys(_REFERENCE.findall(body))}
     body = re.sub(r' id="([^"]*)"', lambda found: f' id="{names[found[1]]}"' if found[1] in names else "", body)
     return _REFERENCE.sub(lambda found: found[0].replace(found[1], names[found[1]]), body)
-
-
-def _shortened(path: str) -> str:
-    """Return a path in fewer characters: the line command is not repeated."""
-    words, last = [], ""
-    for word in path.split():
-        if word.isalpha():
-            if not (word == "L" and last in ("M", "L")):
-                words.append(word)
-            last = word
-        else:
-            words.append(word)
-    return " ".join(words)
-
-
-def _without_bare_groups(body: str) -> str:
-    """Return the elements without groups that have no attributes."""
-    bare: list[bool] = []
-
-    def kept(found: re.Match[str]) -> str:
-        if found[0] != "</g>":
-            bare.append(not (found[1] or "").strip())
-            return "" if bare[-1] else found[0]
-        return "" if bare.pop() else found[0]
-
-    return _GROUP.sub(kept, body)
 
 
 def _restyled(style: str) -> str:
