@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,13 +18,12 @@ from analytic.errors import AnalyticError
 from analytic.filters import filtered
 from analytic.images import luma, unit, with_channels
 from analytic.threads import each
+from foundation.settings import Rule, checked, fields_of
 
-_KINDS: dict[type, str] = {
-    bool: "True or False",
-    int: f"a whole number from 1 to {(MOST := 16_384):,}",
-    float: "a number",
-    str: "a string",
-}
+Cells = Annotated[int, Rule("a whole number from 1 to 16,384", lambda value: 1 <= value <= 16_384)]
+"""A number of rows, columns, bins ...: at most as many as an image has pixels along a side."""
+Several = Annotated[int, Rule("a whole number from 2 to 16,384", lambda value: 2 <= value <= 16_384)]
+"""`Cells` of which at least two are needed."""
 _NUMBERS = 1 << 24  # limit for the description of one image
 
 
@@ -176,14 +175,8 @@ class ImageDescriptor(Descriptor):
     homomorphic: bool = False
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value: Any = getattr(self, field.name)
-            kind: Any = type(field.default)
-            value = value.item() if isinstance(value, np.generic) else value
-            value = float(value) if kind is float and type(value) is int else value
-            if type(value) is not kind or (kind is int and not 1 <= value <= MOST):
-                raise AnalyticError(f"{self.name} needs {_KINDS[kind]} for {field.name}, got {value!r}")
-            object.__setattr__(self, field.name, value)
+        for key, kind in fields_of(type(self)).items():
+            object.__setattr__(self, key, checked(getattr(self, key), kind, f"{self.name}.{key}", AnalyticError))
         self._check_parameters()
 
     @property
@@ -250,8 +243,8 @@ class ImageDescriptor(Descriptor):
                 "there is no relative heading to be found"
             )
 
-    def _check_parameters(self) -> None:
-        """Raise AnalyticError for parameters that fit no image, beyond what their types already exclude."""
+    def _check_parameters(self) -> None:  # most descriptors have nothing to check
+        """Raise AnalyticError for parameters that do not go together."""
 
     @abstractmethod
     def _check_size(self, height: int, width: int) -> None:

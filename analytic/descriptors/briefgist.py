@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analytic.alignment import Turns
 from analytic.description import Description
-from analytic.descriptors.base import AlignedDescriptor, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, Cells, Several, divisors_near
 from analytic.errors import AnalyticError
 
 
@@ -41,9 +41,6 @@ class BriefGist(AlignedDescriptor):
         rows: windows one above the other; divides the height ([T] table 3.1, k10).
         columns: windows side by side, at least 2; divides the width ([T] table 3.1, w2).
 
-    Raises:
-        AnalyticError: fewer than 2 columns.
-
     Example:
         >>> import analytic
         >>> import numpy as np
@@ -58,8 +55,8 @@ class BriefGist(AlignedDescriptor):
     default_distance = "manhattan"
     whole = True
 
-    rows: int = 64
-    columns: int = 16
+    rows: Cells = 64
+    columns: Several = 16
 
     def resolution(self, width: int) -> float:
         """Return the angle of one window, rad."""
@@ -68,10 +65,6 @@ class BriefGist(AlignedDescriptor):
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (rows * columns,) and (columns, rows)."""
         return (self.rows * self.columns,), (self.columns, self.rows)
-
-    def _check_parameters(self) -> None:
-        if self.columns < 2:
-            raise AnalyticError(f"briefgist needs at least 2 columns of windows, got columns={self.columns}")
 
     def _check_size(self, height: int, width: int) -> None:
         for side, pixels, windows in (("rows", height, self.rows), ("columns", width, self.columns)):

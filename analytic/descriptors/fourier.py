@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from math import pi, sqrt
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from analytic.alignment import best_turns, euclidean, norm, whitened
 from analytic.alignment import heading as angle
 from analytic.description import Alignment, Description
-from analytic.descriptors.base import ImageDescriptor, divisors_near
-from analytic.errors import AnalyticError, hint
+from analytic.descriptors.base import Cells, ImageDescriptor, divisors_near
+from analytic.errors import AnalyticError
 
-_HEADINGS = ("correlation", "phase_product")
 _NOTHING = 1e-6
 _CHUNK = 1 << 22  # values in memory at once
 
@@ -66,7 +65,7 @@ class FourierSignature(ImageDescriptor):
     or high number of rows.
 
     Raises:
-        AnalyticError: more frequencies than turns can resolve, an unknown `heading`.
+        AnalyticError: more frequencies than turns can resolve.
 
     Example:
         >>> import analytic
@@ -81,12 +80,12 @@ class FourierSignature(ImageDescriptor):
     name = "fs"
     default_distance = "correlation"
 
-    rows: int = 8
-    columns: int = 8
-    orientation_rows: int = 16
-    orientation_columns: int = 64
-    turns: int = 512
-    heading: str = "correlation"
+    rows: Cells = 8
+    columns: Cells = 8
+    orientation_rows: Cells = 16
+    orientation_columns: Cells = 64
+    turns: Cells = 512
+    heading: Literal["correlation", "phase_product"] = "correlation"
     whitened: bool = True
 
     def resolution(self, width: int) -> float:
@@ -159,8 +158,6 @@ class FourierSignature(ImageDescriptor):
                 f"fs with turns={self.turns} resolves at most {(self.turns + 1) // 2} frequencies, got "
                 f"orientation_columns={self.orientation_columns}: use more turns or fewer columns"
             )
-        if self.heading not in _HEADINGS:
-            raise AnalyticError(f"unknown heading {self.heading!r} of fs: {hint(self.heading, _HEADINGS)}")
 
     def _check_size(self, height: int, width: int) -> None:
         for key in ("rows", "orientation_rows"):

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from math import ceil, cos, floor, pi, sin
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import ImageDescriptor, check_cells
+from analytic.descriptors.base import Cells, ImageDescriptor, check_cells
 from analytic.errors import AnalyticError
 
 LEVELS = 2
@@ -91,12 +91,12 @@ class Gist(ImageDescriptor):
     name = "gist"
     default_distance = "correlation"
 
-    blocks: int = 32
-    orientations: int = 256
-    window: int = 8
-    step: int = 2
-    orientation_filters: int = 16
-    orientation_levels: int = 1
+    blocks: Cells = 32
+    orientations: Cells = 256
+    window: Cells = 8
+    step: Cells = 2
+    orientation_filters: Cells = 16
+    orientation_levels: Literal[1, 2] = 1
     normalized: bool = True
 
     def resolution(self, width: int) -> float:
@@ -109,8 +109,6 @@ class Gist(ImageDescriptor):
         return position, (width // self.step, self.orientation_levels * self.orientation_filters)
 
     def _check_parameters(self) -> None:
-        if self.orientation_levels not in (1, LEVELS):
-            raise AnalyticError(f"gist has 1 or 2 levels in its orientation part, got {self.orientation_levels}")
         if self.normalized and self.orientation_filters == 1:
             raise AnalyticError(
                 "gist needs orientation_filters of at least 2 to show which one prevails, got 1: use more of them, or "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
-from analytic.descriptors.base import ImageDescriptor, check_cells
+from analytic.descriptors.base import Cells, ImageDescriptor, check_cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,11 +67,11 @@ class Hog(ImageDescriptor):
     name = "hog"
     default_distance = "correlation"
 
-    rows: int = 8
-    bins: int = 32
-    window: int = 32
-    step: int = 2
-    orientation_bins: int = 16
+    rows: Cells = 8
+    bins: Cells = 32
+    window: Cells = 32
+    step: Cells = 2
+    orientation_bins: Cells = 16
     whitened: bool = True
 
     def resolution(self, width: int) -> float:

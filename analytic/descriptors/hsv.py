@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
-from analytic.descriptors.base import ImageDescriptor, check_cells
+from analytic.descriptors.base import Cells, ImageDescriptor, check_cells
 from analytic.descriptors.hog import window_sums
 
 _TIE = 1e-4  # of a bin; an 8-bit value is exactly on an edge, or further from it than this
@@ -67,12 +67,12 @@ class Hsv(ImageDescriptor):
     default_distance: ClassVar[str] = "manhattan"
     colour: ClassVar[bool] = True
 
-    rows: int = 8
-    hues: int = 24
-    saturations: int = 8
-    values: int = 8
-    window: int = 32
-    step: int = 2
+    rows: Cells = 8
+    hues: Cells = 24
+    saturations: Cells = 8
+    values: Cells = 8
+    window: Cells = 32
+    step: Cells = 2
 
     def resolution(self, width: int) -> float:
         """Return the angle of one step, rad."""

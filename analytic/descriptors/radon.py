@@ -9,9 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import AlignedDescriptor, ImageDescriptor, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, Cells, ImageDescriptor, divisors_near
 from analytic.descriptors.radon_transform import (
-    check_geometry,
+    Even,
+    Source,
+    Step,
     check_image,
     harmonics,
     orientations,
@@ -73,11 +75,11 @@ class RadonFourier(ImageDescriptor):
     name: ClassVar[str] = "radon_fourier"
     default_distance: ClassVar[str] = "manhattan"
 
-    step: float = 1.0
-    size: int = 256
-    lines: int = 32
-    orientation_lines: int = 32
-    source: str = "panorama"
+    step: Step = 1.0
+    size: Even = 256
+    lines: Cells = 32
+    orientation_lines: Cells = 32
+    source: Source = "panorama"
 
     def resolution(self, width: int) -> float:
         """Return the angle of one step, rad."""
@@ -88,7 +90,6 @@ class RadonFourier(ImageDescriptor):
         return (steps(self.step), self.lines), (steps(self.step), self.orientation_lines)
 
     def _check_parameters(self) -> None:
-        check_geometry(self.name, self.step, self.size, self.source)
         for key in ("lines", "orientation_lines"):
             value = getattr(self, key)
             if self.size // 2 % value:
@@ -163,9 +164,9 @@ class RadonPoc(AlignedDescriptor):
     name: ClassVar[str] = "radon_poc"
     default_distance: ClassVar[str] = "cosine"
 
-    step: float = 4.0
-    size: int = 256
-    source: str = "panorama"
+    step: Step = 4.0
+    size: Even = 256
+    source: Source = "panorama"
 
     def resolution(self, width: int) -> float:
         """Return the angle of one step, rad."""
@@ -174,9 +175,6 @@ class RadonPoc(AlignedDescriptor):
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (360 / p1, Nx / 2) twice; the arrays are (B, 360 / p1 * Nx / 2) and (B, 360 / p1, Nx / 2)."""
         return (steps(self.step), self.size // 2), (steps(self.step), self.size // 2)
-
-    def _check_parameters(self) -> None:
-        check_geometry(self.name, self.step, self.size, self.source)
 
     def _check_size(self, height: int, width: int) -> None:
         check_image(self.name, self.source, height, width)

@@ -37,15 +37,24 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import ceil, pi
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.descriptors.base import divisors_near
-from analytic.errors import AnalyticError, hint
+from analytic.errors import AnalyticError
 from analytic.images import luma, unit, with_channels
+from foundation.settings import Rule, checked
 
-SOURCES = ("panorama", "omnidirectional")
+Source = Literal["panorama", "omnidirectional"]
+Step = Annotated[
+    float,
+    Rule(
+        "degrees that divide 360, at most 120, such as 1, 4 or 11.25",
+        lambda value: 0 < value <= 120 and abs(steps(value) * value - 360) <= 1e-6,
+    ),
+]
+Even = Annotated[int, Rule("an even number from 2 to 16,384", lambda value: 2 <= value <= 16_384 and value % 2 == 0)]
 INNER = 0.2  # inner radius of a panorama's ring, as a share of the outer one
 _SPACING = 0.5  # pixels between the points of a line
 
@@ -69,7 +78,8 @@ def radon_transform(
         >>> radon_transform(np.ones((64, 256)), step=90, size=32)[0, 0, :3].round(1)
         array([26., 26., 28.], dtype=float32)
     """
-    check_geometry("radon_transform", step, size, source)
+    for key, value, kind in (("step", step, Step), ("size", size, Even), ("source", source, Source)):
+        checked(value, kind, key, AnalyticError)
     grey = luma(unit(with_channels(batch)))[:, 0]
     check_image("radon_transform", source, grey.shape[1], grey.shape[2])
     found = [orientations(harmonics(image, step, size, size // 2, source), steps(step)) for image in grey]
@@ -79,19 +89,6 @@ def radon_transform(
 def steps(step: float) -> int:
     """Return the number of orientations of a full turn."""
     return round(360 / step)
-
-
-def check_geometry(name: str, step: float, size: int, source: str) -> None:
-    """Raise AnalyticError unless step, size and source are valid."""
-    if not 0 < step <= 120 or abs(steps(step) * step - 360) > 1e-6:
-        near = divisors_near(360, int(min(max(step, 1), 119)) if step == step else 1)
-        raise AnalyticError(
-            f"{name} needs a step in degrees that divides 360, at most 120, such as {near}; got step={step}"
-        )
-    if size < 2 or size % 2:
-        raise AnalyticError(f"{name} needs an even size of at least 2 pixels, got size={size}")
-    if source not in SOURCES:
-        raise AnalyticError(f"unknown source {source!r} of {name}: {hint(source, SOURCES)}")
 
 
 def check_image(name: str, source: str, height: int, width: int) -> None:

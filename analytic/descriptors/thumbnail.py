@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import ImageDescriptor
+from analytic.descriptors.base import Cells, ImageDescriptor
 from analytic.errors import AnalyticError
 
 
@@ -34,8 +34,8 @@ class Thumbnail(ImageDescriptor):
     name = "thumbnail"
     default_distance = "correlation"
 
-    rows: int = 8
-    columns: int = 32
+    rows: Cells = 8
+    columns: Cells = 32
 
     @property
     def tells_heading(self) -> bool:

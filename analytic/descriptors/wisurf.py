@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import AlignedDescriptor, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, Cells, Several, divisors_near
 from analytic.errors import AnalyticError
 
 CELLS = 4  # subregions along each side of a window
@@ -62,9 +62,6 @@ class WiSurf(AlignedDescriptor):
 
     The defaults are the best of [T] 3.5.1, which recommends 128 windows or more; size and time grow with their number.
 
-    Raises:
-        AnalyticError: fewer than 2 windows.
-
     Example:
         >>> import analytic
         >>> import numpy as np
@@ -78,8 +75,8 @@ class WiSurf(AlignedDescriptor):
     name: ClassVar[str] = "wisurf"
     default_distance: ClassVar[str] = "manhattan"
 
-    rows: int = 4
-    windows: int = 512
+    rows: Cells = 4
+    windows: Several = 512
 
     def resolution(self, width: int) -> float:
         """Return the angle of one window, rad."""
@@ -88,10 +85,6 @@ class WiSurf(AlignedDescriptor):
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (k9 w1 64,) and (w1, k9 64)."""
         return (self.rows * self.windows * VALUES,), (self.windows, self.rows * VALUES)
-
-    def _check_parameters(self) -> None:
-        if self.windows < 2:
-            raise AnalyticError(f"wisurf needs at least 2 windows per band, got windows={self.windows}")
 
     def _check_size(self, height: int, width: int) -> None:
         if height % (CELLS * self.rows):

@@ -122,8 +122,8 @@ def test_heading_in_spite_of_noise_and_bars():
 @pytest.mark.parametrize(
     ("params", "says"),
     [
-        ({"rows": 0}, "from 1 to 16,384 for rows, got 0"),
-        ({"columns": 1}, "at least 2 columns of windows, got columns=1"),
+        ({"rows": 0}, "briefgist.rows must be .*, got 0"),
+        ({"columns": 1}, "briefgist.columns must be a whole number from 2 to 16,384, got 1"),
         ({"rows": 5, "columns": 8}, "5 rows of windows, which do not divide its 16 rows of pixels: use 4 or 8"),
         ({"rows": 64, "columns": 8}, "64 rows of windows, which do not divide its 16 rows of pixels: use 16 for"),
         ({"rows": 4, "columns": 7}, "use 6 or 8 for 'columns', or resize"),

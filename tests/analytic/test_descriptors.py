@@ -253,12 +253,12 @@ def test_a_parameter_of_another_type_is_refused_before_any_work(name):
     numbers = {key: value for key, value in SMALL[name].items() if isinstance(value, int)}
     for key, value in numbers.items():
         for wrong in (value + 0.0, str(value), None, True, 0):
-            with pytest.raises(AnalyticError, match=f"{name} needs a whole number from 1 to 16,384 for {key}, got"):
+            with pytest.raises(AnalyticError, match=f"{name}.{key} must be an? .* to 16,384, got"):
                 small(name, **{key: wrong})
         same = small(name, **{key: np.int64(value)})
         assert type(same.identity[key]) is int
         assert same == small(name)
-    with pytest.raises(AnalyticError, match=f"{name} needs True or False for circular, got 'no'"):
+    with pytest.raises(AnalyticError, match=f"{name}.circular must be true or false, got 'no'"):
         small(name, circular="no")
     small(name).describe(COLOUR[0])
 
@@ -330,7 +330,7 @@ def test_unknown_names_are_one_sentence(call, says):
 def test_no_parameter_is_larger_than_an_image(name):
     for key, default in parameters(name).items():
         if type(default) is int:
-            with pytest.raises(AnalyticError, match=f"from 1 to 16,384 for {key}"):
+            with pytest.raises(AnalyticError, match=f"{key} must be"):
                 descriptor(name, **{key: 10**9})
 
 

@@ -140,9 +140,9 @@ def test_a_description_without_orientation_tells_no_heading():
 @pytest.mark.parametrize(
     ("params", "says"),
     [
-        ({"columns": 0}, "for columns, got 0"),
+        ({"columns": 0}, "fs.columns must be .*, got 0"),
         ({"turns": 38}, "turns=38 resolves at most 19 frequencies, got orientation_columns=20"),
-        ({"heading": "phase"}, "unknown heading 'phase'.*correlation, phase_product"),
+        ({"heading": "phase"}, "fs.heading must be correlation or phase_product, got 'phase'"),
         ({"rows": 5}, "rows=5 .* height of 16 pixels: use rows=4 or 8"),
         ({"orientation_rows": 32}, "orientation_rows=32 .* height of 16 pixels: use orientation_rows=16"),
         ({"columns": 25}, "columns=25 .* 48 columns has: use at most columns=24"),

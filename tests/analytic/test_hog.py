@@ -114,8 +114,8 @@ def test_sizes_are_those_of_the_thesis():
 @pytest.mark.parametrize(
     ("params", "says"),
     [
-        ({"rows": 0}, "for rows, got 0"),
-        ({"orientation_bins": -1}, "for orientation_bins, got -1"),
+        ({"rows": 0}, "hog.rows must be a whole number from 1 to 16,384, got 0"),
+        ({"orientation_bins": -1}, "hog.orientation_bins must be .*, got -1"),
         ({"rows": 5}, "rows=5 .* height of 16 pixels: use rows=4 or 8"),
         ({"rows": 17}, "height of 16 pixels: use rows=16"),
         ({"step": 5}, "step=5 .* width of 48 pixels: use step=4 or 6"),

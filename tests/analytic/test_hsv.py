@@ -77,8 +77,8 @@ def test_two_rooms_alike_but_for_the_paint_are_told_apart():
 @pytest.mark.parametrize(
     ("params", "says"),
     [
-        ({"rows": 0}, "for rows, got 0"),
-        ({"hues": -1}, "for hues, got -1"),
+        ({"rows": 0}, "hsv.rows must be .*, got 0"),
+        ({"hues": -1}, "hsv.hues must be .*, got -1"),
         ({"rows": 5}, "hsv's rows=5 .* height of 16 pixels: use rows=4 or 8"),
         ({"step": 5}, "hsv's step=5 .* width of 48 pixels: use step=4 or 6"),
         ({"window": 49}, "hsv's window=49 .* 48 columns: use at most window=48"),

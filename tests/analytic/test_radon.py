@@ -234,14 +234,18 @@ def test_an_ordinary_camera_has_no_seam():
 @pytest.mark.parametrize(
     ("name", "params", "says"),
     [
-        ("radon_fourier", {"step": 7}, "a step in degrees that divides 360, at most 120, such as 6 or 8; got step=7"),
-        ("radon_poc", {"step": 0}, "at most 120, such as 1 or 2; got step=0"),
-        ("radon_poc", {"step": float("nan")}, "got step=nan"),
-        ("radon_poc", {"step": 180}, "such as 90 or 120; got step=180"),
-        ("radon_poc", {"size": 33}, "radon_poc needs an even size of at least 2 pixels, got size=33"),
+        (
+            "radon_fourier",
+            {"step": 7},
+            "radon_fourier.step must be degrees that divide 360, at most 120, such as 1, 4 or 11.25, got 7",
+        ),
+        ("radon_poc", {"step": 0}, "radon_poc.step must be .*, got 0"),
+        ("radon_poc", {"step": float("nan")}, "radon_poc.step must be .*, got nan"),
+        ("radon_poc", {"step": 180}, "radon_poc.step must be .*, got 180"),
+        ("radon_poc", {"size": 33}, "radon_poc.size must be an even number from 2 to 16,384, got 33"),
         ("radon_fourier", {"lines": 33}, "lines=33 must divide the 128 lines of size=256: use lines=32 or 64"),
-        ("radon_fourier", {"orientation_lines": 0}, "from 1 to 16,384 for orientation_lines, got 0"),
-        ("radon_poc", {"source": "disc"}, "unknown source 'disc' of radon_poc: valid: panorama, omnidirectional"),
+        ("radon_fourier", {"orientation_lines": 0}, "radon_fourier.orientation_lines must be .*, got 0"),
+        ("radon_poc", {"source": "disc"}, "radon_poc.source must be panorama or omnidirectional, got 'disc'"),
         ("radon_poc", {"source": "omnidirectional"}, "takes square images .* got 12 x 64 pixels: crop them to 12 x 12"),
     ],
 )

@@ -138,8 +138,8 @@ def test_wavelets_of_any_size_are_differences_of_means(reach, wraps):
 @pytest.mark.parametrize(
     ("params", "says"),
     [
-        ({"rows": 0}, "from 1 to 16,384 for rows, got 0"),
-        ({"windows": 1}, "at least 2 windows per band, got windows=1"),
+        ({"rows": 0}, "wisurf.rows must be .*, got 0"),
+        ({"windows": 1}, "wisurf.windows must be a whole number from 2 to 16,384, got 1"),
         (
             {"rows": 3, "windows": 12},
             "4 subregions each do not fit an image of 32 pixel rows: use rows=2 or 4, or .* 24",

@@ -90,7 +90,7 @@ def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memor
     known = maps.build(described("hog"), images, monday, progress=False)
     bundle = runtime.export(described("hog"), known, tmp_path / "bundle").path
     for hostile, says in (
-        ({"bins": 10**9}, "from 1 to 16,384 for bins"),
+        ({"bins": 10**9}, "hog.bins must be a whole number from 1 to 16,384"),
         ({"bins": "many"}, "in a way unknown to this"),
     ):
         identity = {**known.identity, **hostile}
