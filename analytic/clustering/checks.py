@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic.arrays import real
 from analytic.errors import AnalyticError
+from foundation.settings import Count, checked
 
 _BLOCK_BYTES = 32 << 20
 
@@ -29,27 +30,13 @@ def vectors(values: ArrayLike, what: str = "descriptors") -> NDArray[np.float64]
     return array
 
 
-def whole(value: Any, what: str, least: int, most: int | None = None) -> int:
-    """Check a whole number against its bounds and return it.
+def whole(value: Any, kind: Any, what: str) -> int:
+    """Check a whole number against its annotation, such as `Count`, and return it.
 
     Raises:
         AnalyticError: not a whole number, or out of range.
     """
-    span = f"at least {least}" if most is None else f"from {least} to {most}"
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise AnalyticError(f"{what} must be a whole number {'of ' if most is None else ''}{span}, got {value!r}")
-    if value < least or (most is not None and value > most):
-        raise AnalyticError(f"{what} must be {span}, got {value}")
-    return int(value)
-
-
-def seed(value: Any) -> int:
-    """Check the seed of a random generator and return it.
-
-    Raises:
-        AnalyticError: not a whole number, or out of range.
-    """
-    return whole(value, "the seed", 0, 2**32 - 1)
+    return int(checked(value, kind, what, AnalyticError))
 
 
 def clusters(n_clusters: Any, frames: int) -> int:
@@ -58,7 +45,7 @@ def clusters(n_clusters: Any, frames: int) -> int:
     Raises:
         AnalyticError: not a whole number, below 1, or more than there are frames.
     """
-    count = whole(n_clusters, "the number of clusters", 1)
+    count = whole(n_clusters, Count, "the number of clusters")
     if count > frames:
         raise AnalyticError(f"{count} clusters need at least as many frames, got {frames}: ask for fewer clusters")
     return count

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic.arrays import real
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
+from foundation.settings import Count
 
 
 def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
@@ -27,7 +28,7 @@ def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
         >>> sample(5, 2).tolist()
         [0, 0, 0, 1, 1]
     """
-    frames = checks.whole(n, "the number of frames", 1, 100_000_000)
+    frames = checks.whole(n, Count, "the number of frames")
     count = checks.clusters(n_clusters, frames)
     return np.arange(frames, dtype=np.int64) * count // frames
 

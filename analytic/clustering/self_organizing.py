@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
+from foundation.settings import Rule, Seed, checked
 
+Grid = Annotated[tuple[int, int], Rule("two whole numbers (W, H), each at least 1", lambda grid: min(grid) >= 1)]
 _EPOCHS = 60
 _LAST_RADIUS = 0.3  # in units of the grid: a neighbour then has 0.4 % of the winner's weight
 _SETTLING = 40
@@ -43,13 +45,13 @@ def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int
         [0, 0, 1, 1]
     """
     x = checks.vectors(X)
-    width, height = _checked_grid(grid)
+    width, height = checked(grid, Grid, "the grid", AnalyticError)
     if width * height > len(x):
         raise AnalyticError(
             f"a grid of {width} x {height} units needs at least {width * height} frames, got {len(x)}: "
             "make the grid smaller"
         )
-    seed = checks.seed(seed)
+    seed = checks.whole(seed, Seed, "the seed")
     different, inverse, counts = checks.distinct(x)
     scaled, _ = checks.to_unit_range(different)
     return checks.renumbered(winners(scaled, counts.astype(np.float64), (width, height), seed)[inverse])
@@ -142,11 +144,3 @@ def _revived(
         units[unit] = x[np.where(won == worst, squared, -1).argmax()]
         won = _nearest_unit(x, units)
     return units, won
-
-
-def _checked_grid(grid: Any) -> tuple[int, int]:
-    try:
-        width, height = grid
-    except (TypeError, ValueError) as error:
-        raise AnalyticError(f"the grid of a self-organizing map is two numbers (W, H), got {grid!r}") from error
-    return checks.whole(width, "the width of the grid", 1), checks.whole(height, "the height of the grid", 1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from analytic.clustering import checks, self_organizing
 from analytic.errors import AnalyticError
 from analytic.linear_algebra import one_thread
+from foundation.settings import Count, Seed, checked
 
-ASSIGNMENTS = ("kmeans", "som")
+Assign = Literal["kmeans", "som"]
 _STARTS = 10  # of k-means
 # Below this a normalized similarity counts as zero. A Lanczos solver finds one copy of an eigenvalue, so the equal
 # ones of separate parts are computed part by part; in float64 it can separate parts down to about 1e-13.
@@ -33,7 +34,7 @@ def spectral(
     sigma: float | None = None,
     neighbours: int | None = None,
     seed: int = 0,
-    assign: str = "kmeans",
+    assign: Assign = "kmeans",
 ) -> NDArray[np.int64]:
     """Cluster descriptors with normalized spectral clustering; return the cluster of each frame (n,).
 
@@ -67,8 +68,8 @@ def spectral(
     """
     x = checks.vectors(X)
     count = checks.clusters(n_clusters, len(x))
-    _check_assign(assign)
-    seed = checks.seed(seed)
+    checked(assign, Assign, "assign", AnalyticError)
+    seed = checks.whole(seed, Seed, "the seed")
     different, inverse, _ = checks.distinct(x)
     if count > len(different):
         raise AnalyticError(
@@ -119,7 +120,7 @@ def affinity(X: ArrayLike, sigma: float | None = None, neighbours: int | None = 
     return _similarities(scaled, _checked_sigma(sigma, unit), t)[0]
 
 
-def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: str = "kmeans") -> NDArray[np.int64]:
+def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: Assign = "kmeans") -> NDArray[np.int64]:
     """Cluster frames from given similarities, however these were computed (n,); otherwise as `spectral`.
 
     Args:
@@ -138,8 +139,8 @@ def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: str 
     """
     graph = _checked_similarities(similarities)
     count = checks.clusters(n_clusters, graph.shape[0])
-    _check_assign(assign)
-    seed = checks.seed(seed)
+    checked(assign, Assign, "assign", AnalyticError)
+    seed = checks.whole(seed, Seed, "the seed")
     if count == 1:
         return np.zeros(graph.shape[0], dtype=np.int64)
     matrix = _normalized(graph)
@@ -328,12 +329,10 @@ def _checked_neighbours(neighbours: int | None, frames: int) -> int | None:
         return None
     if frames == 1:
         raise AnalyticError("a single frame has no neighbours: leave neighbours out")
-    return checks.whole(neighbours, f"the number of neighbours among {frames} frames", 1, frames - 1)
-
-
-def _check_assign(assign: str) -> None:
-    if assign not in ASSIGNMENTS:
-        raise AnalyticError(f"rows are clustered by {' or '.join(map(repr, ASSIGNMENTS))}, got {assign!r}")
+    count = checks.whole(neighbours, Count, "the number of neighbours")
+    if count >= frames:
+        raise AnalyticError(f"{frames} frames have at most {frames - 1} neighbours each, got neighbours={count}")
+    return count
 
 
 def _checked_similarities(similarities: Any) -> Any:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
+from foundation.settings import Count, NotNegative, checked
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,8 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
         (0.5, 1.0)
     """
     xy = checks.vectors(positions, "positions")
-    gap = checks.whole(gap, "the gap", 1)
-    if not 0 <= radius < math.inf:
-        raise AnalyticError(f"the radius must be a number that is not negative, got {radius}")
+    gap = checks.whole(gap, Count, "the gap")
+    checked(radius, NotNegative, "the radius", AnalyticError)
     ends = _checked(closures, len(xy))
     nontrivial = ends[ends[:, 1] - ends[:, 0] >= gap]
     # Both use the same comparison, so that a frame exactly at the radius is judged the same way.

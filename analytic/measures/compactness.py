@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,8 +13,9 @@ from analytic.clustering import checks
 from analytic.distances import DISTANCES
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
+from foundation.settings import checked
 
-MODES = ("nearest", "pooled")
+Mode = Literal["nearest", "pooled"]
 _FEW_DIMENSIONS = 16  # up to this, subtracting is as fast as a matrix product, and exact
 
 
@@ -43,7 +45,7 @@ class Silhouettes:
         return float(np.nanmean(self.frames))
 
 
-def silhouette(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance: str = "euclidean") -> float:
+def silhouette(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance: str = "euclidean") -> float:
     """Measure how compact clusters are by the average silhouette of positions or of descriptors, in [-1, 1].
 
     Higher is more compact. See `silhouettes` for both modes, the arguments and the errors. With "nearest" every frame
@@ -57,7 +59,7 @@ def silhouette(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance:
     return silhouettes(X, labels, mode, distance).mean
 
 
-def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance: str = "euclidean") -> Silhouettes:
+def silhouettes(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance: str = "euclidean") -> Silhouettes:
     """Compute the silhouettes (b - a) / max(a, b) of frames and clusters.
 
     a is the mean distance of a frame to the *other* frames of its cluster. b is, with "nearest", the smallest of its
@@ -80,8 +82,7 @@ def silhouettes(X: ArrayLike, labels: ArrayLike, mode: str = "nearest", distance
         >>> found.frames.round(3).tolist(), found.sizes.tolist()
         ([0.889, 0.875, 0.0], [2, 1])
     """
-    if not isinstance(mode, str) or mode not in MODES:
-        raise AnalyticError(f"a silhouette has mode {' or '.join(map(repr, MODES))}, got {mode!r}")
+    checked(mode, Mode, "mode", AnalyticError)
     distance_named(distance)
     x = checks.vectors(X, "positions or descriptors")
     names = checks.cluster_labels(labels, len(x))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -208,7 +208,7 @@ def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor
     return found
 
 
-def _silhouette(values: NDArray, labels: NDArray[np.int64], mode: str) -> float:
+def _silhouette(values: NDArray, labels: NDArray[np.int64], mode: Literal["nearest", "pooled"]) -> float:
     from analytic import measures
 
     if len(set(labels[labels >= 0].tolist())) < 2:
