@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import DESCRIPTORS, Description, Descriptor, descriptor
+from analytic import Description, Descriptor
 from siamloc import maps
 from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.errors import ConfigError, DataError
 from siamloc.maps import RefinedPoses, Refinement, Retrieval, VisualMap, frame_distances, headings, match
+from siamloc.maps.describing import descriptor_from
 from siamloc.maps.packing import shares_values
 from siamloc.stopwatch import Stopwatch
 
@@ -334,16 +335,8 @@ def _check_kinds(known: object, images: object, queries: object) -> None:
 
 
 def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
-    """Return descriptors by name: a name in `analytic.DESCRIPTORS` stands for one with its default parameters."""
+    """Return descriptors by name; one that is only named gets its default parameters."""
     if isinstance(baselines, Mapping):
         return dict(baselines)
     baselines = [baselines] if isinstance(baselines, str | Descriptor) else baselines
-    made: dict[str, Descriptor] = {}
-    for one in baselines:
-        if isinstance(one, str):
-            if one not in DESCRIPTORS:
-                raise ConfigError(f"unknown baseline {one!r}: {hint(one, DESCRIPTORS)}, or a descriptor")
-            made[one] = descriptor(one, circular=circular)
-        else:
-            made[one.name] = one
-    return made
+    return {one if isinstance(one, str) else one.name: descriptor_from(one, circular=circular) for one in baselines}

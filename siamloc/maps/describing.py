@@ -64,8 +64,8 @@ def build(
         >>> build("hog", images, frames, progress=False)
         VisualMap(2 frames, 256 numbers each by hog, compared by correlation)
     """
-    by = _as_descriptor(described_by, circular=images.circular, device=device)
-    turning = None if heading is None else _as_descriptor(heading, circular=images.circular, device=device)
+    by = descriptor_from(described_by, circular=images.circular, device=device)
+    turning = None if heading is None else descriptor_from(heading, circular=images.circular, device=device)
     if turning is not None and not images.circular:
         raise ConfigError(
             f"heading={turning.name} needs columns that are a full turn, and circular=false says that they are not: "
@@ -140,27 +140,24 @@ def _timed(clock: Stopwatch, by: Descriptor, batch: NDArray[np.uint8]) -> Descri
         return by.describe(batch)
 
 
-def _as_descriptor(by: Descriptor | nn.Module | str, *, circular: bool, device: str | None) -> Descriptor:
-    """Return a descriptor: one given as such, a wrapped network, or an analytic one by its name.
+def descriptor_from(by: Descriptor | nn.Module | str, *, circular: bool, device: str | None = "auto") -> Descriptor:
+    """Return a descriptor: one given as such, a wrapped network, or one with its default parameters by its name.
 
     Args:
-        by: a descriptor, a network or a name.
+        by: a descriptor, a network, a name in `analytic.DESCRIPTORS`, or "pretrained" for the network that ships with
+            siamloc.
         circular: whether the columns of the images are a full turn; used for a name.
         device: where a network computes.
 
     Raises:
         ConfigError: an unknown name.
     """
-    if isinstance(by, str):
-        if by == "pretrained":
-            from siamloc.models import as_descriptor, pretrained
-
-            return as_descriptor(pretrained(circular=circular), device)
+    if isinstance(by, Descriptor):
+        return by
+    if isinstance(by, str) and by != "pretrained":
         if by not in DESCRIPTORS:
             raise ConfigError(f"unknown descriptor {by!r}: {hint(by, ('pretrained', *DESCRIPTORS))}")
         return descriptor(by, circular=circular)
-    if isinstance(by, Descriptor):
-        return by
-    from siamloc.models import as_descriptor as of_network
+    from siamloc.models import as_descriptor, pretrained
 
-    return of_network(by, device)
+    return as_descriptor(pretrained(circular=circular) if isinstance(by, str) else by, device)

@@ -12,12 +12,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import prod
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from analytic import Description, Descriptor, descriptor
-from analytic.descriptors.base import ImageDescriptor
+from analytic import Description, descriptor
 from siamloc import evaluation, maps
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Role, room_sizes
 from siamloc.errors import ConfigError, DataError
@@ -92,7 +91,7 @@ class Data:
         if key not in self._described:
             for oldest in list(self._described)[:-_REMEMBERED]:
                 del self._described[oldest]
-            by = described_by(options)
+            by = "pretrained" if options["name"] == "pretrained" else descriptor(**options)
             self._described[key] = maps.build(by, self.images, self.role(role), distance="euclidean", progress=False)
         return self._described[key]
 
@@ -415,17 +414,5 @@ def image_size(job: Job) -> tuple[int, int]:
 def information(job: Job) -> float:
     """Return the size of the position part of a job's descriptor, as a share of the number of pixels."""
     rows, columns = image_size(job)
-    by = cast(ImageDescriptor, described_by(job.options["descriptor"]))
-    position, _ = by.sizes(rows, columns)
+    position, _ = descriptor(**job.options["descriptor"]).sizes(rows, columns)
     return prod(position) / (rows * columns)
-
-
-def described_by(options: Mapping[str, Any]) -> Descriptor:
-    """Return a descriptor by its name and parameters; "pretrained" is the network shipped with siamloc."""
-    values = dict(options)
-    name = values.pop("name")
-    if name == "pretrained":
-        from siamloc.models import as_descriptor, pretrained
-
-        return as_descriptor(pretrained())
-    return descriptor(name, **values)

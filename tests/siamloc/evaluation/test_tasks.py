@@ -284,7 +284,7 @@ def test_frames_left_out_stay_left_out_under_disturbances_and_are_refused_where_
         ({"ks": ()}, "the recall needs whole numbers k >= 1 that differ"),
         ({"radii": (1, 1)}, "the recall needs radii that are not negative and differ"),
         ({"names": ()}, "task.names is empty"),
-        ({"baselines": "hogg"}, "unknown baseline 'hogg'.*hog"),
+        ({"baselines": "hogg"}, "unknown descriptor 'hogg'.*hog"),
         ({"ks": (0,)}, "task.ks must be a list, each item a whole number from 1"),
         ({"filter_tune": True}, "task.filter_tune=true chooses the settings of the sequence filter"),
         ({"names": ("room_retrieval",), "refine": "interpolate"}, "task.refine goes with absolute localization"),
