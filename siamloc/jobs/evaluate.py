@@ -27,7 +27,9 @@ from siamloc.jobs.sweep import of_layer, of_results, own_folder, swept, with_swe
 from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, Task
 from siamloc.maps import Built, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
+from siamloc.results import read_results
 from siamloc.runs import Run
+from siamloc.settings import Text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +71,8 @@ class Evaluate(RunJob):
         task=robustness                   error under noise, occlusion, turns and effects
         task=buildings task.maps=[runs/a,runs/b]
                                           which building a query is in, given the maps of several
+        out=FOLDER                        where results are written; in the run if not given
+        overwrite=true                    replace results of other frames
         -m descriptor.bins=8,16 distance=euclidean,correlation
                                           a sweep: each result in its own folder, such as
                                           evaluation/hog-euclidean/descriptor.bins-8; `siamloc compare` compares them
@@ -80,6 +84,8 @@ class Evaluate(RunJob):
     GROUPS: ClassVar = {**RunJob.GROUPS, "task": "localization"}
 
     task: Task
+    out: Text | None = None
+    overwrite: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,14 +97,17 @@ class Evaluate(RunJob):
     def run(self, say: Say = quiet) -> Result:
         """Measure the task, and write the results."""
         run = self.here
-        name, result = self._measure(say)
-        folder = own_folder(run.evaluation(name), self.titles, of_results)
-        if folder != run.evaluation(name):
+        shared = run.evaluation(self.name) if self.out is None else Path(self.out)
+        folder = own_folder(shared, self.titles, of_results)
+        self._check_folder(folder)
+        result = self._measure(say)
+        if folder != shared:
             result = replace(result, name=with_swept(result.name))
         if swept():
             result = replace(result, about={**result.about, "swept": dict(swept())})
         pictures = result.save(folder, pictures=self.task.plots)
-        run.record_written(files_in(folder))
+        if self.out is None:
+            run.record_written(files_in(folder))
         say(f"data: {self.data.summary()}")
         say(result.table())
         for path in pictures:
@@ -112,8 +121,33 @@ class Evaluate(RunJob):
         title = self.descriptor.title
         return title if self.distance is None else f"{title}-{self.distance}"
 
-    def _measure(self, say: Say) -> tuple[str, Result]:
-        """Return the name of the folder of the results, and the results."""
+    @property
+    def name(self) -> str:
+        """The name of the folder of the results, inside the run's folder `evaluation`."""
+        task, build = self.task, self.build.title
+        if isinstance(task, MapMeasures):
+            return f"mapping-{self.label}-{build}"
+        if isinstance(task, Hierarchical):
+            return f"hierarchical-{self._layered}"
+        if isinstance(task, BuildingsTask):
+            return f"buildings-{self.label}" + (f"-{build}" if self.build.name != "none" else "")
+        if isinstance(task, Compact):
+            return f"compact-{self._grouped}"
+        return f"robustness-{self.label}" if isinstance(task, RobustnessTask) else self.label
+
+    def _check_folder(self, folder: Path) -> None:
+        """Refuse to replace results of other frames unless requested."""
+        if self.overwrite or not (folder / "results.json").is_file():
+            return
+        before = read_results(folder)["config"].get("protocol")
+        if before is not None and Protocol.of(before) != self.protocol:
+            raise ConfigError(
+                f"{folder} holds results of other frames (protocol.*): write to another folder with out=FOLDER, or "
+                "replace them with overwrite=true"
+            )
+
+    def _measure(self, say: Say) -> Result:
+        """Measure the task."""
         task, label = self.task, self.label
         common: dict[str, Any] = {"protocol": self.protocol}
         if isinstance(task, MapMeasures):
@@ -128,27 +162,42 @@ class Evaluate(RunJob):
         if isinstance(task, RobustnessTask):
             known, images, roles = self._known(say, "query")
             common["baselines"] = self._baselines(say)
-            result = evaluation.robustness(known, images, roles["query"], settings=task.robustness, **common)
-            return f"robustness-{label}", result
+            return evaluation.robustness(known, images, roles["query"], settings=task.robustness, **common)
         settings = task.of_call(Localization)
         learned = settings.error_model or settings.filter_tune
         learned |= settings.refine == "relative" and self.protocol.validation != Role()
         known, images, roles = self._known(say, "query", *(["validation"] if learned else []))
         common |= {"baselines": self._baselines(say), "validation": roles.get("validation")}
-        return label, evaluation.localization(known, images, roles["query"], settings=settings, **common)
+        return evaluation.localization(known, images, roles["query"], settings=settings, **common)
 
-    def _hierarchical(
-        self, say: Say, task: Any, settings: Hierarchical, common: Mapping[str, Any]
-    ) -> tuple[str, Result]:
+    @property
+    def _layered(self) -> str:
+        """The name of hierarchical results: how frames are described, nodes ranked and made."""
+        coarse = self.task.coarse  # type: ignore[attr-defined]
+        by = [] if coarse.by == "representatives" else [coarse.by]
+        ranked = self.label if coarse.descriptor in (None, self.descriptor.title) else self._other(coarse.descriptor)[1]
+        return "-".join(dict.fromkeys([self.label, ranked, self.build.title, *by]))
+
+    @property
+    def _grouped(self) -> str:
+        """The name of results in compact maps: how frames are described, and grouped where that differs."""
+        by = self.task.clusters  # type: ignore[attr-defined]
+        return self.label if by in (None, self.descriptor.title) else f"{self.label}-by-{by}"
+
+    def _other(self, named: str) -> tuple[DescriptorChoice, str]:
+        """Return the descriptor that a name or the folder of a run stands for, and its label."""
+        if (Path(named) / "run.json").is_file():
+            return DescriptorChoice.of({"name": "network", "run": named}), f"network-{real_path(named).name}"
+        chosen = DescriptorChoice.of(values_of("descriptor", named))
+        return chosen, chosen.title
+
+    def _hierarchical(self, say: Say, task: Any, settings: Hierarchical, common: Mapping[str, Any]) -> Result:
         known, images, roles = self._known(say, "query")
         known = known.placed()
         label, other = self.label, task.coarse.descriptor
         coarse, coarse_label = None, label
         if other is not None and other != self.descriptor.title:
-            trained = (Path(other) / "run.json").is_file()
-            values = {"name": "network", "run": other} if trained else values_of("descriptor", other)
-            chosen = DescriptorChoice.of(values)
-            coarse_label = f"network-{real_path(other).name}" if trained else chosen.title
+            chosen, coarse_label = self._other(other)
             coarse = maps.build(self.make_descriptor(chosen), images, known.frames, distance=self.distance)
         if (known if coarse is None else coarse).aligned and settings.coarse.by == "representatives":
             raise ConfigError(
@@ -156,32 +205,27 @@ class Evaluate(RunJob):
                 "task.coarse.by=vote, or another task.coarse.descriptor"
             )
         built, _ = self._layer(say, known if coarse is None else coarse, coarse_label)
-        by = [] if settings.coarse.by == "representatives" else [settings.coarse.by]
-        name = "-".join(dict.fromkeys([label, coarse_label, self.build.title, *by]))
-        result = evaluation.hierarchical(
-            known, images, roles["query"], built, coarse_map=coarse, name=name, settings=settings, **common
+        return evaluation.hierarchical(
+            known, images, roles["query"], built, coarse_map=coarse, name=self._layered, settings=settings, **common
         )
-        return f"hierarchical-{name}", result
 
-    def _mapping(self, say: Say, settings: MapMeasures) -> tuple[str, Result]:
+    def _mapping(self, say: Say, settings: MapMeasures) -> Result:
         known, _, _ = self._known(say)
         built, folder = self._layer(say, known, self.label)
         result = evaluation.mapping(known, built, name=f"{self.build.title} over {self.label}", settings=settings)
-        return f"mapping-{self.label}-{self.build.title}", replace(result, layer=folder)
+        return replace(result, layer=folder)
 
-    def _compact(self, say: Say, task: Any, settings: Compact, common: Mapping[str, Any]) -> tuple[str, Result]:
+    def _compact(self, say: Say, task: Any, settings: Compact, common: Mapping[str, Any]) -> Result:
         known, images, roles = self._known(say, "query")
-        name, other, clusters = self.label, task.clusters, None
+        other, clusters = task.clusters, None
         if other is not None and other != self.descriptor.title:
-            name = f"{name}-by-{other}"
             chosen = DescriptorChoice.of(values_of("descriptor", other))
             clusters = maps.build(self.make_descriptor(chosen), images, known.frames)
-        result = evaluation.compact(
-            known, images, roles["query"], clusters=clusters, name=name, settings=settings, **common
+        return evaluation.compact(
+            known, images, roles["query"], clusters=clusters, name=self._grouped, settings=settings, **common
         )
-        return f"compact-{name}", result
 
-    def _buildings(self, say: Say, task: BuildingsTask, common: Mapping[str, Any]) -> tuple[str, Result]:
+    def _buildings(self, say: Say, task: BuildingsTask, common: Mapping[str, Any]) -> Result:
         label = self.label
         if task.maps is None:
             known, images, roles = self._known(say, "query")
@@ -200,8 +244,7 @@ class Evaluate(RunJob):
                 layers[building] = maps.group(part, folder=folder, **self.way).layer
                 self.here.record_written(files_in(folder))
             label = f"{label}-{self.build.title}"
-        result = evaluation.buildings(candidates, images, roles["query"], layers=layers, name=label, **common)
-        return f"buildings-{label}", result
+        return evaluation.buildings(candidates, images, roles["query"], layers=layers, name=label, **common)
 
     def _known(self, say: Say, *roles: str) -> tuple[VisualMap, PanoramaLibrary, dict[str, FrameTable]]:
         """Return the saved map, or one made from the configured frames, with the frames of some roles.

@@ -205,3 +205,21 @@ def test_what_cannot_be_done_is_said_before_anything_is_written(given, says, tmp
     assert main([word.format(file=file, data=data) for word in given]) == 2
     assert says in capsys.readouterr().err
     assert not data.exists()
+
+
+def test_results_of_other_queries_are_not_replaced_in_silence(manifest, tmp_path, capsys):
+    given = ["evaluate", *words(manifest, "descriptor=thumbnail", f"run={tmp_path / 'run'}", "task.plots=false")]
+    path = tmp_path / "run/evaluation/thumbnail/results.json"
+    assert main(given) == 0
+    assert main(given) == 0  # the same again
+    before = path.read_bytes()
+    other = [*given, "protocol.query.every=2"]
+    capsys.readouterr()
+    assert main(other) == 2
+    assert "holds results of other frames (protocol.*)" in capsys.readouterr().err
+    assert path.read_bytes() == before
+    assert main([*other, f"out={tmp_path / 'half'}"]) == 0
+    assert path.read_bytes() == before
+    assert (tmp_path / "half/results.json").is_file()
+    assert main([*other, "overwrite=true"]) == 0
+    assert path.read_bytes() != before
