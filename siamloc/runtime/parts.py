@@ -15,6 +15,7 @@ from siamloc.files import file_hash
 
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that any part may have, and for each of its bytes in the archive
 _DAMAGE = (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+_IN_MEMORY = 1_000_000_000  # bytes of the largest part that is read as a whole
 _FOLDER = re.compile(r"(?!\.{1,2}/)[^/\\:]+/|")  # the top of an archive, or one folder with a plain name
 
 
@@ -48,9 +49,11 @@ class Folder:
         """Return the content of a file.
 
         Raises:
-            FormatError: it cannot be read.
+            FormatError: it cannot be read, or is longer than a bundle's.
         """
         try:
+            if (size := self.size(name)) > _IN_MEMORY:
+                raise FormatError(f"{self.path / name} has {size:,} bytes, more than a bundle's: export again")
             return (self.path / name).read_bytes()
         except OSError as error:
             raise FormatError(f"{self.path / name} cannot be read ({error.strerror}): export again") from error
