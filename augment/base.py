@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
@@ -26,7 +26,7 @@ Params = dict[str, Tensor]
 Numbers = dict[str, NDArray[np.float64]]
 """Numbers by name, (B,) or (k, B): one for each of B frames, or k of them."""
 
-_FARTHEST = 1e6  # larger than any column, row or angle that makes sense
+_FARTHEST = 1e7  # larger than any column, row or angle that makes sense
 _ROUNDING = 1e-5  # relative, of values that were drawn in float32 from the logarithm
 
 
@@ -104,7 +104,7 @@ class Program(NamedTuple):
     Attributes:
         numbers: (P,) float32, the coefficients of all steps, one after the other.
         frames: (F,) int64, the frames of all steps.
-        steps: for each step the number of its effect in `Effect.renderers`, the number of its frames, and name and
+        steps: for each step the number of its effect in `Effect.effects`, the number of its frames, and name and
             length of each of its coefficients.
     """
 
@@ -305,22 +305,22 @@ class Effect(ABC):
             parts = mine.view(-1, count).split(lengths)
             values = {name: part.T[..., None, None] for (name, _), part in zip(names, parts, strict=True)}
             some = out if count == len(out) else out.index_select(0, taken)
-            some = self.renderers[number].render(some, values)
+            some = self.effects[number].renderer.render(some, values)
             # Every effect gives whole levels, as in main memory: the next one may make a thousandth visible.
             some = torch.fake_quantize_per_tensor_affine(some, 1 / 255, 0, 0, 255) if coded else some.clamp_(0, 1)
             out = some if count == len(out) else out.index_copy_(0, taken, some)
         return out.mul_(255).round_().to(torch.uint8) if coded else out
 
     def parts(self, params: Mapping[str, Tensor]) -> list[tuple[Effect, Params, NDArray[np.bool_]]]:
-        """Return the single effects in their order, their parameters, and which frames (B,) each of them changes."""
+        """Return the effects, the parameters of each, and which frames (B,) each of them changes."""
         return [(self, dict(params), self.active(params))]
 
     @property
-    def renderers(self) -> Sequence[Effect]:
-        """The effects whose `render` the steps of a program call, one for each of the parts."""
-        return (self.renderer,)
+    def effects(self) -> tuple[Effect, ...]:
+        """The single effects in their order."""
+        return (self,)
 
-    @property
+    @cached_property
     def renderer(self) -> Effect:
         """The effect that renders this one; effects that share one are rendered together."""
         return self
@@ -488,10 +488,7 @@ def _tables(ranges: tuple[Range, ...]) -> tuple[Tensor, Tensor, Tensor, tuple[bo
 
 def _ends(span: Range) -> tuple[float, float]:
     """Return the smallest and the largest value of a parameter that `apply` accepts."""
-    return (
-        span.minimum if math.isfinite(span.minimum) else -_FARTHEST,
-        span.maximum if math.isfinite(span.maximum) else _FARTHEST,
-    )
+    return max(span.minimum, -_FARTHEST), min(span.maximum, _FARTHEST)
 
 
 def check_shape(batch: Tensor) -> None:

@@ -87,8 +87,9 @@ class Policy(Effect):
         self.slots: tuple[Step, ...] = tuple(step for step in _walk(self.tree) if step.effect is not None)
         self._inner = [step for step in _walk(self.tree) if step.probability < 1]
         self._choices = [step for step in _walk(self.tree) if step.kind == "one_of"]
-        self._renderers = tuple(inner.renderer for inner in self.effects)
-        self.stages = _stages(self.tree, [(type(one), repr(one.options)) for one in self._renderers])
+        self._prefixed = [(step.name, step.effect) for step in self.slots if step.effect is not None]
+        renderers = [inner.renderer for inner in self.effects]
+        self.stages = _stages(self.tree, [(type(one), repr(one.options)) for one in renderers])
 
     def __repr__(self) -> str:
         return f"Policy({self.name!r}, {len(self.slots)} slots)"
@@ -96,20 +97,20 @@ class Policy(Effect):
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The effects by slot."""
-        return tuple(step.effect for step in self.slots if step.effect is not None)
+        return tuple(inner for _, inner in self._prefixed)
 
     def places(self, height: int, width: int) -> dict[str, Range]:
         """The parameters of all slots, and one number for each decision."""
         spans = {f"gate{number}": _UNIT for number in range(len(self._inner))}
         spans.update({f"choice{number}": _UNIT for number in range(len(self._choices))})
-        for prefix, inner in self._prefixed():
+        for prefix, inner in self._prefixed:
             spans.update({f"{prefix}.{key}": span for key, span in inner.spans(height, width).items()})
         return spans
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
         """The parameters once the decisions are made."""
         spans = {}
-        for prefix, inner in self._prefixed():
+        for prefix, inner in self._prefixed:
             spans[f"{prefix}.on"] = _TAKEN
             spans.update({f"{prefix}.{key}": span for key, span in inner.limits(height, width).items()})
         return {**spans, "heading": Range(0, 0)}
@@ -119,7 +120,7 @@ class Policy(Effect):
         taken = self._decide(params, count)
         done: Params = {}
         heading = torch.zeros(count)
-        for slot, (prefix, inner) in enumerate(self._prefixed()):
+        for slot, (prefix, inner) in enumerate(self._prefixed):
             own = {key: params[f"{prefix}.{key}"] for key in inner.spans(height, width)}
             own = inner.complete(own, count, height, width)
             done[f"{prefix}.on"] = taken[slot]
@@ -131,7 +132,7 @@ class Policy(Effect):
     def at(self, strength: float, batch: Tensor) -> Params:
         """Return the parameters of every effect at one strength. See `Effect.at`."""
         params = super().at(strength, batch)
-        for prefix, _ in self._prefixed():
+        for prefix, _ in self._prefixed:
             params[f"{prefix}.on"] = torch.ones(len(batch), dtype=torch.bool, device="cpu")
         return params
 
@@ -165,11 +166,6 @@ class Policy(Effect):
             parts.append((inner, own, on & inner.active(own) if on.any() else on))
         return parts
 
-    @property
-    def renderers(self) -> Sequence[Effect]:
-        """The renderer of each slot."""
-        return self._renderers
-
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Not called: the steps of a policy are its effects."""
         raise NotImplementedError
@@ -182,11 +178,6 @@ class Policy(Effect):
             if prefix:
                 owns[prefix][name] = value
         return list(owns.values())
-
-    def _prefixed(self) -> Iterator[tuple[str, Effect]]:
-        for step in self.slots:
-            if step.effect is not None:
-                yield step.name, step.effect
 
     def _decide(self, params: Params, count: int) -> list[Tensor]:
         """Return for each slot which frames got it (B,)."""

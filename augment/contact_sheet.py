@@ -35,7 +35,6 @@ class _Shot:
     caption: str
     params: dict[str, float]
     options: dict[str, Any]
-    strength: float = 1.0
 
 
 def preview(batch: Tensor, columns: int = _COLUMNS, cell: int = _CELL) -> Picture:
@@ -138,7 +137,7 @@ def _spots(form: dict[str, float]) -> list[_Shot]:
 
 def _shoot(name: str, shot: _Shot, frame: Tensor) -> Tensor:
     built = effect(name, **shot.options)
-    params = built.at(shot.strength, frame)
+    params = built.at(1, frame)
     if "row" in params and "column" in params:
         row, column = _plain_place(frame[0], 110 if shot.options["tone"] == "light" else 170)
         if "column" in shot.params:  # moves the surface to the column where the spot will be

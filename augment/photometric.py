@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import cv2
@@ -41,7 +41,7 @@ class Tone(PointEffect):
 
     name = "tone"
 
-    @property
+    @cached_property
     def renderer(self) -> Effect:
         """The common formula."""
         return Tone() if type(self).curve is Tone.curve else self
@@ -241,8 +241,8 @@ def _look_up(table: NDArray[np.uint8], frame: Frame) -> None:
     if len(table) == 1:
         cv2.LUT(flat(frame), table[0], dst=flat(frame))
         return
-    for channel in range(3):
-        cv2.LUT(frame[channel], table[channel], dst=frame[channel])
+    for channel, levels in zip(frame, table, strict=True):
+        cv2.LUT(channel, levels, dst=channel)
 
 
 def _scale(factor: float, offset: float, frame: Frame) -> None:
@@ -260,12 +260,8 @@ def _equalize(strength: float, frame: Frame) -> None:
     for channel in range(3):
         counts = cv2.calcHist([frame[channel]], [0], None, [256], [0, 256]).ravel().astype(np.int64)
         step = (counts.sum() - counts[np.flatnonzero(counts)[-1]]) // 255
-        if step == 0:
-            tables[channel] = levels
-            continue
-        before = np.concatenate([[0], counts.cumsum()[:-1]])
-        table = np.minimum((before + step // 2) // step, 255)
-        tables[channel] = np.rint(levels + strength * (table - levels))
+        table = np.minimum((counts.cumsum() - counts + step // 2) // max(step, 1), 255)
+        tables[channel] = np.rint(levels + strength * (step > 0) * (table - levels))
     _look_up(tables, frame)
 
 

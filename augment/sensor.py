@@ -123,8 +123,5 @@ def _add_noise(variance: float, first: int, second: int, column: int, frame: Fra
 def _compress(quality: int, strength: float, frame: Frame) -> None:
     packed = cv2.imencode(".jpg", cv2.merge(list(frame[::-1])), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     planes = cv2.split(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR)))[::-1]
-    for channel in range(3):
-        if strength == 1:
-            frame[channel] = planes[channel]
-        else:
-            cv2.addWeighted(frame[channel], 1 - strength, planes[channel], strength, 0, dst=frame[channel])
+    for channel, plane in zip(frame, planes, strict=True):
+        channel[:] = plane if strength == 1 else cv2.addWeighted(channel, 1 - strength, plane, strength, 0)

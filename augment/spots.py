@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from functools import cached_property
 from math import ceil, floor
 from typing import Any, ClassVar
 
@@ -44,17 +45,13 @@ class Spot(Layer):
 
     def __init__(self, **params: Any) -> None:
         super().__init__(**params)
-        if self.options["tone"] not in TONES:
-            raise AugmentError(f"unknown tone {self.options['tone']!r} of {self.name}: {hint(self.tone, TONES)}")
-
-    @property
-    def tone(self) -> str:
-        """Light, dark or any."""
-        return str(self.options["tone"])
+        tone = self.options["tone"]
+        if tone not in TONES:
+            raise AugmentError(f"unknown tone {tone!r} of {self.name}: {hint(tone, TONES)}")
 
     def places(self, height: int, width: int) -> dict[str, Range]:
         """Centre and tone: 1 light, 0 dark."""
-        low, high, neutral = {"light": (1, 1, None), "dark": (0, 0, None), "any": (0, 1, 0.5)}[self.tone]
+        low, high, neutral = {"light": (1, 1, None), "dark": (0, 0, None), "any": (0, 1, 0.5)}[self.options["tone"]]
         return {
             "column": Range(0, width - 1, whole=True),
             "row": Range(0, height - 1, whole=True),
@@ -65,7 +62,7 @@ class Spot(Layer):
         """Return name and tone of each frame's spot."""
         return [f"{self.name} {'light' if light else 'dark'}" for light in params["light"].tolist()]
 
-    @property
+    @cached_property
     def renderer(self) -> Effect:
         """The shapes of this module, in one formula."""
         return _AnySpot(circular=self.circular) if type(self) in (Bulb, Square, Trapezoid) else self
