@@ -18,6 +18,7 @@ from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.files import atomic_folder, atomic_path, file_hash, plain, read_json, scratch_folder, write_json
 from siamloc.maps import Built, CoarseLayer, LayerSearch, VisualMap, match
+from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import PRECISIONS, Precision
 from siamloc.runtime.bundle import (
@@ -58,7 +59,7 @@ _TRIED = 3  # number of panoramas that a bundle must describe as the original do
 
 @typed
 def export(
-    described_by: nn.Module | Descriptor,
+    described_by: nn.Module | Descriptor | str,
     known: VisualMap | None,
     folder: str | Path,
     *,
@@ -80,7 +81,8 @@ def export(
 
     Args:
         described_by: the network or descriptor: a module (B, 3, H, W) -> (B, D), `siamloc.models.as_descriptor` of one,
-            or an analytic descriptor, which the robot computes with numpy and OpenCV.
+            or an analytic descriptor, which the robot computes with numpy and OpenCV; for the descriptor of the map its
+            name is enough, as for `siamloc.maps.build`.
         known: its map; None for a network alone, which only describes images. If the map has a heading part, the robot
             gets headings.
         folder: where to write the bundle; a name that ends in .zip becomes one archive.
@@ -114,7 +116,8 @@ def export(
     folder = Path(folder).absolute()
     precision = checked(precision, Literal["float32", "float16", "int8", "auto"], "precision")
     _check_replaceable(folder)
-    given = described_by if isinstance(described_by, Descriptor) else as_descriptor(described_by, None)
+    circular = known is None or bool(known.identity.get("circular", True))
+    given = descriptor_from(described_by, circular=circular, device=None)
     _check_exportable(given, known)
     identity, parameters = _described_alike(given, known, preprocessing)
     _check_learned(known, errors, refinement)
