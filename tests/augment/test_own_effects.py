@@ -1,5 +1,7 @@
 """Effects that users write: one formula, or less, is enough for every device and dtype."""
 
+import re
+from pathlib import Path
 from typing import ClassVar
 
 import pytest
@@ -73,6 +75,16 @@ def test_8_bit_and_float_follow_the_formula(kind):
     assert float((bits - exact).abs().max()) <= 0.5 + 1e-3
     assert (bits - batch).abs().amax(dim=(1, 2, 3)).min() > 5
     assert torch.equal(effect.apply(batch, effect.at(0, batch)), batch)
+
+
+def test_the_effect_of_the_guide_works():
+    guide = (Path(__file__).parents[2] / "docs/guide/augmentation.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(import torch\nfrom augment.base.*?)\n\n\nsiamloc", guide, flags=re.DOTALL)
+    names = {}
+    exec(code, names)
+    effect, batch = names["Fade"](strength=(0.2, 0.5)), panoramas(3)
+    spread = batch.float().std(dim=1).mean()
+    assert effect(batch, generator()).float().std(dim=1).mean() < 0.9 * spread
 
 
 def test_an_effect_without_parameters_is_refused():
