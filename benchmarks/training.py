@@ -10,16 +10,11 @@ other programs disturb them least; with more than one thread they include thread
 trained with and without keeping memory from step to step (`siamloc.memory`), in CPU time. The file keeps a row for
 each processor.
 
-With a GPU, VGG16 is also trained on batches of 128 pairs in bfloat16. Targets: 35 % of the rate at which the card
-multiplies matrices in bfloat16, measured in the same run, and less than 5 % of the time spent waiting for data. With
-`--data`, the recipe `modern` is trained on a building there, too. Target: less than 60 s. Without a GPU, the file says
-so.
+`benchmarks.gpu` measures training on a GPU.
 
 The image files are drawn in a temporary folder.
 
     python -m benchmarks.training
-    siamloc simulate camera=panorama out=data
-    python -m benchmarks.training --data data/freiburg_like
     python -m benchmarks.training --images 64 --steps 1 --repeats 1 --out /tmp/try  # a trial
 """
 
@@ -49,7 +44,6 @@ from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.memory import kept_memory
 from siamloc.models import ContrastiveLoss
 from siamloc.training import PairSampler, PairSettings
-from siamloc.training.pace import Pace
 from siamloc.training.trainer import debug_trainer
 
 ensure_torchvision()
@@ -57,9 +51,8 @@ from lightning.pytorch import Callback  # noqa: E402
 
 SIZE = (128, 512)
 PAIRS = PairSettings(label="room", same_room_share=0.5)
-CPU_PAIRS, GPU_PAIRS = 32, 128
-LEAST_OF_BARE, LEAST_SHARE, MOST_WAITING, MOST_SECONDS = 0.9, 0.35, 0.05, 60.0
-NO_GPU = "no GPU"
+CPU_PAIRS = 32
+LEAST_OF_BARE = 0.9
 SKIPPED = 2  # first steps, in which memory is allocated
 
 
@@ -69,7 +62,6 @@ def main() -> None:
     arguments.add_argument("--images", type=int, default=512, help="number of JPEG files to draw (default 512)")
     arguments.add_argument("--steps", type=int, default=8, help="steps per measurement (default 8)")
     arguments.add_argument("--repeats", type=int, default=3, help="measurements of each, for the median (default 3)")
-    arguments.add_argument("--data", type=Path, help="folder of a rendered building, for the recipe on a GPU")
     options = arguments.parse_args()
     report = Report("training", options.out, ("pillow", "torchvision"))
     figures: dict[str, Any] = {"image_size": list(SIZE), "pairs": CPU_PAIRS, "network": "alexnet + fc500_500_5"}
@@ -80,7 +72,7 @@ def main() -> None:
         for number in range(options.repeats):
             run = Path(temporary) / f"cpu{number}"
             steps["published style"] += published_style(frames, options.steps)
-            ours(images, run, "alexnet", CPU_PAIRS, options.steps, {"accelerator": "cpu"}, steps["ours"])
+            steps["ours"] += ours(images, run, "alexnet", options.steps)
             steps["bare loop"] += bare_loop(images, options.steps)
         found = {name: rates(each) for name, each in steps.items()}
         for name, one in found.items():
@@ -96,13 +88,6 @@ def main() -> None:
         row = {"precision": precision(), "instructions": instructions(), **found, "ratio": ratio}
         row |= {"share_of_bare_loop": of_bare, "memory": memory(images, Path(temporary), options)}
         figures["rows"] = report.kept({hardware()["cpu"]: row})
-        if torch.cuda.is_available():
-            figures["gpu"] = on_gpu(report, images, Path(temporary), options.steps)
-            if options.data is not None:
-                figures["gpu"]["recipe"] = recipe_on_gpu(report, options.data, Path(temporary))
-        else:
-            figures["gpu"] = NO_GPU
-            print("no GPU here: neither the rate of VGG16 in bfloat16 nor the time of the recipe was measured")
     print(hardware()["cpu"])
     report.write(figures)
 
@@ -220,34 +205,21 @@ def bare_loop(images: PanoramaLibrary, steps: int) -> list[Mark]:
     return steps_between(marks)
 
 
-def ours(
-    images: PanoramaLibrary,
-    run: Path,
-    branch: str,
-    pairs: int,
-    steps: int,
-    trainer: dict[str, Any],
-    seconds: list[Mark] | None = None,
-) -> dict[str, float]:
-    """Train with `siamloc.training.fit`, and return the images per second and the share of time spent waiting.
-
-    The seconds of the steps are appended to `seconds`.
-    """
+def ours(images: PanoramaLibrary, run: Path, branch: str, steps: int) -> list[Mark]:
+    """Train with `siamloc.training.fit`, and return the seconds of the steps."""
     network = siamloc.models.build(branch, "fc500_500_5", SIZE)
-    pace, ends = Pace(), _Ends()
+    ends = _Ends()
     siamloc.training.fit(
         network,
         images,
         images.frames,
         run=run,
         epochs=1,
-        batch_size=pairs,
-        pairs=PairSettings(**{**PAIRS.plain(), "epoch_pairs": (steps + SKIPPED) * pairs}),
-        trainer={"precision": "auto", "callbacks": [pace, ends], **trainer},
+        batch_size=CPU_PAIRS,
+        pairs=PairSettings(**{**PAIRS.plain(), "epoch_pairs": (steps + SKIPPED) * CPU_PAIRS}),
+        trainer={"accelerator": "cpu", "precision": "auto", "callbacks": [ends]},
     )
-    if seconds is not None:
-        seconds += steps_between(ends.marks)
-    return {"images_per_second": pace.images_per_second, "waiting": pace.waiting}
+    return steps_between(ends.marks)
 
 
 def memory(images: PanoramaLibrary, folder: Path, options: Namespace) -> dict[str, Any]:
@@ -257,9 +229,7 @@ def memory(images: PanoramaLibrary, folder: Path, options: Namespace) -> dict[st
         for name, context in (("kept", kept_memory), ("given back", nullcontext)):
             with mock.patch("siamloc.training.fitting.kept_memory", context):
                 before = resource.getrusage(resource.RUSAGE_SELF)
-                ours(
-                    images, folder / f"{name}{number}", "simple1", CPU_PAIRS, 2 * options.steps, {"accelerator": "cpu"}
-                )
+                ours(images, folder / f"{name}{number}", "simple1", 2 * options.steps)
                 after = resource.getrusage(resource.RUSAGE_SELF)
             found[name].append(
                 {"program": after.ru_utime - before.ru_utime, "system": after.ru_stime - before.ru_stime}
@@ -267,50 +237,6 @@ def memory(images: PanoramaLibrary, folder: Path, options: Namespace) -> dict[st
     seconds = {name: statistics.median(sum(one.values()) for one in each) for name, each in found.items()}
     print(f"simple1: {seconds['kept']:.1f} s of CPU time, {seconds['given back']:.1f} s if memory is given back")
     return {**found, "ratio": seconds["given back"] / seconds["kept"]}
-
-
-def on_gpu(report: Report, images: PanoramaLibrary, folder: Path, steps: int) -> dict[str, Any]:
-    """Measure VGG16, and the rate at which the card multiplies matrices."""
-    from torch.utils.flop_counter import FlopCounterMode
-
-    network = siamloc.models.build("vgg16", "fc500_500_5", SIZE).cuda()
-    with FlopCounterMode(display=False) as counter:
-        network(torch.rand(2, 3, *SIZE, device="cuda")).sum().backward()
-    per_image = counter.get_total_flops() / 2
-    del network
-    found = ours(images, folder / "gpu", "vgg16", GPU_PAIRS, 20 * steps, {"accelerator": "gpu"})
-    card = matrix_rate()
-    share = found["images_per_second"] * per_image / card
-    print(f"vgg16: {found['images_per_second']:.0f} images/s, {share:.1%} of {card / 1e12:.0f} TFLOP/s")
-    report.target(f"GPU: {LEAST_SHARE:.0%} of the matrix rate ({share:.1%})", share >= LEAST_SHARE)
-    waiting = found["waiting"]
-    report.target(f"GPU: less than {MOST_WAITING:.0%} waiting ({waiting:.1%})", waiting < MOST_WAITING)
-    return {**found, "flops_per_image": per_image, "matrix_flops_per_second": card, "share": share}
-
-
-def recipe_on_gpu(report: Report, data: Path, folder: Path) -> dict[str, Any]:
-    """Train the recipe `modern` on the building, and return the time, including compilation and validations."""
-    from benchmarks.building import Building
-    from benchmarks.recipes import RECIPE, trained
-
-    found = trained(Building(data, RECIPE.image_size), "ours", 0, folder / "recipe")
-    seconds = 60 * found["minutes"]
-    report.target(f"GPU: the recipe in less than {MOST_SECONDS:.0f} s ({seconds:.0f} s)", seconds < MOST_SECONDS)
-    return found
-
-
-def matrix_rate() -> float:
-    """Return the floating point operations per second of the card in a product of two large bfloat16 matrices."""
-    side, repeats = 8192, 20
-    left, right = (torch.randn(side, side, device="cuda", dtype=torch.bfloat16) for _ in range(2))
-    times = []
-    for _ in range(repeats):
-        torch.cuda.synchronize()
-        begin = time.monotonic()
-        left @ right
-        torch.cuda.synchronize()
-        times.append(time.monotonic() - begin)
-    return 2 * side**3 / statistics.median(times)
 
 
 if __name__ == "__main__":
