@@ -75,17 +75,6 @@ class SoftContrastiveLoss(ScheduledLoss):
                 cost = cost - (mates * told).sum(dim=1)
             return (cost * counts).sum() / counts.sum().clamp(min=1)
 
-    def lowest(self, origins: Origins) -> float:
-        """Return the smallest loss possible for images from there: descriptors exactly as similar as the target."""
-        itself = torch.eye(len(origins.frame), dtype=torch.bool, device=origins.xy.device)
-        near, mates, unknown = self._wanted(origins, itself)
-        counts = (near + mates).sum(dim=1) > 0
-        # The shares within known rooms, within the others, and between the two groups can be chosen independently.
-        known, others = near.masked_fill(unknown, 0), near * unknown
-        either = torch.stack([known.sum(dim=1), others.sum(dim=1)], dim=1)
-        lowest = sum(_entropy(weights) for weights in (known + mates, others, either))
-        return float(lowest / counts.sum().clamp(min=1))
-
     def positives(self, origins: Origins) -> Tensor:
         """Return (N, N) bool: True where two different frames should be similar, however little."""
         near, mates, _ = self._wanted(origins, origins.frame[:, None] == origins.frame[None])

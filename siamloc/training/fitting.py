@@ -51,7 +51,6 @@ from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, ValidationDrive, rooms_of
 from siamloc.training.run_folder import (
     KEPT,
-    check_debug,
     check_folder,
     check_same_training,
     monitor_of,
@@ -111,10 +110,9 @@ def fit(
             in `trainer`.
         overwrite: replace a run: files that siamloc wrote into the folder are removed, all other files stay.
         protocol: roles of the data, as plain values, recorded for reference; the sequences of the frames if None.
-        debug: inspect the training instead, and leave the network unchanged: "one_batch" makes a single step, and
-            reports its shapes, figures and times; "overfit" trains on one batch only, and reports whether the loss
-            goes down as it should; "profile" reports where the time of a step goes, and writes a trace into the run.
-            Nothing else is written.
+        debug: look at the training instead, and leave the network and the run unchanged: "one_batch" makes one step
+            and describes one validation batch; "overfit" trains on one batch only, and says whether the loss goes
+            down; "profile" says where the time of some steps goes.
         settings: all fields of `Training` together, instead of one keyword each: epochs, batch_size, seed, workers,
             pairs, optimizer, and all others.
 
@@ -149,7 +147,8 @@ def fit(
     first = process_rank() == 0
     debug = checked(debug, Debug | None, "debug")
     if debug is not None:
-        check_debug(run, debug, resume)
+        if resume:
+            raise ConfigError(f"debug={debug} looks at a training from its start: leave out resume=true")
     elif first:
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
@@ -183,7 +182,7 @@ def fit(
         _wake(network)
         with quiet(), computing(module, settings, used["trainer"]["precision"], faster), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
-            debug_training(debug, module, data, run, used, partial(debug_trainer, {**clip, **(trainer or {})}))
+            debug_training(debug, module, data, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
     learn(
         module,

@@ -31,9 +31,6 @@ _ROLES = {"train": "training", "validation": "validation"}
 KEPT = "bad_batch*.npz"
 """Files of a run with the batch that stopped a training."""
 
-
-PROFILE = "profile.json"
-"""Trace of some steps, written by `debug=profile`."""
 EPOCH_SUMS = "epoch_sums"
 """Key in a checkpoint within an epoch: the sums of each process since the epoch began."""
 
@@ -48,7 +45,7 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
     if resume and overwrite:
         raise ConfigError("resume=true continues a run, overwrite=true removes it: choose one")
     if run.record.is_file():
-        if not resume and not overwrite and not _only_profiled(run):
+        if not resume and not overwrite:
             raise ConfigError(
                 f"{run.folder} holds a run already: go on with it by resume=true, replace it by overwrite=true, "
                 "or choose another run="
@@ -62,7 +59,7 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
         )
     elif run.folder.exists() and not run.folder.is_dir():
         raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
-    kept = [path.name for pattern in (KEPT, PROFILE) for path in run.folder.glob(pattern)]
+    kept = [path.name for path in run.folder.glob(KEPT)]
     foreign = run.foreign([*names_written(validated=True), *kept])
     if foreign:
         raise ConfigError(
@@ -74,19 +71,6 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
 def _others(run: Run) -> list[str]:
     """Return the contents of a folder, except leftovers of a process that was killed right at the start of a run."""
     return sorted(path.name for path in run.folder.iterdir() if not is_temporary(path) and path.name != LOCK)
-
-
-def check_debug(run: Run, debug: str, resume: bool) -> None:
-    """Refuse to debug a resumed training, and to write a profile over anything that is not a run."""
-    if resume:
-        raise ConfigError(f"debug={debug} looks at a training from its start: leave out resume=true")
-    if debug == "profile":
-        check_folder(run, resume=False, overwrite=run.record.is_file())
-
-
-def _only_profiled(run: Run) -> bool:
-    """Whether a run holds nothing but the trace of `debug=profile`."""
-    return set(run.load_record()["written"]) == {PROFILE}
 
 
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
@@ -186,9 +170,7 @@ def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool
         run.start(used, [*written, *(name for name in names_written(validated=validated) if name not in written)])
     else:
         names = names_written(validated=validated)
-        if run.record.is_file() and _only_profiled(run):
-            names.append(PROFILE)
-        elif run.record.is_file():
+        if run.record.is_file():
             run.clear()
         run.start(used, names)
 
