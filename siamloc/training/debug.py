@@ -19,6 +19,7 @@ from siamloc.training.guard import unscaled
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.profilers import SimpleProfiler  # noqa: E402
+from lightning.pytorch.utilities.model_summary import ModelSummary  # noqa: E402
 
 Debug = Literal["overfit", "one_batch", "profile"]
 _STEPS = {"overfit": 100, "profile": 20}
@@ -67,10 +68,11 @@ def debug_training(
 def _one_batch(module: NetworkModule, data: EpochDataModule, make_trainer: Callable[..., Trainer]) -> None:
     losses = _Losses()
     limits = {"limit_train_batches": 1, "limit_val_batches": int(bool(data.val_dataloader()))}
-    trainer = make_trainer(callbacks=[losses], max_epochs=1, enable_model_summary=True, **limits)
+    trainer = make_trainer(callbacks=[losses], max_epochs=1, **limits)
     trainer.fit(module, datamodule=data)
     found = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
     figures = [f"{name} {value:.4g}" for name, value in found.items()]
+    _say(trainer, str(ModelSummary(module, max_depth=2)))
     _say(trainer, f"one batch, nothing is kept: {', '.join([f'loss {losses.losses[0]:.4g}', *figures])}")
 
 
