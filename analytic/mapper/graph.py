@@ -95,8 +95,8 @@ def loops(labels: NDArray[np.int64], matches: NDArray[np.int64]) -> list[tuple[i
         matches: (n,) most similar earlier frame of each, -1 for none.
     """
     assigned = labels >= 0
-    last = np.maximum.accumulate(np.where(assigned, np.arange(len(labels)), -1)) if len(labels) else labels
-    before = np.concatenate([[-1], last[:-1]]) if len(labels) else labels
+    last = np.maximum.accumulate(np.where(assigned, np.arange(len(labels)), -1))
+    before = np.append(-1, last)[:-1]
     turns = np.cumsum(assigned & (before >= 0) & (labels != labels[before]))
     found = np.flatnonzero(assigned & (matches >= 0))
     found = found[(labels[matches[found]] == labels[found]) & (turns[matches[found]] < turns[found])]

@@ -123,10 +123,8 @@ class IncrementalMapper:
             AnalyticError: a map that is read-only; a description of several images, of another descriptor, of another
                 size or with values that are not finite; a frame that is not plain; a log that cannot be written.
         """
-        self._check_extendable()
-        description = self._checked(description, 1)
-        pose = _plain(frame)
-        draft = self._state.copy()
+        description = self._checked(description, 1, extending=True)
+        pose, draft = _plain(frame), self._state.copy()
         with one_thread():
             decision = step(draft, self.descriptor, description)
         self._commit(draft, decision, [pose])
@@ -143,8 +141,7 @@ class IncrementalMapper:
         Raises:
             AnalyticError: an unknown node, too few images, and what `add` raises.
         """
-        self._check_extendable()
-        descriptions = self._checked(descriptions, None)
+        descriptions = self._checked(descriptions, None, extending=True)
         if not isinstance(node, (int, np.integer)) or node not in self._state.nodes:
             raise AnalyticError(f"the map has no node {node!r}: it has {sorted(self._state.nodes)}")
         count = len(descriptions)
@@ -204,18 +201,16 @@ class IncrementalMapper:
             AnalyticError: a path that cannot be read, a file that is cut short, not a map or of a newer version, a
                 descriptor other than the map's, or none for a map whose descriptor is not in `analytic.DESCRIPTORS`.
         """
-        stored = storage.load(path)
-        descriptor = descriptor or storage.descriptor_of(stored.identity, path)
-        if json.loads(json.dumps(descriptor.identity, default=str)) != stored.identity:
+        state, poses, identity, lines = storage.load(path)
+        descriptor = descriptor or storage.descriptor_of(identity, path)
+        if json.loads(json.dumps(descriptor.identity, default=str)) != identity:
             raise AnalyticError(
-                f"the map {path} was made with the descriptor {stored.identity}, not with {descriptor.identity}: "
-                "give the map's own"
+                f"the map {path} was made with the descriptor {identity}, not with {descriptor.identity}: give the "
+                "map's own"
             )
-        mapper = cls(descriptor, **asdict(stored.state.rules))
+        mapper = cls(descriptor, **asdict(state.rules))
         mapper.extendable = extend
-        mapper._state = stored.state
-        mapper._poses = stored.poses
-        mapper._log = EventLog(stored.lines, log)
+        mapper._state, mapper._poses, mapper._log = state, poses, EventLog(lines, log)
         return mapper
 
     def _commit(self, draft: State, decision: Decision, poses: list[Any]) -> None:
@@ -225,14 +220,12 @@ class IncrementalMapper:
         self._poses[len(self) :] = poses
         self._state = draft
 
-    def _check_extendable(self) -> None:
-        if not self.extendable:
+    def _checked(self, description: Description, count: int | None, extending: bool = False) -> Description:
+        """Check a description and return a copy that the map can keep, without an orientation part that is not used."""
+        if extending and not self.extendable:
             raise AnalyticError(
                 "this map was loaded for queries and is read-only: load it with extend=True to add frames"
             )
-
-    def _checked(self, description: Description, count: int | None) -> Description:
-        """Check a description and return a copy that the map can keep, without an orientation part that is not used."""
         if not isinstance(description, Description):
             raise AnalyticError(
                 f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"
@@ -266,9 +259,10 @@ class IncrementalMapper:
                 )
         self.descriptor.check(description, description)
         turns = self.parameters.orientation and getattr(self.descriptor, "circular", True)
-        orientation = description.orientation if turns else None
         kept = Description(
-            description.position.copy(), None if orientation is None else orientation.copy(), description.identity
+            description.position.copy(),
+            description.orientation.copy() if turns and description.orientation is not None else None,
+            description.identity,
         )
         if self._state.recent:
             check_alike(self._state.recent[-1][1], kept)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,24 +27,7 @@ VERSION = 2
 
 Arrays = Mapping[str, NDArray[Any]]
 
-_PARTS = ("frames", "held", "points", "centre", "mean")  # of a mode, besides its scatter and its gallery
-
-
-@dataclass(frozen=True)
-class Stored:
-    """The contents of a file.
-
-    Attributes:
-        state: the map.
-        poses: the pose that was given with each frame.
-        identity: identity of the descriptor.
-        lines: lines of the log.
-    """
-
-    state: State
-    poses: list[Any]
-    identity: dict[str, Any]
-    lines: list[str]
+_PARTS = ("frames", "held", "points", "centre", "mean", "scatter")  # of a mode; the scatter may be missing
 
 
 def save(path: str | Path, state: State, poses: list[Any], identity: Mapping[str, Any], lines: list[str]) -> None:
@@ -67,22 +50,29 @@ def save(path: str | Path, state: State, poses: list[Any], identity: Mapping[str
     }
     arrays: dict[str, NDArray[Any]] = {"header": _text(json.dumps(head, default=str)), "log": _text("\n".join(lines))}
     arrays |= {"labels": state.labels, "matches": state.matches}
-    if state.recent:
-        recent = Gallery.of(*zip(*state.recent, strict=True))
-        arrays |= _gallery_arrays("recent", recent)
+    galleries = {"recent": Gallery.of(*zip(*state.recent, strict=True))} if state.recent else {}
     for node in nodes:
         for index, mode in enumerate(node.modes):
-            arrays |= _mode_arrays(f"node{node.id}.{index}", mode)
+            name = f"node{node.id}.{index}"
+            galleries[name] = mode.gallery
+            arrays |= {f"{name}.{part}": getattr(mode, part) for part in _PARTS if getattr(mode, part) is not None}
+    for name, gallery in galleries.items():
+        arrays |= {f"{name}.shown": gallery.frames, f"{name}.position": gallery.shown.position}
+        if gallery.shown.orientation is not None:
+            arrays[f"{name}.orientation"] = gallery.shown.orientation
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     write(path, buffer.getvalue())
 
 
-def load(path: str | Path) -> Stored:
+def load(path: str | Path) -> tuple[State, list[Any], dict[str, Any], list[str]]:
     """Read a map.
 
+    Returns:
+        The map, the pose that was given with each frame, the identity of the descriptor, and the lines of the log.
+
     Raises:
-        AnalyticError: a path that cannot be read, or a file that is cut short, not a map, or of a newer version.
+        AnalyticError: a path that cannot be read, or a file that is cut short, not a map, or of another version.
     """
     try:
         arrays = read_arrays(path)
@@ -95,7 +85,7 @@ def load(path: str | Path) -> Stored:
                 "again"
             )
         lines = _string(arrays["log"]).split("\n")
-        return Stored(_state(head, arrays, len(lines) - 1), head["poses"], head["descriptor"], lines)
+        return _state(head, arrays, len(lines) - 1), head["poses"], head["descriptor"], lines
     except AnalyticError:
         raise
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
@@ -140,36 +130,22 @@ def _state(head: Mapping[str, Any], arrays: Arrays, calls: int) -> State:
         tuple(nodes[split:]),
         labels,
         matches,
-        tuple(zip(*_frames("recent", arrays), strict=True)) if "recent.frames" in arrays else (),
+        tuple(zip(*_shown("recent", arrays), strict=True)) if len(labels) else (),
         tuple(head["pending"]),
         head["next_id"],
         calls=calls,
     )
 
 
-def _mode_arrays(name: str, mode: Mode) -> dict[str, NDArray[Any]]:
-    parts = {part: getattr(mode, part) for part in _PARTS}
-    if mode.scatter is not None:
-        parts["scatter"] = mode.scatter
-    return {f"{name}.{part}": value for part, value in parts.items()} | _gallery_arrays(f"{name}.gallery", mode.gallery)
-
-
 def _mode(rules: Parameters, arrays: Arrays, name: str) -> Mode:
-    parts = {part: arrays[f"{name}.{part}"] for part in _PARTS}
-    gallery = Gallery.of(*_frames(f"{name}.gallery", arrays))
-    return Mode(rules, **parts, scatter=arrays.get(f"{name}.scatter"), gallery=gallery)
+    parts = {part: arrays[f"{name}.{part}"] for part in _PARTS[:-1]}
+    return Mode(rules, **parts, scatter=arrays.get(f"{name}.scatter"), gallery=Gallery.of(*_shown(name, arrays)))
 
 
-def _gallery_arrays(name: str, gallery: Gallery) -> dict[str, NDArray[Any]]:
-    shown = gallery.shown
-    orientation = {} if shown.orientation is None else {f"{name}.orientation": shown.orientation}
-    return {f"{name}.frames": gallery.frames, f"{name}.position": shown.position, **orientation}
-
-
-def _frames(name: str, arrays: Arrays) -> tuple[list[int], list[Description]]:
-    frames = arrays[f"{name}.frames"].tolist()
-    shown = Description(arrays[f"{name}.position"], arrays.get(f"{name}.orientation"))
-    return frames, [shown.take(slice(row, row + 1)) for row in range(len(frames))]
+def _shown(name: str, arrays: Arrays) -> tuple[list[int], list[Description]]:
+    """Return the frames of a gallery, and the description of each."""
+    whole = Description(arrays[f"{name}.position"], arrays.get(f"{name}.orientation"))
+    return arrays[f"{name}.shown"].tolist(), [whole.take(slice(row, row + 1)) for row in range(len(whole))]
 
 
 def _text(text: str) -> NDArray[np.uint8]:

@@ -53,7 +53,7 @@ def test_a_batch_can_be_learned_by_heart(look, options):
 def test_what_does_not_learn_is_said(look):
     said = look("overfit", loss=lambda d0, d1, y: d0.sum() - d0.sum(), **PAIRS)
     assert "it does not go down: look at the labels, loss and learning rate" in said
-    with pytest.raises(ConfigError, match="diverged: .* is nan; train again with a smaller optimizer.learning_rate"):
+    with pytest.raises(ConfigError, match=r"diverged: .* is nan; train again with a smaller optimizer.learning_rate"):
         look("overfit", **{**PAIRS, "optimizer": {"learning_rate": 1e9}})
 
 
