@@ -101,7 +101,7 @@ class HeadingPart:
 
 def is_analytic(identity: Mapping[str, Any]) -> bool:
     """Whether an identity is that of an analytic descriptor, which can be created from it."""
-    return identity.get("name") in DESCRIPTORS
+    return identity.get("name") in list(DESCRIPTORS)  # a name from a file may be anything, also a list
 
 
 def without_images(identity: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import HeadingPart, Retrieval, VisualMap, WithHeading, headings
+from siamloc.maps.heading import is_analytic
 from tests.drawn import draw_panorama
 
 SIZE = (32, 128)
@@ -180,3 +181,10 @@ def test_descriptions_of_another_size_are_not_compared() -> None:
     seen = Description(known.descriptors, np.zeros((1, 7, 16), dtype=np.float32))
     with pytest.raises(analytic.AnalyticError, match="different sizes"):
         headings(known, seen, Retrieval(np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1))))
+
+
+@pytest.mark.parametrize(
+    ("name", "analytic_one"), [("hog", True), ("thumbnail", True), ("network", False), (["hog"], False)]
+)
+def test_an_identity_from_a_file_may_have_any_name(name, analytic_one):
+    assert is_analytic({"name": name}) is analytic_one
