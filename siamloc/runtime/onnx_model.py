@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from augment.base import on_host
 from siamloc.calls import typed
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.files import atomic_path, file_hash
@@ -25,6 +26,7 @@ _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 
 
 @typed
+@on_host()
 def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int]) -> dict[str, Any]:
     """Write a network as an ONNX file.
 

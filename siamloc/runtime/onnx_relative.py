@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from augment.base import on_host
 from siamloc.errors import SiamlocError
 from siamloc.files import atomic_path
 from siamloc.maps.refinement import OUTPUTS
@@ -24,6 +25,7 @@ INPUTS = ("query", "known")
 TOLERANCE = 1e-3
 
 
+@on_host()
 def export_relative(network: nn.Module, path: str | Path) -> dict[str, Any]:
     """Write a network's comparing part, see `siamloc.models.relative.RelativePose`, as an ONNX file.
 

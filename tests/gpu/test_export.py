@@ -34,7 +34,11 @@ def test_a_network_on_the_gpu_is_exported(gpu, drives, tmp_path, name):
     network = siamloc.models.pretrained() if name == "shipped" else siamloc.models.build(name, "gem", SIZES[name])
     expected = as_descriptor(network, "cpu").describe(images.batch([0, 8])).position
     known = siamloc.maps.build(network, images, some, device=NAME, progress=False)
-    bundle = siamloc.runtime.export(network, known, tmp_path / "bundle")
+    refinement = None
+    if known.descriptor.compares:
+        refinement = siamloc.maps.Refinement("relative", map_digest=known.digest)
+    with torch.device(NAME):  # as torch.set_default_device("cuda") does
+        bundle = siamloc.runtime.export(network, known, tmp_path / "bundle", refinement=refinement)
     assert next(network.parameters()).is_cuda
     assert bundle.parity["max_relative_difference"] < 1e-5
     np.testing.assert_allclose(known.descriptors, expected, atol=1e-5)
