@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -64,7 +64,7 @@ def run(command: str, words: list[str]) -> None:
             with Sweep.running(sweep):
                 _for_each_run(command, config, lambda one: _made(kind, one, given).run(_print))
         except Exception as error:
-            if sweep.words:
+            if sweep.number is not None:
                 raise
             failed.append(error)  # Hydra would print a line before passing it on
 
@@ -150,7 +150,7 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
     check_known(values, {key for one in together(kind) for key in one.key_names()}, "")
     own = {key: value for key, value in values.items() if key in kind.key_names()}
     for group in kind.GROUPS:
-        if not isinstance(own.get(group, {}), Mapping):
+        if isinstance(own.get(group), str):  # no name of an option: Hydra has taken those
             raise ConfigError(f"{group} is a group of keys: set them one by one, such as {group}.KEY=VALUE")
     dotted = [[key.replace("/", ".") for key in some] for some in (keys, chosen)]
     return kind.of(own, Given(*dotted))

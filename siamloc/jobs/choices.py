@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from siamloc.errors import ConfigError, check_known, hint
@@ -17,8 +18,9 @@ Folder = Annotated[str, Rule("the name of a folder", lambda value: bool(value.st
 Device = Annotated[str, Rule("auto, cpu or cuda", lambda value: re.fullmatch(r"auto|cpu|cuda(:\d+)?", value))]
 Listed = Annotated[str, Rule("numbers between commas", lambda value: bool(re.fullmatch(r"\d+(,\d+)*,?", value)))]
 Devices = Annotated[tuple[Natural, ...], Rule("a list of one number or more", lambda value: len(value) > 0)]
-NETWORKS = ("network", "untrained", "pretrained")
-"""Descriptors that are networks."""
+Check = Callable[[Mapping[str, Any]], object]
+OF_A_RUN = ("network", "untrained")
+"""Descriptors that are the network of a run."""
 
 
 @dataclass(frozen=True)
@@ -47,19 +49,15 @@ class Choice(Settings):
         given = dict(values)
         name = checked(given.pop("name", None), Text, f"{cls.WHERE}.name")
         label = checked(given.pop("label", None), Text | None, f"{cls.WHERE}.label") if cls.LABELLED else None
-        if name not in (valid := cls.names()):
-            raise ConfigError(f"unknown {cls.WHERE} {name!r}: {hint(name, valid)}")
-        cls.check(name, given)
+        checks = cls.checks()
+        if name not in checks:
+            raise ConfigError(f"unknown {cls.WHERE} {name!r}: {hint(name, checks)}")
+        checks[name](given)
         return cls(name, given, label)
 
     @classmethod
-    def names(cls) -> Iterable[str]:
-        """Return the names of the options."""
-        raise NotImplementedError
-
-    @classmethod
-    def check(cls, name: str, parameters: Mapping[str, Any]) -> None:
-        """Check the parameters of an option."""
+    def checks(cls) -> Mapping[str, Check]:
+        """Return the options by name, each with a function that refuses parameters that it does not have."""
         raise NotImplementedError
 
     @property
@@ -78,14 +76,9 @@ class Loss(Choice):
     WHERE = "loss"
 
     @classmethod
-    def names(cls) -> Iterable[str]:
-        """Return the names of the losses."""
-        return ("contrastive", *LOSSES)
-
-    @classmethod
-    def check(cls, name: str, parameters: Mapping[str, Any]) -> None:
-        """Check the parameters of a loss."""
-        (LOSSES[name][0] if name in LOSSES else Contrastive).of(parameters)
+    def checks(cls) -> Mapping[str, Check]:
+        """Return the losses."""
+        return {"contrastive": Contrastive.of, **{name: kind.of for name, (kind, _) in LOSSES.items()}}
 
 
 class Build(Choice):
@@ -95,21 +88,11 @@ class Build(Choice):
     LABELLED = True
 
     @classmethod
-    def names(cls) -> Iterable[str]:
-        """Return the names of the ways of grouping."""
+    def checks(cls) -> Mapping[str, Check]:
+        """Return the ways of grouping."""
         from siamloc.maps.grouping import WAYS
 
-        return ("none", *WAYS)
-
-    @classmethod
-    def check(cls, name: str, parameters: Mapping[str, Any]) -> None:
-        """Check the parameters of a way of grouping."""
-        from siamloc.maps.grouping import WAYS
-
-        if name == "none":
-            check_known(parameters, ["name", "label"], "build")
-        else:
-            WAYS[name].of(parameters)
+        return {"none": _only(cls.WHERE), **{name: way.of for name, way in WAYS.items()}}
 
 
 class DescriptorChoice(Choice):
@@ -119,25 +102,10 @@ class DescriptorChoice(Choice):
     LABELLED = True
 
     @classmethod
-    def names(cls) -> Iterable[str]:
-        """Return the names of the descriptors."""
-        from analytic import DESCRIPTORS
-
-        return (*NETWORKS, *DESCRIPTORS)
-
-    @classmethod
-    def check(cls, name: str, parameters: Mapping[str, Any]) -> None:
-        """Check the parameters of a descriptor."""
-        if name in NETWORKS:
-            check_known(parameters, ["run"] if name == "network" else [], "descriptor")
-            checked(parameters.get("run"), Text | None, "descriptor.run")
-        else:
-            _check_analytic(name, parameters, "descriptor")
-
-    @property
-    def by_network(self) -> bool:
-        """Whether it is the network of a run."""
-        return self.name in ("network", "untrained")
+    def checks(cls) -> Mapping[str, Check]:
+        """Return the descriptors."""
+        networks = dict.fromkeys(("untrained", "pretrained"), _only(cls.WHERE))
+        return {"network": _only(cls.WHERE, "run"), **networks, **_analytic(cls.WHERE)}
 
 
 class Heading(Choice):
@@ -146,28 +114,32 @@ class Heading(Choice):
     WHERE = "heading"
 
     @classmethod
-    def names(cls) -> Iterable[str]:
-        """Return the names of the descriptors."""
-        from analytic import DESCRIPTORS
-
-        return ("none", *DESCRIPTORS)
-
-    @classmethod
-    def check(cls, name: str, parameters: Mapping[str, Any]) -> None:
-        """Check the parameters of a descriptor."""
-        if name == "none":
-            check_known(parameters, [], "heading")
-        else:
-            _check_analytic(name, parameters, "heading")
+    def checks(cls) -> Mapping[str, Check]:
+        """Return the descriptors."""
+        return {"none": _only(cls.WHERE), **_analytic(cls.WHERE)}
 
 
-def _check_analytic(name: str, parameters: Mapping[str, Any], where: str) -> None:
-    """Check the parameters of an analytic descriptor; `circular` follows from the data."""
-    from analytic import descriptor
+def _only(where: str, *texts: str) -> Check:
+    """Return a function that refuses all parameters but some, which are texts."""
+
+    def check(parameters: Mapping[str, Any]) -> None:
+        check_known(parameters, texts, where)
+        for key, value in parameters.items():
+            checked(value, Text | None, f"{where}.{key}")
+
+    return check
+
+
+def _analytic(where: str) -> Mapping[str, Check]:
+    """Return the analytic descriptors; whether their columns wrap around follows from the data."""
+    from analytic import DESCRIPTORS, descriptor
     from analytic.descriptors.registry import parameters as every
 
-    check_known(parameters, set(every(name)) - {"circular"}, where)
-    descriptor(name, **parameters)
+    def check(name: str, parameters: Mapping[str, Any]) -> None:
+        check_known(parameters, set(every(name)) - {"circular"}, where)
+        descriptor(name, **parameters)
+
+    return {name: partial(check, name) for name in DESCRIPTORS}
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
 from siamloc.files import real_path
-from siamloc.jobs.choices import DescriptorChoice
+from siamloc.jobs.choices import OF_A_RUN, DescriptorChoice
 from siamloc.jobs.inherit import map_file, map_known
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.opening import RunJob, files_in
@@ -304,7 +304,7 @@ class Evaluate(RunJob):
         for name in getattr(self.task, "baselines", ()):
             if name == main:
                 continue
-            if name in ("network", "untrained") and not self.here.record.is_file():
+            if name in OF_A_RUN and not self.here.record.is_file():
                 say(f"baseline {name} left out: {self.here.folder} holds no trained network")
                 continue
             size = _size_of(name, self.here)
@@ -319,7 +319,7 @@ def _size_of(name: str, run: Run) -> list[int] | None:
     """Return the size of panoramas that a named network takes; None for any."""
     if name == "pretrained":
         return list(PRETRAINED_SIZE)
-    size = run.settings["model"].get("image_size") if name in ("network", "untrained") else None
+    size = run.settings["model"].get("image_size") if name in OF_A_RUN else None
     return None if size is None else list(size)
 
 

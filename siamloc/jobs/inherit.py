@@ -12,6 +12,7 @@ from typing import Any
 
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, FormatError
+from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.job import Given
 from siamloc.jobs.sweep import of_map, own_folder
 from siamloc.models.registry import Optimizer, whole_model
@@ -58,7 +59,7 @@ def with_settings_of_the_run(
     run = Run(Path(values["run"]))
     network = values.get("descriptor", {}).get("run")
     trained = Run(Path(network)) if network is not None else run
-    by_network = values.get("descriptor", {}).get("name", "network") in ("network", "untrained")
+    by_network = values.get("descriptor", {}).get("name", "network") in OF_A_RUN
     needed = by_network and not resumed
     if needed and not trained.record.is_file():
         _hint_at_maps(trained.folder)

@@ -2,7 +2,7 @@
 
     >>> from siamloc.jobs import Report
     >>> Report.of({"run": "runs/robot"})
-    Report(folder='runs/robot', runs=(), out=None)
+    Report(folder='runs/robot', runs=None, out=None)
 
 On the command line Hydra composes the settings; in Python a mapping gives them, with the names of options for groups:
 `Train.of({"data": {"manifest": "robot.csv"}, "loss": "triplet", "pairs": "in_batch"}).run()`.
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from siamloc.errors import ConfigError, check_known
@@ -123,7 +124,11 @@ class Job(Settings):
 
 
 def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values of a job with the values of the options that they name, and of those that are chosen by default."""
+    """Return values of a job with the values of the options that they name, and of those that are chosen by default.
+
+    Raises:
+        ConfigError: an unknown option, or another value in place of a group.
+    """
     from siamloc.jobs.options import values_of
 
     whole = merged({}, values)
@@ -132,20 +137,28 @@ def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
         part = whole
         for name in above:
             part = part.setdefault(name, {})
+            _check_group(part, name)
         chosen = part.get(last, usual)
         if isinstance(chosen, str):
             part[last] = merged(values_of(group, chosen), kind.MORE.get(group, {}))
+        _check_group(part[last], group)
     return whole
 
 
+def _check_group(values: Any, group: str) -> None:
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{group} is a group of keys: set them one by one, such as {group}.KEY=VALUE")
+
+
 def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested values with others on top of them."""
+    """Return nested values with others on top of them, paths as texts."""
     result = dict(values)
     for key, value in others.items():
         if isinstance(value, Mapping):
             before = result.get(key)
-            value = merged(before if isinstance(before, Mapping) else {}, value)
-        result[key] = value
+            result[key] = merged(before if isinstance(before, Mapping) else {}, value)
+        else:
+            result[key] = str(value) if isinstance(value, Path) else value
     return result
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from siamloc import maps
+from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.inherit import map_of_job
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.opening import RunJob, files_in
@@ -64,8 +65,7 @@ class MapFrames(RunJob):
             run.record_written(files_in(folder))
             say(built.summary(folder))
         if not swept():
-            by_network = self.descriptor.name in ("network", "untrained")
-            further = "" if by_network else f" descriptor={label}"
+            further = "" if self.descriptor.name in OF_A_RUN else f" descriptor={label}"
             if self.build.name != "none":
                 further = f" task=hierarchical build={self.build.title}"
             say(f"next: siamloc evaluate run={run.folder}{further}")

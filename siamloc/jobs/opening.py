@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 
 from analytic import DESCRIPTORS, Descriptor, descriptor
 from siamloc.errors import ConfigError
-from siamloc.jobs.choices import Build, DescriptorChoice, Device, Folder, Heading, Model
+from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Heading, Model
 from siamloc.jobs.data_job import DataJob
 from siamloc.jobs.inherit import suggestion, with_settings_of_the_run
 from siamloc.jobs.job import Given, Say
@@ -73,10 +73,9 @@ class RunJob(DataJob):
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
         """Return values together with the settings of the run."""
         chosen = values["descriptor"]
-        by_network = chosen.get("name") in ("network", "untrained")
         if values.get("run") is not None:
             values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=cls.REPLACES_MAP)
-        elif by_network and chosen.get("run") is None:
+        elif chosen.get("name") in OF_A_RUN and chosen.get("run") is None:
             raise ConfigError(f"no run is named: {suggestion()}")
         if values["descriptor"].get("name") == "pretrained" and "data.image_size" not in given.keys:
             values["data"] = {**values["data"], "image_size": list(PRETRAINED_SIZE)}

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from siamloc.jobs.job import Given, Job, Say, quiet
+from siamloc.jobs.job import Job, Say, quiet
 from siamloc.simulate.config import SimulateConfig
 from siamloc.simulate.produce import Summary, simulate
 
@@ -32,14 +30,9 @@ class Simulate(SimulateConfig, Job):
         $ siamloc simulate camera=panorama
     """
 
-    @classmethod
-    def of(cls, values: Mapping[str, Any], given: Given | None = None) -> Simulate:
-        """Make the job from plain values; see `SimulateConfig.of`."""
-        return cls(**vars(SimulateConfig.of(values)))
-
     def run(self, say: Say = quiet) -> Summary:
         """Render the building."""
-        summary = simulate(SimulateConfig(**vars(self)))
+        summary = simulate(self)
         for path in summary.files:
             say(f"picture: {path}")
         for sequence, count in summary.sequences.items():

@@ -6,7 +6,8 @@ from siamloc.cli import main
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
-from siamloc.jobs.options import choices, config_folder, groups
+from siamloc.jobs import Evaluate, Report, Train
+from siamloc.jobs.options import choices, config_folder, groups, values_of
 
 
 @pytest.mark.parametrize(
@@ -16,9 +17,53 @@ from siamloc.jobs.options import choices, config_folder, groups
 def test_every_option_of_every_group_composes(override):
     where = ["data.manifest=x"] if override == "data=manifest" else ["data.root=x"]
     data = [] if override.startswith("data=") else ["data=folder"]
-    for command in ("train", "evaluate"):
-        job = composed(command, [*data, override, *where, *(["descriptor=hog"] if command == "evaluate" else [])])
-        assert isinstance(job.protocol, Protocol)
+    measured = override.startswith(("descriptor", "heading", "build", "task"))
+    usual = ["descriptor=hog"] if measured and not override.startswith("descriptor") else []
+    words = [*data, *where, *usual, override]
+    if override in ("descriptor=network", "descriptor=untrained"):
+        with pytest.raises(ConfigError, match="no run is named"):
+            composed("evaluate", words)
+    else:
+        assert isinstance(composed("evaluate" if measured else "train", words).protocol, Protocol)
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "kind", "values"),
+    [
+        (
+            "train",
+            ["data.manifest=x", "loss=triplet", "pairs=in_batch", "model/branch=simple1", "model.circular=true"],
+            Train,
+            {
+                "data": {"kind": "manifest", "name": "manifest", "manifest": "x"},
+                "loss": "triplet",
+                "pairs": "in_batch",
+                "model": {"branch": "simple1", "circular": True},
+            },
+        ),
+        (
+            "evaluate",
+            ["data=folder", "data.root=x", "descriptor=hog", "descriptor.bins=8", "task=absolute", "distance=cosine"],
+            Evaluate,
+            {
+                "data": {"kind": "folder", "name": "folder", "root": Path("x")},
+                "descriptor": {**values_of("descriptor", "hog"), "bins": 8},
+                "task": "absolute",
+                "distance": "cosine",
+            },
+        ),
+        ("report", ["runs=[a,b]"], Report, {"runs": ["a", "b"]}),
+    ],
+)
+def test_a_notebook_makes_the_same_job(command, words, kind, values):
+    assert composed(command, words) == kind.of(values)
+
+
+def test_a_value_in_place_of_a_group_is_refused():
+    with pytest.raises(ConfigError, match=r"model is a group of keys: set them one by one, such as model\.KEY=VALUE"):
+        Train.of({"data": {"kind": "manifest", "manifest": "x"}, "model": "vgg16"})
+    with pytest.raises(ConfigError, match="unknown loss 'triplett': did you mean 'triplet'"):
+        Train.of({"data": {"kind": "manifest", "manifest": "x"}, "loss": "triplett"})
 
 
 @pytest.mark.parametrize("group", groups())
@@ -46,7 +91,7 @@ def test_omnidirectional_data_is_unwrapped_by_default():
     ],
 )
 def test_mistakes_are_one_line_with_the_nearest_name(words, says, capsys):
-    assert main(["prepare", *words]) == 2
+    assert main(["train", *words]) == 2
     error = capsys.readouterr().err
     assert error.startswith("siamloc: ")
     assert says in error

@@ -62,9 +62,9 @@ THESIS = {
 }
 
 
-def test_heads_are_those_of_the_thesis_and_five_of_unit_length():
+def test_the_heads_of_three_layers_are_those_of_the_thesis():
     assert {name: head.widths for name, head in HEADS.items() if len(head.widths) == 3} == THESIS
-    assert set(HEADS) - set(THESIS) == {"fc4096_4096", "flat", "gem", "bands", "fourier", "magnitudes"}
+    assert all(len(head.widths) < 3 for name, head in HEADS.items() if name not in THESIS)
 
 
 @pytest.mark.parametrize(("name", "widths"), THESIS.items())
