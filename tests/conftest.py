@@ -1,10 +1,16 @@
 """Shared by all tests: Ctrl-C works, and a small custom data set for tests that run the code of the pages."""
 
+import os
 import signal
 
 import cv2
+import hypothesis
 import numpy as np
 import pytest
+
+hypothesis.settings.register_profile("quick", max_examples=20)
+hypothesis.settings.register_profile("thorough", max_examples=100)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 FRAMES = 6
 

@@ -104,12 +104,6 @@ class SoftContrastiveLoss(ScheduledLoss):
         return f"temperature={self.temperature:g}, kernel={self.kernel}, sigma={self.sigma:g}{room}"
 
 
-def _entropy(weights: Tensor) -> Tensor:
-    """Return the smallest sum of -w log q over the rows, for shares q of each row."""
-    whole = weights.sum(dim=1)
-    return torch.xlogy(whole, whole).sum() - torch.xlogy(weights, weights).sum()
-
-
 def _shares(weights: Tensor) -> Tensor:
     """Divide rows by their sums; a row that is almost 0 becomes 0."""
     total = weights.sum(dim=1, keepdim=True)
