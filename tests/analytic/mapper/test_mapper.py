@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import analytic
 from analytic.descriptors.base import Description
 from analytic.mapper import IncrementalMapper, Reason, replay, steps
 from analytic.mapper import mapper as mapper_module
@@ -101,6 +102,50 @@ def test_every_decision_on_real_drives_is_that_of_the_oracle(name, size, noise, 
     frames = rows(world.at(poses[::every][:400], noise=noise, seed=1))
     seen = compare(IncrementalMapper(world, version, **parameters), SlowMapper(version, **parameters), frames)
     assert happens <= set(seen)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_every_decision_under_drawn_settings_is_that_of_the_oracle(seed):
+    generator = np.random.default_rng(seed)
+    size, steps = int(generator.choice([4, 8, 16, 40, 96])), int(generator.choice([0, 8, 12]))
+    world = World(size=size, steps=steps, reach=float(generator.choice([2, 4, 6, 8])), seed=seed)
+    poses = corridor_drive(200, seed=seed, rooms=int(generator.integers(3, 8)))
+    frames = rows(world.at(poses, noise=float(generator.choice([0.05, 0.1, 0.2, 0.3])), seed=seed))
+    version = 1 + seed % 2
+    parameters = {
+        "y": float(generator.choice([0.5, 1.5, 2.5, 3.5])),
+        "omega": float(generator.choice([1.7, 1.85, 2.3])),
+        "gamma": float(generator.choice([2.0, 5.0, 15.0])),
+        "two_sided": bool(generator.integers(2)),
+        "merge": str(generator.choice(["changed", "created", "never"])),
+    }
+    compare(IncrementalMapper(world, version, **parameters), SlowMapper(version, **parameters), frames)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["hog", "gist", "fs"])
+@pytest.mark.parametrize("version", [1, 2])
+def test_every_decision_on_images_is_that_of_the_oracle(name, version):
+    generator = np.random.default_rng(0)
+    places = generator.uniform(0, 255, (9, 16, 64))
+    poses = corridor_drive(180, seed=3)
+    apart = np.linalg.norm(poses[:, None, :2] - generator.choice(poses[:, :2], 9), axis=2)
+    weights = np.exp(-((apart / 4) ** 2)) + 0.02
+    views = np.einsum("np,phw->nhw", weights / weights.sum(axis=1, keepdims=True), places)
+    images = np.clip(views + generator.normal(0, 6, views.shape), 0, 255).astype(np.uint8)
+    options = {
+        "fs": {"rows": 4, "orientation_rows": 8, "orientation_columns": 16},
+        "hog": {"rows": 4, "bins": 8, "step": 2},
+        "gist": {"blocks": 4, "orientations": 4, "step": 2},
+    }
+    descriptor = analytic.descriptor(name, **options[name])
+    turned = [np.roll(image, round(10 * pose[2]), axis=1) for image, pose in zip(images, poses, strict=True)]
+    frames = rows(descriptor.describe(np.stack(turned)))
+    if name == "fs":  # its phases are compared otherwise than by turning
+        frames = [Description(frame.position, None, frame.identity) for frame in frames]
+    seen = compare(IncrementalMapper(descriptor, version), SlowMapper(version), frames)
+    assert seen["ASSIGNED"] > 20
 
 
 @pytest.mark.data
