@@ -109,7 +109,7 @@ def test_no_public_name_is_that_of_a_module_which_would_hide_it(package):
 
 
 def test_declared_is_what_is_imported():
-    """Without being named, `onnx` and `onnxscript` are needed by torch's exporter, `tensorboard` by Lightning's logger."""
+    """Torch's exporter needs `onnx` and `onnxscript`, Lightning's logger `tensorboard`, without being named."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)["project"]
     extras = project["optional-dependencies"]
