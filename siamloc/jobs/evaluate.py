@@ -311,7 +311,9 @@ class Evaluate(RunJob):
             if size is not None and size != list(self.data.image_size):
                 say(f"baseline {name} left out: it takes panoramas of {size[0]} x {size[1]}, unlike {main}")
                 continue
-            found[name] = self.make_descriptor(DescriptorChoice.of(values_of("descriptor", name)))
+            started = name == "untrained" and self.here.settings["model"].get("weights") is not None
+            label = "before_training" if started else name  # it had learned elsewhere
+            found[label] = self.make_descriptor(DescriptorChoice.of(values_of("descriptor", name)))
         return found
 
 
