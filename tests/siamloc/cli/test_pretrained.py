@@ -87,10 +87,11 @@ def test_the_size_is_that_of_the_weights_unless_it_is_said():
 
 
 def test_training_starts_from_it(capsys):
+    shipped = siamloc.models.pretrained().state_dict()
     compares = ("orientation.", "relative.")  # is asked for by model.relative=true
-    ready = {k: value for k, value in siamloc.models.pretrained().state_dict().items() if not k.startswith(compares)}
-    for experiment, what in (("modern", "branch alone"), ("fine_tuning", "whole network")):
+    ready = {name: value for name, value in shipped.items() if not name.startswith(compares)}
+    for experiment, what, held in (("modern", "branch alone", ready), ("fine_tuning", "whole network", shipped)):
         config = composed("train", [f"experiment={experiment}", "data.manifest=x", "model.branch.weights=siamloc"])
         started = siamloc.models.build(**config.model.arguments(), image_size=(64, 256)).state_dict()
-        assert all((started[name] == value).all() for name, value in ready.items())
+        assert all((started[name] == value).all() for name, value in held.items())
         assert f"the {what} starts from the weights that ship with siamloc" in capsys.readouterr().err
