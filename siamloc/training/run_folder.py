@@ -12,7 +12,7 @@ from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
 from siamloc.files import is_temporary
 from siamloc.models.checkpoint_file import read_checkpoint
-from siamloc.models.registry import LOSSES, whole_model
+from siamloc.models.registry import LOSSES
 from siamloc.runs import Run
 from siamloc.settings import defaults_of
 from siamloc.training.seen_frames import differing_frames
@@ -76,8 +76,7 @@ def _others(run: Run) -> list[str]:
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with its original settings; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
-    before = {**before, "training": Training.of(before["training"]).plain(), "model": whole_model(before["model"])}
-    now = {**now, "model": whole_model(now["model"])}
+    before["training"] = Training.of(before["training"]).plain()
     before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
     if before["loss"].get("name") in LOSSES:  # with the keys that were not given
         before["loss"] = {**defaults_of(LOSSES[before["loss"]["name"]][0]), **before["loss"]}
@@ -93,8 +92,8 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
             "train another run"
         )
     # The same frames may be named in several ways; report the way only if the frames differ.
-    noted = [settings.get("frames", now["frames"]) for settings in (before, now)]
-    differing = [differing_frames(noted[0].get(role), noted[1].get(role), words) for role, words in _ROLES.items()]
+    noted = before["frames"], now["frames"]
+    differing = [differing_frames(noted[0][role], noted[1][role], words) for role, words in _ROLES.items()]
     same_frames = not any(differing)
     free = (*_FREE, "protocol.train", "protocol.validation") if same_frames else _FREE
     for section in _LEARNED:
@@ -130,7 +129,7 @@ def monitor_of(run: Run) -> Monitor:
 
 def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any], what: str) -> None:
     """Make sure that an epoch has as many steps as before, since a schedule depends on their number."""
-    old, new = (settings.get("trainer", {}) for settings in (before, now))
+    old, new = (settings["trainer"] for settings in (before, now))
     for key in sorted(old.keys() & new.keys() - {"precision"}):
         if repr(old[key]) == repr(new[key]) or (  # 1 is one batch, 1.0 is all
             key == "processes" and "places" in now["training"]["pairs"]

@@ -21,7 +21,6 @@ _WORDS = {
     "names": "the {role} frames differ (sequences and file names)",
     "positions": "the positions of the {role} frames differ",
     "labels": "the labels of the {role} frames differ (room, building or lighting)",
-    "key": "the {role} frames differ (sequences, file names, positions or rooms)",
 }
 
 
@@ -41,7 +40,6 @@ def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
     thumbnails = [cv2.resize(np.moveaxis(one, 0, -1), _CELLS, interpolation=cv2.INTER_AREA) for one in panoramas]
     return {
         "count": len(frames),
-        "key": content_key([*names, frames.xy, frames.place]),
         "names": content_key(names),
         "positions": content_key([frames.xy]),
         "labels": content_key([frames.room, frames.building, frames.lighting]),
@@ -62,17 +60,16 @@ def differing_frames(before: Mapping[str, Any] | None, now: Mapping[str, Any] | 
     Example:
         >>> differing_frames({"count": 12}, {"count": 6}, "training")
         'there were 12 training frames, and now there are 6'
-        >>> differing_frames({"count": 6, "key": "a"}, {"count": 6, "key": "a", "labels": "b"}, "training")
     """
-    counts = [0 if note is None else note.get("count") for note in (before, now)]
-    if counts[0] != counts[1] and None not in counts:
+    counts = [0 if note is None else note["count"] for note in (before, now)]
+    if counts[0] != counts[1]:
         return f"there were {counts[0]} {role} frames, and now there are {counts[1]}"
     if before is None or now is None:
         return None
     for part, words in _WORDS.items():
-        if part in before and part in now and before[part] != now[part]:
+        if before[part] != now[part]:
             return words.format(role=role)
-    if "pictures" in before and "pictures" in now and not _alike(before["pictures"], now["pictures"]):
+    if not _alike(before["pictures"], now["pictures"]):
         return f"the images of the {role} frames differ (their file names and labels are the same)"
     return None
 

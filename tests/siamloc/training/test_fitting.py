@@ -278,16 +278,6 @@ def test_data_may_move_but_not_become_others(train, day, tmp_path):
     assert len(curve(again("saved", saved))) == 2
 
 
-def test_runs_that_noted_less_are_resumed(train):
-    options = {"epochs": 2, "optimizer": {"schedule": "cosine"}}
-    run = train(trainer={"accelerator": "cpu", "max_steps": 2}, **options)
-    record = read_json(run.record)
-    noted = {key: record["settings"]["frames"]["train"][key] for key in ("count", "key")}
-    record["settings"] |= {"frames": {"train": noted, "validation": None}, "trainer": {"precision": "32-true"}}
-    write_json(run.record, record)
-    assert train(resume=True, **options).settings["frames"]["train"].keys() > noted.keys()
-
-
 def test_a_schedule_goes_on_with_the_steps_that_it_was_laid_out_for(train):
     """With others it would end too early, or with an error of torch in the middle of the training."""
     few = {"accelerator": "cpu", "limit_train_batches": 1}
