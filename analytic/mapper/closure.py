@@ -16,7 +16,6 @@ Rows = NDArray[np.int64]
 
 _NEAREST = 1e-6  # of the largest distance: the distance of an equal image, whose similarity would otherwise be infinite
 _ROUNDING = 1e-9  # of the mean: a deviation that counts as none; otherwise a robot that stands still would not close
-
 _MARGIN = 1e-6  # far above the rounding of the distances
 
 
