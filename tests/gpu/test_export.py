@@ -17,7 +17,7 @@ from tests.gpu.pretend import NAME
 ensure_torchvision()
 from torchvision import models  # noqa: E402
 
-SIZES = {"alexnet": (64, 64), "vgg16": (32, 64), "densenet4": (32, 64), "shipped": (64, 256)}
+SIZES = {"alexnet": (64, 64), "vgg16": (32, 64), "densenet4": (32, 64), "densenet121": (64, 64), "shipped": (64, 256)}
 
 
 @pytest.fixture
@@ -28,7 +28,9 @@ def _densenet(monkeypatch):
 
 
 @pytest.mark.usefixtures("_densenet")
-@pytest.mark.parametrize("name", SIZES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "densenet121")) for name in SIZES]
+)
 def test_a_network_on_the_gpu_is_exported(gpu, drives, tmp_path, name):
     images, some = PanoramaLibrary(drives[0], tmp_path, image_size=SIZES[name]), drives[0].every(8)
     network = siamloc.models.pretrained() if name == "shipped" else siamloc.models.build(name, "gem", SIZES[name])
