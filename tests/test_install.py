@@ -63,8 +63,8 @@ def test_the_robot_locates_images_without_the_laboratory(robot, bundle):
     for name in analytic.DESCRIPTORS:
         done = robot("-m", "siamloc", "localize", f"bundle={bundle / name}", f"images={bundle / 'b.png'}", "top=1")
         assert done.returncode == 0, done.stderr
-        heading = "heading 0 deg" if analytic.descriptor(name).tells_heading else ""
-        assert f"x 1.00 m, y 0.00 m, {heading}" in done.stdout
+        heading = ", heading 0 deg" if analytic.descriptor(name).tells_heading else ""
+        assert f"x 1.00 m, y 0.00 m{heading}" in done.stdout
     left = ["torch", "scipy", "hydra", "omegaconf", "matplotlib", "lightning", "onnx", "rich"]
     code = f"import importlib.util as u; print([name for name in {left} if u.find_spec(name)])"
     assert robot("-c", code).stdout == "[]\n", "these came along"
