@@ -17,7 +17,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from siamloc.files import read_json, write_json
+from foundation.files import read_json, write_json
 from siamloc.results import versions
 
 RESULTS = Path(__file__).parent / "results"

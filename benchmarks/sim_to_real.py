@@ -25,7 +25,7 @@ import siamloc
 from benchmarks.building import LIGHTINGS, Building, located, mean_and_range
 from benchmarks.corridor import RADIUS, library
 from benchmarks.report import Report, hardware, parser
-from siamloc.files import read_json
+from foundation.files import read_json
 from siamloc.pretraining import RECIPE, pretrain
 
 DISTURBED = ("exposure", "white_balance", "blur", "motion_blur", "jpeg", "vignette", "occlude")

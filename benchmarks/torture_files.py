@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import siamloc
+from foundation.files import file_hash, read_json, write_json
 from siamloc.data import FrameTable
-from siamloc.files import file_hash, read_json, write_json
 
 SIZE = (16, 64)
 WAYS = ("flipped", "cut", "repeated", "swapped", "grafted", "emptied", "lengthened", "numbers", "nested", "leaves")

@@ -38,8 +38,8 @@ from benchmarks.corridor import figures as corridor_figures
 from benchmarks.corridor import located as located_in_corridor
 from benchmarks.recipes import ANALYTIC
 from benchmarks.report import Report, hardware, parser
+from foundation.files import read_json
 from siamloc.data import PanoramaLibrary
-from siamloc.files import read_json
 from siamloc.models import registry
 
 OURS = "pretrained"

@@ -2,7 +2,7 @@
 
 A group of settings is a frozen dataclass. Its annotations say what each value may be. They are checked when the object
 is created, and a mistake gives a one-sentence error. The same class gives a function its keywords
-(`siamloc.calls.takes`) and the command line its defaults (`defaults_of`).
+(`foundation.calls.takes`) and the command line its defaults (`defaults_of`).
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import write_text
 from siamloc.errors import ConfigError
-from siamloc.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

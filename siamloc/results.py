@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.calls import typed
+from foundation.files import check_version, read_json, write_json, write_text
 from siamloc import __version__
-from siamloc.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import check_version, read_json, write_json, write_text
 
 Columns = dict[str, NDArray[Any]]
 UNLABELLED = "(unlabelled)"

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.calls import typed
+from foundation.files import check_version, plain, read_json, real_path, storage_errors, write_json
 from foundation.locks import locked
-from siamloc.calls import typed
+from foundation.settings import checked, misfit
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import check_version, plain, read_json, real_path, storage_errors, write_json
 from siamloc.results import versions
-from siamloc.settings import checked, misfit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,6 +13,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from foundation.settings import shortened
 from siamloc.cli.help import job_of
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, SiamlocError, check_known, hint
@@ -20,7 +21,6 @@ from siamloc.jobs.job import Given, Job, merged
 from siamloc.jobs.options import choices, config_folder, groups, options
 from siamloc.jobs.sweep import Sweep
 from siamloc.runs import runs_in
-from siamloc.settings import shortened
 
 OF_SWEEPS = ("map", "evaluate")
 """Commands that do their work for each run if the folder of a sweep is given."""

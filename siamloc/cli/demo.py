@@ -6,10 +6,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from foundation.settings import Seed, Text
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Job, Say, quiet
-from siamloc.settings import Seed, Text
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
+from foundation.settings import fields_of
 from siamloc.errors import ConfigError, hint
 from siamloc.jobs.job import Job
-from siamloc.settings import fields_of
 
 _ITEM = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,'"\[\]]*[^,'"\[\]\s])\s*(,|$)""")
 _PLAIN = {"true": True, "false": False, "null": None}

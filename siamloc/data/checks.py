@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import file_hash
 from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.files import file_hash
 
 _SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
 _PROBED = 32  # images of a data set that are opened for their size

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.files import plain
 from siamloc.data.panorama import (
     CAMERAS,
     HyperbolicMirror,
@@ -23,7 +24,6 @@ from siamloc.data.panorama import (
     unwrap,
 )
 from siamloc.errors import ConfigError, DataError
-from siamloc.files import plain
 
 
 class UnreadableImageError(Exception):

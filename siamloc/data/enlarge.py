@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from augment.errors import AugmentError
 from augment.expand import expand as write_variants
 from augment.expand import headings
+from foundation.calls import typed
+from foundation.files import real_path, storage_errors
 from foundation.locks import alone
-from siamloc.calls import typed
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.data.expansion import outputs, write_lists
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, DataError
-from siamloc.files import real_path, storage_errors
 from siamloc.progress import track
 
 

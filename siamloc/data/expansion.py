@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.files import write_json, write_text
 from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import COLUMNS
 from siamloc.data.names import NamedPose, format_name, name_sequence, parse_name
 from siamloc.errors import DataError
-from siamloc.files import write_json, write_text
 
 MANIFEST = "manifest.csv"
 _TICK = 1e-6  # s, between the times of two variants in names that carry the time

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import read_json
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.data.store import Store, open_store
 from siamloc.errors import ConfigError, DataError, check_policy
-from siamloc.files import read_json
 
 CACHE = ".siamloc/panoramas"
 

@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.settings import Count, Positive, Settings, Share, checked
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.settings import Count, Positive, Settings, Share, checked
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.settings import NotNegative, Positive, Settings, checked
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.settings import NotNegative, Positive, Settings, checked
 
 Array = NDArray[Any]
 

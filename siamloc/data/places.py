@@ -9,10 +9,10 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.settings import Count, NotNegative, Positive, Settings, Share, checked
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.settings import Count, NotNegative, Positive, Settings, Share, checked
 
 
 @dataclass(frozen=True)

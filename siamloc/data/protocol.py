@@ -9,9 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.settings import Count, Natural, Positive, Rule, Settings
 from siamloc.data.frames import FrameTable, concatenate, html_table
 from siamloc.errors import ConfigError, DataError
-from siamloc.settings import Count, Natural, Positive, Rule, Settings
 
 Way = Annotated[float, Rule("a number above 0 and up to 1,000,000", lambda value: 0 < value <= 1e6)]
 ROLES = ("train", "validation", "map", "query")

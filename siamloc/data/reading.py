@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.settings import Settings, Size
 from siamloc.data.cold import read_cold
 from siamloc.data.folder import read_folder
 from siamloc.data.frames import FrameTable
@@ -16,7 +17,6 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.manifest import read_manifest
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import Settings, Size
 
 READERS: dict[str, Callable[..., FrameTable]] = {"cold": read_cold, "folder": read_folder, "manifest": read_manifest}
 

@@ -15,10 +15,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
 from foundation.locks import locked
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError, leave_out, logger
-from siamloc.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
 from siamloc.progress import track
 
 VERSION = 1

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description, clustering
-from siamloc.calls import takes
+from foundation.calls import takes
+from foundation.settings import Count, Seed, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -24,7 +25,6 @@ from siamloc.maps import HierarchicalSearch, NodeRanking, Retrieval, VectorIndex
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.progress import track
 from siamloc.results import Columns, rows_by_label
-from siamloc.settings import Count, Seed, Settings
 from siamloc.stopwatch import Stopwatch
 
 _REPEATED, _SHORT = 9, 0.2  # searches, and seconds

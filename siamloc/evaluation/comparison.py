@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.comparison import Comparison, differing, files_named, flat
 from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.results import FURTHER, read_results

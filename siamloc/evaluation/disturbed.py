@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
-from siamloc.calls import takes
+from foundation.calls import takes
+from foundation.settings import Count, NotNegative, Rule, Seed, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -21,7 +22,6 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Session, cost
 from siamloc.maps import Retrieval, VisualMap, headings, match
 from siamloc.progress import track
-from siamloc.settings import Count, NotNegative, Rule, Seed, Settings
 from siamloc.stopwatch import Stopwatch
 
 Locate = Callable[[Images], Answer]

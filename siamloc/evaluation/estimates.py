@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.settings import Count, NotNegative, Positive, Probability, Settings
 from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
@@ -23,7 +24,6 @@ from siamloc.maps.refinement import RefinedPoses, Refinement
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import FURTHER, Columns
-from siamloc.settings import Count, NotNegative, Positive, Probability, Settings
 
 MATCHES = 20  # used by an error model
 ESTIMATES = {"interpolate": "interpolated", "relative": "refined"}  # names of finer poses, by their method

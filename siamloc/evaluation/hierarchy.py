@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from siamloc.calls import takes
+from foundation.calls import takes
+from foundation.settings import Count, Natural, NotNegative, Rule, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -28,7 +29,6 @@ from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, Ranking
 from siamloc.maps.ranking import NodeRanking, rank_by_position
 from siamloc.results import Columns, rows_by_label
-from siamloc.settings import Count, Natural, NotNegative, Rule, Settings
 from siamloc.stopwatch import Stopwatch
 
 

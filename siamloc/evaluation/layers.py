@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Descriptor
 from analytic.measures.closures import ClosureScores, closure_scores
-from siamloc.calls import takes
+from foundation.calls import takes
+from foundation.settings import Count, NotNegative, Settings
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.result import Result
@@ -20,7 +21,6 @@ from siamloc.maps import Built
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns
-from siamloc.settings import Count, NotNegative, Settings
 
 
 @dataclass(frozen=True)

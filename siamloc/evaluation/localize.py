@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.calls import takes, typed
+from foundation.calls import takes, typed
+from foundation.settings import Count, NotNegative, Seed, Settings, Share
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler, PairSettings
@@ -36,7 +37,6 @@ from siamloc.evaluation.session import Baselines, Search, Session, cost
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
 from siamloc.results import FURTHER
-from siamloc.settings import Count, NotNegative, Seed, Settings, Share
 from siamloc.stopwatch import Stopwatch
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import atomic_files, plain, storage_errors
 from siamloc.errors import DataError, FormatError
-from siamloc.files import atomic_files, plain, storage_errors
 from siamloc.results import Columns, read_results, read_rows, tables_of, write_results
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description, Descriptor
+from foundation.calls import typed
 from siamloc import maps
-from siamloc.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from foundation.files import PICTURES, is_picture, write_picture
+from foundation.settings import Rule, Seed, Text, Thousand
 from siamloc.data.frames import image_files
 from siamloc.errors import DataError
-from siamloc.files import PICTURES, is_picture, write_picture
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.data_job import DataJob
 from siamloc.jobs.job import Say, quiet
-from siamloc.settings import Rule, Seed, Text, Thousand
 
 Depth = Annotated[int, Rule("a whole number from 1 to 10,000", lambda value: 1 <= value <= 10_000)]
 Picture = Annotated[str, Rule(f"a picture's name, ending {' '.join(PICTURES)}", is_picture)]

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
+from foundation.settings import Count, Natural, Rule, Settings, Share, Text, Workers, checked, fields_of
 from siamloc.errors import ConfigError, check_known, hint
 from siamloc.models.registry import LOSSES, NORMALIZATIONS, Contrastive, Outputs, branch_spec, head_widths
-from siamloc.settings import Count, Natural, Rule, Settings, Share, Text, Workers, checked, fields_of
 
 Kind = TypeVar("Kind", bound="Choice")
 Folder = Annotated[str, Rule("the name of a folder", lambda value: bool(value.strip()))]

@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 from urllib.parse import quote
 
 from analytic import Descriptor
+from foundation.files import real_path
+from foundation.settings import Text
 from siamloc import evaluation, maps
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
 from siamloc.errors import ConfigError, hint
@@ -17,7 +19,6 @@ from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
-from siamloc.files import real_path
 from siamloc.jobs.choices import OF_A_RUN, DescriptorChoice
 from siamloc.jobs.inherit import map_file, map_known
 from siamloc.jobs.job import Say, quiet
@@ -29,7 +30,6 @@ from siamloc.maps import Built, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.results import read_results
 from siamloc.runs import Run
-from siamloc.settings import Text
 
 
 @dataclass(frozen=True, kw_only=True)

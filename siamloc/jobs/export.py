@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from siamloc.files import read_json
+from foundation.files import read_json
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.inherit import map_file
 from siamloc.jobs.job import Say, quiet

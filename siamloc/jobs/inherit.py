@@ -10,6 +10,7 @@ from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import Any
 
+from foundation.settings import fields_of
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, FormatError
 from siamloc.jobs.choices import OF_A_RUN
@@ -17,7 +18,6 @@ from siamloc.jobs.job import Given
 from siamloc.jobs.sweep import of_map, own_folder
 from siamloc.models.registry import Optimizer, whole_model
 from siamloc.runs import Run, newest_run
-from siamloc.settings import fields_of
 from siamloc.training.settings import Learning
 
 OF_TRAINING = tuple(name for name in fields_of(Learning) if name not in ("pairs", "optimizer"))

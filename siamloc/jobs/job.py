@@ -15,8 +15,8 @@ from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+from foundation.settings import Settings, defaults_of, fields_of
 from siamloc.errors import ConfigError, check_known
-from siamloc.settings import Settings, defaults_of, fields_of
 
 Kind = TypeVar("Kind", bound="Job")
 Say = Callable[[str], None]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from analytic import DESCRIPTORS, Descriptor, descriptor
+from foundation.settings import Seed
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Heading, Model
 from siamloc.jobs.data_job import DataJob
@@ -16,7 +17,6 @@ from siamloc.jobs.inherit import suggestion, with_settings_of_the_run
 from siamloc.jobs.job import Given, Say
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run
-from siamloc.settings import Seed
 
 EXPERIMENTAL = {
     **DataJob.GROUPS,

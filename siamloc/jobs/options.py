@@ -14,8 +14,8 @@ from typing import Any
 
 import yaml
 
+from foundation.settings import Settings, defaults_of
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import Settings, defaults_of
 
 
 @dataclass(frozen=True)

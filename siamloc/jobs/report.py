@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from foundation.settings import Rule, Text
 from siamloc.comparison import files_named
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs.job import Job, Say, quiet
 from siamloc.jobs.sweep import sweep_suffix
 from siamloc.runs import Run, newest_run
-from siamloc.settings import Rule, Text
 
 Several = Annotated[tuple[Text, ...], Rule("a list of one name or more", lambda value: len(value) > 0)]
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from foundation.settings import Text
 from siamloc.errors import DataError
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Job, Say, quiet
-from siamloc.settings import Text
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from foundation.settings import Count, Pace, Port, Rule, Text
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs.job import Job, Say, quiet
 from siamloc.runs import Run, newest_run
-from siamloc.settings import Count, Pace, Port, Rule, Text
 
 if TYPE_CHECKING:
     from siamloc.runtime import Localizer

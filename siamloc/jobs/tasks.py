@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from foundation.settings import Settings, Text, checked, fields_of
 from siamloc.errors import ConfigError, hint
 from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.disturbed import Robustness
 from siamloc.evaluation.hierarchy import CoarseRanking, Hierarchical
 from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
-from siamloc.settings import Settings, Text, checked, fields_of
 
 Kind = TypeVar("Kind", bound=Settings)
 _COMPARED = ("thumbnail", "untrained")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from foundation.settings import Count, Positive, Probability, Size, defaults_of
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
@@ -18,7 +19,6 @@ from siamloc.jobs.sweep import sweep_suffix
 from siamloc.models.registry import LOSSES, Optimizer
 from siamloc.pretraining.settings import RECIPE, ViewSettings
 from siamloc.runs import Run
-from siamloc.settings import Count, Positive, Probability, Size, defaults_of
 from siamloc.training.settings import Learning, Training
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import read_headed, write_arrays
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import DataError, FormatError
 from siamloc.maps.visual_map import VisualMap
 from siamloc.models.room_classifier import RoomClassifier

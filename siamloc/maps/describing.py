@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, descriptor
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.heading import HeadingPart, NetworkHeading, WithHeading

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.learned import Learned
 from siamloc.maps.search import Retrieval

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from analytic import clustering
 from analytic.mapper import IncrementalMapper, Parameters
+from foundation.calls import typed
+from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
-from siamloc.calls import typed
+from foundation.settings import Count, Positive, Seed, Settings
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import read_json, storage_errors, write_json, write_text
 from siamloc.maps.coarse import CoarseLayer, naming
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
-from siamloc.settings import Count, Positive, Seed, Settings
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, ImageDescriptor, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import plain
 from siamloc.errors import ConfigError, DataError
-from siamloc.files import plain
 from siamloc.maps.packing import all_finite, packed
 
 HEADINGS: dict[str, dict[str, Any]] = {

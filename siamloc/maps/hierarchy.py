@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.settings import Count, Natural, Rule, Settings
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.matching import match
@@ -28,7 +29,6 @@ from siamloc.maps.ranking import (
 )
 from siamloc.maps.search import Retrieval, VectorIndex, check_neighbours
 from siamloc.maps.visual_map import VisualMap
-from siamloc.settings import Count, Natural, Rule, Settings
 
 if TYPE_CHECKING:
     from siamloc.data.frames import FrameTable

@@ -7,10 +7,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import check_version, read_json, write_json
+from foundation.settings import checked
 from siamloc.errors import FormatError
-from siamloc.files import check_version, read_json, write_json
-from siamloc.settings import checked
 
 if TYPE_CHECKING:
     from typing_extensions import Self

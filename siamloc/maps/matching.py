@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from analytic.distances import distance as distance_named
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 

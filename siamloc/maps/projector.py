@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from siamloc.calls import typed
-from siamloc.files import write_text
+from foundation.calls import typed
+from foundation.files import write_text
 from siamloc.maps.visual_map import VisualMap
 
 _COLUMNS = ("room", "lighting", "sequence", "x", "y", "path")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.interpolation import interpolate_poses
 from siamloc.maps.learned import Learned

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.distances import DISTANCES
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.settings import Count, checked
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.settings import Count, checked
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and output
 _BYTES_PER_PAIR = 80  # if everything ties: score, mask, two indices, distance, and sorting them

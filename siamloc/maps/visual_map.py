@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description, Descriptor
 from analytic.distances import DISTANCES
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import plain
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
-from siamloc.files import plain
 from siamloc.maps.aligned import AlignedIndex
 from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic
 from siamloc.maps.map_file import not_whole, read_map, write_map

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from siamloc.calls import takes
+from foundation.calls import takes
 from siamloc.errors import ConfigError, hint
 from siamloc.models.near_and_far import NearAndFarLoss
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor, nn
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
 from siamloc.models.checkpoint_file import CONTENT_KEY, network_state, read_checkpoint
 from siamloc.models.network import build

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from foundation.files import check_version
 from siamloc.errors import FormatError
-from siamloc.files import check_version
 
 CONTENT_KEY = "siamloc"
 FORMAT_VERSION = 2

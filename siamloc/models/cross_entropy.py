@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from siamloc.calls import takes
+from foundation.calls import takes
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.origins import Origins, check_batch
 from siamloc.models.registry import CrossEntropy

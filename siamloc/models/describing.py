@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.between_columns import BetweenColumns
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError
 from siamloc.full_precision import full_precision

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError
 
 

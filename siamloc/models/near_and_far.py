@@ -7,10 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from siamloc.calls import takes
+from foundation.calls import takes
+from foundation.settings import fields_of
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
 from siamloc.models.registry import Circle, MultiSimilarity, NearAndFar, Triplet
-from siamloc.settings import fields_of
 
 _LEAST_SLOPE = 1e-3  # of a pair that contributes to learning
 _TRIPLETS = 3  # columns: an image, a positive and a negative of it

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.models.branch import (
     IMAGENET_MEAN,

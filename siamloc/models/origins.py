@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from foundation.settings import Settings
 from siamloc.errors import DataError
-from siamloc.settings import Settings
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError
 from siamloc.models.checkpoint import load
 from siamloc.models.network import Network, build

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
+from foundation.settings import Natural, NotNegative, Positive, Rule, Settings, Share, checked
 from siamloc.errors import ConfigError, hint
-from siamloc.settings import Natural, NotNegative, Positive, Rule, Settings, Share, checked
 
 Normalization = Literal["channels", "image", "local", "local_brightness"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)

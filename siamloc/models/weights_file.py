@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from foundation.files import atomic_path, check_version, parsed_json
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import atomic_path, check_version, parsed_json
 
 VERSION = 1
 _KEY = "siamloc"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import augment
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.models.batch_losses import UNIT_LENGTH

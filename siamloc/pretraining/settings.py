@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from foundation.settings import Count, Positive, Settings, Thousand, Workers
 from siamloc.errors import ConfigError
-from siamloc.settings import Count, Positive, Settings, Thousand, Workers
 from siamloc.training.recipes import RECIPES, Recipe
 
 

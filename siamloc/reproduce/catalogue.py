@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.reproduce.recipe_book import (
     Recipe,
     check_scale_and_data,

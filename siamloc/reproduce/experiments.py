@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from analytic import Description, descriptor
+from foundation.files import content_key
 from siamloc import evaluation, maps
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Role, room_sizes
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.evaluation.result import Result
-from siamloc.files import content_key
 from siamloc.maps import CoarseLayer, VectorIndex, VisualMap, headings, match
 from siamloc.reproduce.published import Record
 from siamloc.reproduce.recipe_book import Job, data_named

@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from siamloc.calls import typed
-from siamloc.files import write_text
+from foundation.calls import typed
+from foundation.files import write_text
 from siamloc.reproduce.recipe_book import data_named
 from siamloc.reproduce.reproduction import Reproduction, Verdict
 from siamloc.reproduce.running import machine

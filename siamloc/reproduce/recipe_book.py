@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError, hint
 from siamloc.reproduce.published import Source
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import write_text
 from siamloc.errors import ConfigError
-from siamloc.files import write_text
 from siamloc.reproduce.claims import Claim, claim, holds
 from siamloc.reproduce.panels import grouped, names_of, said, shown, title, unit
 from siamloc.reproduce.published import Record, measures, published

@@ -11,14 +11,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import content_key, plain, read_json, storage_errors, write_json
+from foundation.settings import NotNegative, Text, checked
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import content_key, plain, read_json, storage_errors, write_json
 from siamloc.progress import track
 from siamloc.reproduce.published import Record
 from siamloc.reproduce.recipe_book import Job, Recipe, check_scale_and_data, data_named, experiment, recipe
 from siamloc.reproduce.reproduction import Reproduction
-from siamloc.settings import NotNegative, Text, checked
 
 if TYPE_CHECKING:
     from siamloc.reproduce.experiments import Data

@@ -7,15 +7,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import check_version, parsed_json
+from foundation.settings import Count, misfit
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import check_version, parsed_json
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import Precision
 from siamloc.runtime.parts import Archive, Folder
 from siamloc.runtime.thumbnails import Thumbnails
-from siamloc.settings import Count, misfit
 
 if TYPE_CHECKING:
     from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap

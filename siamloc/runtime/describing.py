@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import AnalyticError, Description, ImageDescriptor
+from foundation.settings import Count, checked
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
-from siamloc.settings import Count, checked
 
 
 class Describer:

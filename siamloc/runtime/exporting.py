@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from analytic import Descriptor
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import atomic_folder, atomic_path, file_hash, plain, read_json, scratch_folder, write_json
+from foundation.settings import checked
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError, SiamlocError
-from siamloc.files import atomic_folder, atomic_path, file_hash, plain, read_json, scratch_folder, write_json
 from siamloc.maps import Built, CoarseLayer, LayerSearch, VisualMap, match
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic
@@ -41,7 +42,6 @@ from siamloc.runtime.parts import Archive
 from siamloc.runtime.precision import CALIBRATION, Measured, measured, smallest, spread
 from siamloc.runtime.quantization import quantize
 from siamloc.runtime.thumbnails import save_thumbnails
-from siamloc.settings import checked
 
 if TYPE_CHECKING:
     from torch import nn

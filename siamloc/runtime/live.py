@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import plain
+from foundation.settings import Pace, Port, Text, checked
 from siamloc.errors import ConfigError, DataError, SiamlocError
-from siamloc.files import plain
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.stream import CAMERA, Located, locate_all, named
 from siamloc.runtime.thumbnails import jpeg
-from siamloc.settings import Pace, Port, Text, checked
 
 if TYPE_CHECKING:
     from aiohttp import web

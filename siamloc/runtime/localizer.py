@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.settings import Count, checked
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
@@ -33,7 +34,6 @@ from siamloc.maps import (
 from siamloc.memory import returned_memory
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.describing import Describer, analytic_descriptor
-from siamloc.settings import Count, checked
 
 _STANDING = 0.01  # step in a map whose frames are all in one place
 

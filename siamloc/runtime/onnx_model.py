@@ -12,9 +12,9 @@ import torch
 from torch import nn
 
 from augment.base import on_host
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import atomic_path, file_hash
 from siamloc.errors import ConfigError, SiamlocError
-from siamloc.files import atomic_path, file_hash
 from siamloc.models.describing import evaluating, identity_of, network_of, orienting
 from siamloc.runtime.onnx_file import OPSET, label, quiet, session_of, traced
 

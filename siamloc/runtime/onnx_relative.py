@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import nn
 
 from augment.base import on_host
+from foundation.files import atomic_path
 from siamloc.errors import SiamlocError
-from siamloc.files import atomic_path
 from siamloc.maps.refinement import OUTPUTS
 from siamloc.models.describing import evaluating, identity_of, required_comparing
 from siamloc.models.orientation import VALUES

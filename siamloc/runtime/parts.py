@@ -10,8 +10,8 @@ import zlib
 from collections.abc import Collection
 from pathlib import Path
 
+from foundation.files import file_hash
 from siamloc.errors import FormatError
-from siamloc.files import file_hash
 
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that any part may have, and for each of its bytes in the archive
 _DAMAGE = (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)

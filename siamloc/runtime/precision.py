@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps.packing import Precision
 from siamloc.runtime.bundle import Bundle

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.files import atomic_path
+from foundation.files import atomic_path
 
 _LAYERS = ["Conv", "Gemm"]
 

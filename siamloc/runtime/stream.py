@@ -17,11 +17,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import atomic_path, plain
 from siamloc.data.frames import image_files
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError
-from siamloc.files import atomic_path, plain
 from siamloc.runtime.localizer import Localizer, Location
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg"}

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from foundation.settings import Count, Rule, Seed, Settings, Thousand
 from siamloc.data.names import lighting_in
 from siamloc.errors import ConfigError
-from siamloc.settings import Count, Rule, Seed, Settings, Thousand
 from siamloc.simulate.run import Run
 
 #: The standard benchmark: path 2 under three lightings.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.errors import DataError, hint
 from siamloc.simulate.draw import draw_building
 from siamloc.simulate.layout import Building

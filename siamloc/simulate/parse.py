@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import numpy as np
 import yaml
 
+from foundation.files import read_text
+from foundation.settings import Rule, Seed, complaint
 from siamloc.errors import DataError, hint
-from siamloc.files import read_text
-from siamloc.settings import Rule, Seed, complaint
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import HALF_WALL, SIDES, Building, Item, Opening, Path, Room
 from siamloc.simulate.textures import SURFACES

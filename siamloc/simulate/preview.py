@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.calls import typed
-from siamloc.files import atomic_path
-from siamloc.settings import Thousand
+from foundation.calls import typed
+from foundation.files import atomic_path
+from foundation.settings import Thousand
 from siamloc.simulate.config import SimulateConfig
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building

@@ -14,10 +14,10 @@ from typing import Any
 
 import cv2
 
-from siamloc.calls import typed
+from foundation.calls import typed
+from foundation.files import content_key, read_json, storage_errors, write_bytes, write_json, write_text
 from siamloc.data.names import parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import content_key, read_json, storage_errors, write_bytes, write_json, write_text
 from siamloc.progress import track
 from siamloc.simulate.camera import HEIGHT, Exposure, OmnidirectionalCamera, PanoramaCamera, make_camera
 from siamloc.simulate.config import SimulateConfig

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import cv2
 import numpy as np
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate.camera import HEIGHT, OFFSETS, Camera, Exposure, PanoramaCamera, develop, expose, make_camera
 from siamloc.simulate.layout import Array, seeded

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.simulate.items import add_items
 from siamloc.simulate.layout import Array, Building, Item, seeded
 from siamloc.simulate.light import FULL, BakedLight, Detail, LightTransport

@@ -8,9 +8,9 @@ from pathlib import Path as FilePath
 import cv2
 import numpy as np
 
+from foundation.files import read_text
 from siamloc.data.names import NamedPose, format_name, parse_name
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.files import read_text
 from siamloc.simulate.layout import Array, Building, Path
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles, room_codes
 

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.simulate.camera import develop, metered
 from siamloc.simulate.layout import Array, Building, seeded

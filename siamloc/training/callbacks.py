@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from augment.torchvision_compat import ensure_torchvision
+from foundation.files import atomic_path, write_text
 from siamloc.errors import StorageError
-from siamloc.files import atomic_path, write_text
 from siamloc.models.describing import margin_of
 from siamloc.models.places import PlaceModule
 from siamloc.runs import Run, higher_is_better

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.comparison import Comparison, differing, flat
 from siamloc.errors import ConfigError, hint
 from siamloc.runs import Run, higher_is_better

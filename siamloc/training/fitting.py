@@ -18,13 +18,14 @@ from torch import nn
 import augment
 from augment.base import on_host
 from augment.torchvision_compat import ensure_torchvision
+from foundation.calls import takes
+from foundation.files import plain
 from foundation.locks import alone
-from siamloc.calls import takes
+from foundation.settings import checked
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.files import plain
 from siamloc.memory import kept_memory
 from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.checkpoint import check_architecture, load
@@ -34,7 +35,6 @@ from siamloc.models.module import NetworkModule
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
-from siamloc.settings import checked
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 from siamloc.training.checks import (
     check_batches,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from augment.torchvision_compat import ensure_torchvision
+from foundation.files import atomic_path
 from siamloc.errors import ConfigError, StorageError
-from siamloc.files import atomic_path
 from siamloc.models.module import NetworkModule
 from siamloc.runs import Run
 from siamloc.training.batches import EpochDataModule

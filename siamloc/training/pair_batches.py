@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import Pairs, PairSampler, PairSettings

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from siamloc.calls import typed
+from foundation.calls import typed
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings, places_of

@@ -6,15 +6,15 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from foundation.files import is_temporary
 from foundation.locks import LOCK
+from foundation.settings import defaults_of
 from siamloc.data.places import PlaceSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.files import is_temporary
 from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import LOSSES
 from siamloc.runs import Run
-from siamloc.settings import defaults_of
 from siamloc.training.seen_frames import differing_frames
 from siamloc.training.settings import Monitor, Training
 

@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from foundation.files import content_key
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.files import content_key
 
 _PICTURES = 8  # examined, spread over the frames
 _CELLS = (8, 4)  # columns and rows of their thumbnails

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from foundation.settings import Count, Positive, Probability, Seed, Settings, Workers
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.models.registry import Contrastive, Optimizer
-from siamloc.settings import Count, Positive, Probability, Seed, Settings, Workers
 
 Monitor = Literal["auto", "error", "recall", "room", "accuracy", "refined", "loss"]
 

@@ -14,9 +14,9 @@ from typing import Any
 import torch
 
 from augment.torchvision_compat import ensure_torchvision
+from foundation.files import content_key
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.files import content_key
 from siamloc.models.module import NetworkModule
 from siamloc.models.network import Network
 from siamloc.runs import Run

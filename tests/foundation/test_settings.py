@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from foundation.calls import takes
 from foundation.errors import ConfigError
 from foundation.settings import (
     Count,
@@ -19,7 +20,6 @@ from foundation.settings import (
     Size,
     defaults_of,
 )
-from siamloc.calls import takes
 
 
 @dataclass(frozen=True)

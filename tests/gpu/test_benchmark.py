@@ -10,7 +10,7 @@ import torch
 
 from benchmarks import gpu as benchmark
 from benchmarks import views
-from siamloc.files import read_json
+from foundation.files import read_json
 from siamloc.pretraining import rendering
 from siamloc.training import batches
 from tests.gpu.pretend import NAME

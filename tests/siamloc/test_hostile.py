@@ -11,12 +11,12 @@ import zlib
 
 import pytest
 
+from foundation.files import atomic_path
 from siamloc.cli import main
 from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.manifest import read_manifest
 from siamloc.data.protocol import Role
 from siamloc.errors import ConfigError, DataError, FormatError, StorageError
-from siamloc.files import atomic_path
 from siamloc.runs import Run
 from siamloc.runtime.parts import Folder
 from siamloc.simulate.parse import read_building_file

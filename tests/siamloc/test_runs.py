@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from foundation.files import read_json, write_json
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import read_json, write_json
 from siamloc.runs import Run
 
 

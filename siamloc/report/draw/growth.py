@@ -15,8 +15,8 @@ from matplotlib.colors import to_rgb, to_rgba_array
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from foundation.files import atomic_path, parsed_json
 from siamloc.errors import FormatError
-from siamloc.files import atomic_path, parsed_json
 from siamloc.report.draw.look import INK, style
 from siamloc.report.draw.node_colours import NO_NODE, POOL, ink, neighbouring, node_colours
 from siamloc.report.draw.nodes import NodePlan, counted, dress, plan_size, spread_out

@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.files import atomic_path
 from siamloc.errors import DataError
-from siamloc.files import atomic_path
 
 # In dark mode the page's style sheet replaces these colours with others. So white that has to stay white, such as a
 # number on a dark dot, and the colours of nodes differ from them, if only by an invisible shade.

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.files import real_path
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import real_path
 from siamloc.results import FINEST, FURTHER, Columns, read_results, read_rows, rows_by_label
 from siamloc.runs import Run, run_with, runs_in
 

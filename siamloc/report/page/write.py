@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from string import Template
 
+from foundation.calls import typed
+from foundation.files import write_text
 from siamloc import __version__
-from siamloc.calls import typed
 from siamloc.errors import ConfigError
-from siamloc.files import write_text
 from siamloc.report.page import rooms, sections
 from siamloc.report.page.compact import compact
 from siamloc.report.page.compared import comparison

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import analytic
+from foundation.files import plain
 from siamloc.cli import main
 from siamloc.evaluation.building_choice import measures_of
-from siamloc.files import plain
 from siamloc.maps import CoarseLayer
 from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest, write_rows

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from foundation.files import plain
 from siamloc.cli import main
 from siamloc.evaluation import absolute, calibration, estimates, hierarchy
-from siamloc.files import plain
 from siamloc.maps import CoarseLayer, ErrorModel
 from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest

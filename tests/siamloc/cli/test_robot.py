@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foundation.files import read_json
 from siamloc.cli import main
-from siamloc.files import read_json
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
 from tests.drawn import write_manifest

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from foundation.settings import fields_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.pairs import PairSampler, PairSettings, largest_same_room_distance
 from siamloc.errors import ConfigError, DataError
-from siamloc.settings import fields_of
 
 
 def sampler_of(frames, label="auto", seed=0, **options):

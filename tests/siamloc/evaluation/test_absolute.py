@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foundation.files import plain
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import evaluate_absolute, measures_of, with_baseline
-from siamloc.files import plain
 from siamloc.maps import VisualMap
 from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from foundation.files import plain
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.calibration import calibration_curve, lost_measures, measures_of
-from siamloc.files import plain
 from siamloc.results import read_results, read_rows, write_results
 from tests.oracles import calibration as oracle
 

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from foundation.files import plain
 from siamloc.errors import DataError
 from siamloc.evaluation import absolute, estimate_columns
 from siamloc.evaluation.absolute import evaluate_absolute
-from siamloc.files import plain
 from siamloc.maps import Retrieval
 from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from analytic import Description
+from foundation.files import plain
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
 from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical, measures_of
 from siamloc.evaluation.result import Result
-from siamloc.files import plain
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import analytic
+from foundation.files import plain
 from siamloc import evaluation, maps
 from siamloc.data import PanoramaLibrary, Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import Result
 from siamloc.evaluation.absolute import evaluate_absolute
-from siamloc.files import plain
 from siamloc.models import build
 from siamloc.results import finest
 from tests.siamloc.evaluation.world import Reads, drive, library

@@ -12,13 +12,13 @@ import pytest
 import torch
 
 import siamloc
+from foundation.settings import fields_of
 from siamloc.cli.compose import composed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_batches
 from siamloc.pretraining.rendering import Renderer
 from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
-from siamloc.settings import fields_of
 from siamloc.simulate.processes import rendering_processes
 from siamloc.simulate.view_cameras import Cameras
 from siamloc.simulate.views import Exposures, Views, camera_of

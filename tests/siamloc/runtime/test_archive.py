@@ -16,9 +16,9 @@ import numpy as np
 import onnx
 import pytest
 
+from foundation.files import file_hash, read_json, write_json
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, FormatError, SiamlocError
-from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import VisualMap
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export

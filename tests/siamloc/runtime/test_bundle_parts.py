@@ -12,9 +12,9 @@ import pytest
 import analytic
 import siamloc
 from analytic.descriptors.thumbnail import Thumbnail
+from foundation.files import file_hash, read_json, write_json
 from siamloc import evaluation, maps, runtime
 from siamloc.errors import ConfigError, FormatError
-from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import LayerSearch, VisualMap
 from siamloc.maps.packing import packed, unpacked
 from siamloc.models import as_descriptor, build

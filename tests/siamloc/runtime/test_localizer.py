@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import analytic
+from foundation.files import file_hash, read_json, write_json
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.names import NamedPose
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import HeadingPart, VisualMap, WithHeading, headings
 from siamloc.maps.error_model import ErrorModel
 from siamloc.maps.heading import NetworkHeading

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 import siamloc
+from foundation.files import file_hash, read_json, write_json
 from siamloc.errors import ConfigError, FormatError, SiamlocError
-from siamloc.files import file_hash, read_json, write_json
 from siamloc.maps import (
     ErrorModel,
     HeadingPart,

@@ -17,9 +17,9 @@ import torch
 from torch import nn
 
 import augment
+from foundation.files import read_json, write_json
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, read
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.files import read_json, write_json
 from siamloc.models import PlaceModule, SiameseModule, as_descriptor, build, load
 from siamloc.runs import Run
 from siamloc.training import PairSettings, Training, fit

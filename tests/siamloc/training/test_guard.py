@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import siamloc
+from foundation.files import read_json
 from siamloc.errors import ConfigError, StorageError
-from siamloc.files import read_json
 from siamloc.models.checkpoint import read_checkpoint
 from siamloc.training import guard
 from tests.siamloc.training.test_place_batches import SETTINGS, network

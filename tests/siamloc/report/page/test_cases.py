@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foundation.files import read_json, write_json
 from siamloc.cli import main
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.evaluation.room_retrieval import evaluate_rooms
-from siamloc.files import read_json, write_json
 from siamloc.maps import VisualMap
 from siamloc.report.page import compared, parts, sections
 from siamloc.report.page.markup import Markup, tag

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foundation.files import read_json, write_json
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation.building_choice import evaluate_buildings
-from siamloc.files import read_json, write_json
 from siamloc.report.page.write import write_report
 from siamloc.results import read_results, read_rows
 from tests.siamloc.report import pages, rich

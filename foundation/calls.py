@@ -1,6 +1,6 @@
 """`typed`: check the arguments of a public call against its annotations, as settings are checked.
 
-    >>> from siamloc.settings import Count
+    >>> from foundation.settings import Count
     >>> @typed
     ... def cut(frames: FrameTable, k: Count = 2, folder: str | Path | None = None) -> None: ...
     >>> cut("abc")
@@ -25,8 +25,8 @@ from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args,
 
 import numpy as np
 
-from siamloc.errors import ConfigError, hint
-from siamloc.settings import Absent, Settings, checked, default_of
+from foundation.errors import ConfigError, hint
+from foundation.settings import Absent, Settings, checked, default_of
 
 _ATTRIBUTES = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", flags=re.MULTILINE)
 _SETTINGS = re.compile(r"^    settings: .*\n(?:        .*\n)*", flags=re.MULTILINE)

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.torture import STRANGE, outcome_of
 from benchmarks.torture_calls import call_cases, public_calls
-from siamloc.calls import kinds_of, typed
+from foundation.calls import kinds_of, typed
+from foundation.errors import ConfigError
+from foundation.settings import Count
 from siamloc.data import FrameTable
-from siamloc.errors import ConfigError
-from siamloc.settings import Count
 
 if TYPE_CHECKING:
     from siamloc.nowhere import Elsewhere

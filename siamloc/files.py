@@ -1,3 +1,0 @@
-"""Files; see `foundation.files`."""
-
-from foundation.files import *  # noqa: F403

@@ -1,3 +1,0 @@
-"""Settings; see `foundation.settings`."""
-
-from foundation.settings import *  # noqa: F403
