@@ -14,6 +14,7 @@ from typing import Any
 
 from augment.errors import AugmentError
 from foundation.files import is_temporary, write_json, write_text
+from foundation.locks import LOCK
 
 TABLE = "augmentation.csv"
 SETTINGS = "augmentation.json"
@@ -56,7 +57,7 @@ def prepare(
     """Prepare the folder and return the rows of the images that an earlier call finished, by image."""
     wanted = json.loads(json.dumps({"schema": VERSION, **options, "frames": len(sources)}))  # as it will be read again
     settings = folder / SETTINGS
-    if folder.exists() and not all(map(is_temporary, folder.iterdir())):
+    if folder.exists() and not all(is_temporary(path) or path.name == LOCK for path in folder.iterdir()):
         if not resume:
             raise AugmentError(f"{folder} is not empty: choose another folder, or go on with resume=true")
         if not settings.is_file():
