@@ -26,12 +26,13 @@ def test_what_was_expanded_is_read_back(frames, tmp_path):
     )
 
 
-def test_what_a_killed_run_left_of_the_list_goes_and_foreign_files_stay(frames, tmp_path):
+def test_what_a_killed_run_left_of_the_list_goes_and_foreign_files_stay(frames, tmp_path, monkeypatch):
     out = tmp_path / "out"
     data.expand(frames, out, depth=2, image_size=(16, 64))
     (out / "manifest.csv").unlink()
     (out / ".manifest.csv.0.tmp.csv").write_text("cut")
     (out / ".notes.tmp").write_text("mine")
+    monkeypatch.setattr("foundation.files._cleared", set())  # as in another process
     expanded = data.expand(frames, out, depth=2, image_size=(16, 64), resume=True)
     assert expanded.kept == 8
     assert not list(out.glob(".manifest*"))
