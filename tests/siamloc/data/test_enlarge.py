@@ -2,6 +2,7 @@
 
 import pytest
 
+from foundation import files
 from siamloc import data
 from siamloc.errors import ConfigError
 
@@ -30,7 +31,7 @@ def test_what_a_killed_run_left_of_the_list_goes_and_foreign_files_stay(frames, 
     out = tmp_path / "out"
     data.expand(frames, out, depth=2, image_size=(16, 64))
     (out / "manifest.csv").unlink()
-    (out / ".manifest.csv.0.tmp.csv").write_text("cut")
+    (out / f".manifest.csv.{files._HOST}-999999999-0.tmp.csv").write_text("cut")
     (out / ".notes.tmp").write_text("mine")
     monkeypatch.setattr("foundation.files._cleared", set())  # as in another process
     expanded = data.expand(frames, out, depth=2, image_size=(16, 64), resume=True)
