@@ -126,6 +126,8 @@ class Job(Settings):
 def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return values of a job with the values of the options that they name, and of those that are chosen by default.
 
+    A mapping that does not say of which option its keys are, by `kind` or `name`, changes the option chosen by default.
+
     Raises:
         ConfigError: an unknown option, or another value in place of a group.
     """
@@ -142,6 +144,10 @@ def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
         if isinstance(chosen, str):
             part[last] = merged(values_of(group, chosen), kind.MORE.get(group, {}))
         _check_group(part[last], group)
+        option = values_of(group, usual)
+        tag = "kind" if "kind" in option else "name"
+        if tag in option and part[last].get(tag, option[tag]) == option[tag]:
+            part[last] = merged(option, part[last])
     return whole
 
 
