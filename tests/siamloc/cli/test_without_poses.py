@@ -135,7 +135,7 @@ def test_a_lighting_without_poses_keeps_its_rooms(manifest, tmp_path, capsys):
     given = ["protocol.query.sequences=[second,third]", "task.baselines=[]", "task.plots=false"]
     assert main(words("evaluate", table, tmp_path, *given)) == 0
     said = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("hog ")]
-    assert [line[1] for line in said] == ["cloudy", "night", "all"]
+    assert [line[1] for line in said] == ["cloudy", "cloudy", "night", "all"], "poses, then rooms"
     rows = rows_of(page_of(tmp_path).one("table", class_="by-lighting"))
     assert [row[-1] for row in rows] == ["18", "18", "18"]
     assert [row[-3] for row in rows] == ["–" if i == 1 else row[-3] for i, row in enumerate(rows)], "headings"
