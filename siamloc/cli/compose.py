@@ -324,7 +324,8 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
 def _nearest_key(key: str, kind: type[Job], words: list[str]) -> str:
     from hydra.errors import HydraException
 
-    chosen = [word for word in words if word.partition("=")[0] in kind.GROUPS and "," not in word]
+    choices = {*kind.GROUPS, "experiment"}
+    chosen = [word for word in words if word.partition("=")[0] in choices and "," not in word]
     try:
         config = compose_values(kind, chosen)
     except HydraException:  # a group has no such choice
