@@ -60,7 +60,7 @@ class Preprocessing:
 
         Args:
             image_size: rows and columns (H, W) of a panorama.
-            unwrap: the camera, or plain values as in `conf/unwrap` (`camera_from_config`); None to resize.
+            unwrap: the camera, or plain values, see `camera_from_config`; None to resize.
             view: size and elevations of an unwrapped panorama. Its size has to be `image_size`. If None, the
                 elevations are those among the plain values, or the defaults.
 
@@ -113,7 +113,7 @@ class Preprocessing:
         return {**dataclasses.asdict(self.view), "camera": camera}
 
     def unwrap_settings(self) -> dict[str, Any]:
-        """Return the camera and the elevations as plain values, as in `conf/unwrap`; `checked` reads them."""
+        """Return the camera and the elevations as plain values, which `checked` reads."""
         if self.camera is None:
             return {"kind": "none"}
         known = [kind for kind, camera in CAMERAS.items() if type(self.camera) is camera]

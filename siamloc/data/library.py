@@ -33,7 +33,7 @@ class PanoramaLibrary:
         frames: the requested frames.
         cache: folder of the decoded panoramas; the environment variable SIAMLOC_CACHE or `.siamloc/panoramas` if None.
         image_size: rows and columns (H, W) of a panorama.
-        unwrap: camera of omnidirectional images, or plain values as `conf/unwrap` holds them, such as
+        unwrap: camera of omnidirectional images, or plain values, such as
             {"kind": "polar", "inner": 60}. None for panoramas and ordinary images, which are resized by area.
         circular: whether the columns wrap around; False for ordinary cameras.
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
