@@ -99,7 +99,7 @@ def main() -> None:
 
 def trained(building: Building, seed: int) -> siamloc.models.Network:
     """Fine-tune a network that compares images."""
-    network = RECIPE.build(seed=seed, relative=True)
+    network = RECIPE.build(seed=seed)
     train, validation = building.drives(TRAIN), building.drives(VALIDATION)
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"

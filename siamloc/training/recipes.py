@@ -161,8 +161,8 @@ RECIPES: dict[str, Recipe] = {
 `modern`: panoramas with positions in metres. A small residual network that wraps around the azimuth, trained from
 random weights on batches of places, about five minutes on two processor cores.
 
-`fine_tuning`: the same from the weights that ship with siamloc, with 60 batches instead of 700, the head `magnitudes`
-and the canonical direction.
+`fine_tuning`: the same from the weights that ship with siamloc, with 60 batches instead of 700, the head `magnitudes`,
+the canonical direction and the comparison of images, which needs headings.
 
 `photographs`: images of an ordinary or a fisheye camera, in the order in which the robot took them; a single drive that
 visits no place twice needs neither positions nor rooms. The same network without wrapping, trained half as long. If
