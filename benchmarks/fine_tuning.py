@@ -1,7 +1,7 @@
 """Fine-tune the shipped network for a minute: on one cloudy drive, and on three drives.
 
-The recipe is `siamloc.training.recipe("fine_tuning")` without the comparison of images. Headings are not given; the map is one drive, with every fifth
-frame and with all frames. Several seeds show the spread.
+The recipe is `siamloc.training.recipe("fine_tuning")` without the comparison of images. Headings are not given; the map
+is one drive, with every fifth frame and with all frames. Several seeds show the spread.
 
 Targets for the mean over the seeds: from the cloudy drive alone an excess over the floor, with every fifth frame, of at
 most 0.03, 0.05 and 0.08 m under clouds, at night and in the sun; from three drives the targets of `benchmarks.recipes`
