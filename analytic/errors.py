@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from foundation.errors import hint
+from foundation.errors import ConfigError, hint
 
 __all__ = ["AnalyticError", "hint", "known"]
 
 
-class AnalyticError(ValueError):
+class AnalyticError(ConfigError):
     """The error for a parameter, image or description that cannot be used; one sentence says which, and what to do.
 
     Example:

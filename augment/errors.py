@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from foundation.errors import hint
+from foundation.errors import ConfigError, hint
 
 __all__ = ["AugmentError", "hint"]
 
 
-class AugmentError(ValueError):
+class AugmentError(ConfigError):
     """The error for a parameter, policy or batch that cannot be used; the message says which, and what to do."""

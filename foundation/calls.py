@@ -51,14 +51,16 @@ def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..
         kinds: list[dict[str, Any]] = []
         named = [*(one.name for one in parameters if one.kind is one.KEYWORD_ONLY), *fields]
 
+        called = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
+
         @wraps(function)
         def call(*arguments: Any, settings: Settings | Mapping[str, Any] | None = None, **keywords: Any) -> Result:
             given = {name: keywords.pop(name) for name in list(keywords) if name in fields}
             for name in keywords:
                 if name not in own.parameters:
-                    raise ConfigError(f"{function.__name__} has no setting {name!r}: {hint(name, named)}")
+                    raise ConfigError(f"{called} has no setting {name!r}: {hint(name, named)}")
             if settings is not None and given:
-                raise ConfigError(f"{function.__name__} takes settings=... or {', '.join(given)}, not both")
+                raise ConfigError(f"{called} takes settings=... or {', '.join(given)}, not both")
             if not kinds:
                 kinds.append(kinds_of(function))
             check_arguments(own, kinds[0], arguments, keywords)

@@ -197,7 +197,7 @@ def words_for(kind: Any) -> str:
     if origin is Annotated:
         return next((part.words for part in parts[1:] if isinstance(part, Rule)), words_for(parts[0]))
     if origin in (Union, types.UnionType):
-        return ", or ".join("null" if part is type(None) else words_for(part) for part in parts)
+        return ", or ".join(dict.fromkeys("null" if part is type(None) else words_for(part) for part in parts))
     if origin is Literal:
         return " or ".join(str(part) for part in parts)
     if origin in (tuple, list, Sequence):

@@ -8,8 +8,9 @@ import hypothesis
 import numpy as np
 import pytest
 
-hypothesis.settings.register_profile("quick", max_examples=20)
-hypothesis.settings.register_profile("thorough", max_examples=100)
+ANY_SPEED = {"deadline": None, "suppress_health_check": [hypothesis.HealthCheck.too_slow]}  # of a busy machine
+hypothesis.settings.register_profile("quick", max_examples=20, **ANY_SPEED)
+hypothesis.settings.register_profile("thorough", max_examples=100, **ANY_SPEED)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 FRAMES = 6

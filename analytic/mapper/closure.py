@@ -145,10 +145,10 @@ def image_level(
     distance: str | None,
     leave_out: int | None = None,
 ) -> Similarity:
-    """Compute the similarity of a frame to the frames of nodes (eq. 5-6), position times aligned orientation.
+    """Compute the similarity of a frame to frames of nodes: of the positions (eq. 5) times of the orientations (eq. 6).
 
-    Each of the two is the inverse distance, normalized to a sum of 1. A frame at distance 0 counts as one at a
-    millionth of the largest distance. Without orientation parts, position alone counts.
+    Each of the two is the inverse distance, normalized to a sum of 1; orientations are aligned first. A frame at
+    distance 0 counts as one at a millionth of the largest distance. Without orientation parts, position alone counts.
 
     Args:
         descriptor: the descriptor that measures distances.
@@ -176,6 +176,7 @@ def image_level(
 
 
 def _normalized_inverse(distances: Array) -> Array:
+    """Return the inverse of distances (n,), normalized to a sum of 1 (eq. 5 for positions, eq. 6 for orientations)."""
     if not len(distances):
         return distances
     largest = float(distances.max())

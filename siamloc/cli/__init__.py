@@ -117,8 +117,4 @@ def _sentence(error: Exception) -> str | None:
         return f"what is printed cannot be written: {error.strerror.lower()}"
     if isinstance(error, MemoryError):
         return f"there is not enough memory for this ({error}): request less at a time"
-    for module, name in (("analytic.errors", "AnalyticError"), ("augment.errors", "AugmentError")):
-        kind = getattr(sys.modules.get(module), name, None)
-        if kind is not None and isinstance(error, kind):
-            return str(error)
     return None

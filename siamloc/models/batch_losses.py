@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from foundation.calls import takes
 from siamloc.errors import ConfigError, hint
-from siamloc.models.near_and_far import NearAndFarLoss
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
 from siamloc.models.registry import LOSSES, MetricCalibrated, SoftContrastive
 
@@ -42,6 +41,8 @@ class SoftContrastiveLoss(ScheduledLoss):
         >>> bool(SoftContrastiveLoss()(alike, origins) < SoftContrastiveLoss()(alike.roll(1, 0), origins))
         True
     """
+
+    unit_length: ClassVar[bool] = True
 
     @takes(SoftContrastive)
     def __init__(self, *, settings: SoftContrastive) -> None:
@@ -124,6 +125,8 @@ class MetricCalibratedLoss(ScheduledLoss):
         ConfigError: a cap that is not positive.
     """
 
+    unit_length: ClassVar[bool] = True
+
     @takes(MetricCalibrated)
     def __init__(self, *, settings: MetricCalibrated) -> None:
         super().__init__(settings)
@@ -146,9 +149,6 @@ class MetricCalibratedLoss(ScheduledLoss):
             cost = torch.where(known, apart - wanted.nan_to_num(0), 0).square()
             return cost.sum() / known.sum().clamp(min=1)
 
-
-UNIT_LENGTH = (SoftContrastiveLoss, MetricCalibratedLoss, NearAndFarLoss)
-"""Losses for descriptors of unit length: near-and-far losses normalize them, so those compared later must be, too."""
 
 _LEAST_WEIGHT = 1e-6
 

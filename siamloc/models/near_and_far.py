@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -34,6 +34,8 @@ class NearAndFarLoss(ScheduledLoss):
     So a training step on a GPU waits for it four times: for the descriptors, for them again in `active`, and for the
     gradients in both directions.
     """
+
+    unit_length: ClassVar[bool] = True
 
     def __init__(self, name: str, published: str, settings: Triplet | Circle | MultiSimilarity) -> None:
         from pytorch_metric_learning import distances, losses, miners

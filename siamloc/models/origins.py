@@ -45,7 +45,10 @@ class Origins:
 
 
 class ScheduledLoss(nn.Module):
-    """Base of losses with parameters that may change during training, such as `sigma` with `sigma_start`."""
+    """Base of losses over batches, whose parameters may change during training, such as `sigma` with `sigma_start`.
+
+    A loss for descriptors of unit length has the attribute `unit_length = True`: other descriptors are refused.
+    """
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()

@@ -13,7 +13,6 @@ import augment
 from foundation.calls import typed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
@@ -107,7 +106,7 @@ def pretrain(
     module = PlaceModule(network, loss, settings.optimizer, settings.recall_radius)
     noise = np.random.default_rng(0).integers(0, 256, (1, 3, *network.image_size), dtype=np.uint8)
     without_layer(network)  # fails before the training, not after it
-    check_network(network, noise, circular=True, unit=isinstance(module.loss, UNIT_LENGTH))
+    check_network(network, noise, circular=True, unit=getattr(module.loss, "unit_length", False))
     content = module.content()
     used: dict[str, Any] = {
         "data": {},

@@ -27,7 +27,6 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.memory import kept_memory
-from siamloc.models.batch_losses import UNIT_LENGTH
 from siamloc.models.checkpoint import check_architecture, load
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.losses import ContrastiveLoss
@@ -160,7 +159,7 @@ def fit(
     monitor = monitored(settings, train, validated, network, loss)
     settings = settings if monitor is None else replace(settings, monitor=monitor)
     data, module = _parts(network, images, train, validated, loss, change, settings)
-    width = check_network(network, images.batch([0]), images.circular, unit=isinstance(module.loss, UNIT_LENGTH))
+    width = check_network(network, images.batch([0]), images.circular, unit=getattr(module.loss, "unit_length", False))
     if isinstance(module.loss, CrossEntropyLoss):
         module.loss.open(rooms_of(train), width, settings.seed)
     content = module.content()
