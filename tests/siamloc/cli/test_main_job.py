@@ -176,7 +176,7 @@ def test_mistakes_in_training_are_one_line(train_words, tmp_path, command, words
 @pytest.mark.parametrize(
     ("command", "words", "says"),
     [
-        ("evaluate", ["protocol.query.sequences=[cloudy1]"], "not be honest"),
+        ("evaluate", ["protocol.query.sequences=[cloudy1]", "overwrite=true"], "not be honest"),
         ("evaluate", ["protocol.query.sequences=[cloudy2]", "model/branch=simple2"], "another architecture"),
         ("evaluate", ["protocol.query.sequences=[cloudy2]", "task.baselines=[thumbnale]"], "did you mean 'thumbnail'"),
         ("localize", ["images=[/nowhere.png]"], "no image /nowhere.png"),
@@ -266,10 +266,10 @@ def test_a_bundle_never_takes_the_place_of_other_files(finished, tmp_path, capsy
 def test_queries_from_the_run_of_the_map_are_refused_whatever_the_roles_say(finished, tmp_path, capsys):
     run = copied(finished, tmp_path)
     siamloc("map", f"run={run}", "protocol.map.sequences=[cloudy2]")
-    assert main(["evaluate", f"run={run}", "protocol.query.sequences=[cloudy2]"]) == 2
+    queries = [f"run={run}", "protocol.query.sequences=[cloudy2]", "overwrite=true"]
+    assert main(["evaluate", *queries]) == 2
     assert "not be honest" in capsys.readouterr().err
-    words = ["protocol.query.sequences=[cloudy2]", "protocol.kind=same_run", "task.baselines=[]", "task.plots=false"]
-    siamloc("evaluate", f"run={run}", *words)
+    siamloc("evaluate", *queries, "protocol.kind=same_run", "task.baselines=[]", "task.plots=false")
     results = json.loads((run / "evaluation" / "network" / "results.json").read_text())
     assert results["protocol"] == "same_run"
     assert results["measures"]["absolute"]["overall"]["error"]["mean"] == 0
@@ -278,7 +278,7 @@ def test_queries_from_the_run_of_the_map_are_refused_whatever_the_roles_say(fini
 def test_the_choice_of_map_frames_is_handed_on_and_not_changed_in_silence(finished, tmp_path, capsys):
     run = copied(finished, tmp_path)
     siamloc("map", f"run={run}", "protocol.map.every=3")
-    words = ["protocol.query.sequences=[cloudy2]", "task.baselines=[thumbnail]", "task.plots=false"]
+    words = ["protocol.query.sequences=[cloudy2]", "task.baselines=[thumbnail]", "task.plots=false", "overwrite=true"]
     siamloc("evaluate", f"run={run}", *words)
     results = json.loads((run / "evaluation" / "network" / "results.json").read_text())
     assert results["config"]["protocol"]["map"]["every"] == 3
