@@ -387,7 +387,7 @@ def test_wrong_values_are_one_line(train_words, words, says, tmp_path, capsys):
         (["task.radii=[abc]"], "task.radii must be a list"),
         (["device=foo"], "device must be auto, cpu or cuda, got 'foo'"),
         (["device=cuda:97"], "torch cannot compute on device='cuda:97' here: use one of auto, cpu"),
-        (["data=folder", "data.root=/nowhere"], "/nowhere"),
+        (["data=folder", "data.root=/nowhere", "overwrite=true"], "/nowhere"),
     ],
 )
 def test_wrong_values_in_evaluation_are_one_line(finished, words, says, capsys):
