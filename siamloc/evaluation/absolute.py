@@ -115,7 +115,7 @@ def with_baseline(result: Result, name: str, baseline: Result) -> Result:
 
 
 def neighbours(ks: Sequence[int], map_frames: int) -> int:
-    """Return the number of neighbours of each query that the recalls need."""
+    """Return how many nearest map frames of each query a search must return to compute the recalls."""
     return min(max(*ks, one_percent(map_frames)), map_frames)
 
 

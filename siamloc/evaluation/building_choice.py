@@ -105,7 +105,7 @@ def by_building(known: Sequence[VisualMap]) -> dict[str, VisualMap]:
     """Return one map per building, by the building's name.
 
     Raises:
-        ConfigError: fewer than two buildings, one of them twice, or maps with different descriptors.
+        ConfigError: fewer than two buildings, two maps of the same building, or maps with different descriptors.
         DataError: frames without a building.
     """
     found: dict[str, VisualMap] = {}
@@ -251,12 +251,12 @@ def evaluate_buildings(
 
 
 def measures_of(columns: Columns, labels: Sequence[str]) -> dict[str, Any]:
-    """Return the measures that can be computed from the columns.
+    """Return the accuracies and the confusion of buildings, from the columns of `queries.csv`.
 
     Returns:
         The groups "overall" and "lighting" (by label), each with `accuracy`, `correct`, `queries` and the same by
         true `building`; and `confusion` with the `labels`, the `counts` of all queries (row = true building, column =
-        building of the nearest map) and those by `lighting`.
+        building of the nearest map) and the counts by `lighting`.
     """
     true, predicted = columns["building"], columns["predicted_building"]
 

@@ -85,8 +85,9 @@ def measures_of(columns: Mapping[str, NDArray], lost_above: float, bins: int = 1
 
     Returns:
         The groups "overall", "lighting" (by label) and "room" (by label). A group holds `queries`; `predicted` and
-        `observed`, the means; `gap`, the difference between both in a query's bin of the calibration curve, averaged
-        over queries; `curve`, as from `calibration_curve`; and `lost`, as from `lost_measures`.
+        `observed`, the means; `gap`, the difference between predicted and observed error in a query's bin of the
+        calibration curve, averaged over queries; `curve`, as from `calibration_curve`; and `lost`, as from
+        `lost_measures`.
 
     Raises:
         ConfigError, DataError: as for `calibration_curve` and `lost_measures`.

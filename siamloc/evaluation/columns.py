@@ -25,7 +25,7 @@ def map_columns(known: FrameTable, queries: FrameTable) -> Columns:
 
 
 def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
-    """Return a text on which rooms of the queries the map lacks and what to do about it; empty if it lacks none."""
+    """Return a sentence that names the queries' rooms that the map lacks, and a remedy; empty if the map has all."""
     in_map, rooms = room_names(known, queries)
     missing = sorted(set(rooms.tolist()) - set(in_map.tolist()) - {""})
     if not missing:
@@ -38,10 +38,10 @@ def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
 
 
 def check_retrieval(found: Retrieval, frames: FrameTable) -> None:
-    """Refuse a retrieval of other queries.
+    """Check that a retrieval has one row for each query.
 
     Raises:
-        DataError: it does not have one row for each query.
+        DataError: the retrieval has fewer or more rows than there are queries.
     """
     if len(found) != len(frames):
         raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")

@@ -106,8 +106,9 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
     Returns:
         method, disturbance, level, queries, map_frames; mean, median, p95 of the errors, floor (mean), excess (mean);
         hit_rate, the share of queries whose answer is the geometrically nearest map frame; heading and heading_nearest,
-        mean errors in degrees with the frame found and with the nearest one, NaN if no heading is known; radius, within
-        (queries), share (of all queries), answerable (queries with a map frame within the radius).
+        mean errors in degrees of the headings from the most similar and from the geometrically nearest map frame, NaN
+        if no heading is known; radius, within (queries), share (of all queries), answerable (queries with a map frame
+        within the radius).
 
     Raises:
         ConfigError: a negative radius.

@@ -98,12 +98,12 @@ def located_columns(
     errors: ErrorModel | None = None,
     poses: tuple[str, RefinedPoses] | None = None,
 ) -> Columns:
-    """Return where queries with unknown true poses were found: the columns of `located.csv`.
+    """Return the estimated poses of queries whose true poses are unknown: the columns of `located.csv`.
 
     Args:
         known: a map of m frames, all with positions.
         frames: the queries (n).
-        found: their nearest map frames.
+        found: the nearest map frames of each query.
         headings: estimated headings (n,), rad.
         errors: the error model, with a threshold for lost queries.
         poses: prefix of the columns' names, and poses finer than the map.

@@ -59,8 +59,8 @@ class Estimates(Settings):
             the query with each of them, with a network built with relative=True; "none" leaves it out. The ellipses of
             "relative" are learned from validation frames, if given.
         neighbours: number of nearest map frames used to refine a pose.
-        error_model: predict the expected error of each query, learned on the validation frames: that of the finer pose
-            with `refine`, else that of the nearest map frame's pose.
+        error_model: predict the expected error of each query, learned on the validation frames: the error of the finer
+            pose with `refine`, else the error of the nearest map frame's pose.
         lost_above: expected error above which a query counts as lost, in the unit of the positions.
         place_radius: map frames farther apart are different places, for interpolation and the error model.
     """
@@ -89,8 +89,9 @@ class Validation:
     Attributes:
         frames: n validation frames.
         search: the search for all of them.
-        elsewhere: the search for those that are far from enough of the map's frames, among these only: this is how an
-            image is found that shows nothing that is on the map.
+        elsewhere: a search for the same frames among distant map frames only, which imitates images of places that the
+            map lacks; for validation frames with enough distant map frames. None if no frame has enough, or nothing
+            needs this search.
     """
 
     frames: FrameTable
@@ -108,7 +109,7 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
 
     Raises:
         ConfigError: there are no validation frames.
-        DataError: none of them has a position.
+        DataError: no validation frame has a position.
     """
     if frames is None:
         raise ConfigError(
@@ -135,7 +136,7 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
 
 
 def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
-    """Return how poses are made finer than a map, before anything is learned; None if they are not."""
+    """Return the method for poses finer than a map, before learning; None if the settings ask for no such poses."""
     if settings.refine == "none":
         return None
     return Refinement(settings.refine, settings.neighbours, settings.place_radius, map_digest=known.digest)
@@ -260,10 +261,10 @@ def filtered(
 def learned_refinement(
     refinement: Refinement, validation: Validation | None, skipped: dict[str, str]
 ) -> tuple[Refinement, dict[str, Any]]:
-    """Return how the robot makes finer poses, and what that was learned from.
+    """Return the method for finer poses with the ellipses' learned width, and the data it was learned from.
 
-    The width of the ellipses of poses by comparison is learned from validation frames. If there are too few, that is
-    recorded in `skipped`.
+    The width of the ellipses of poses by comparison is learned from validation frames. If there are too few validation
+    frames, `skipped` gets the reason.
     """
     about: dict[str, Any] = {"neighbours": refinement.neighbours}
     if refinement.method == "interpolate":
@@ -279,7 +280,7 @@ def learned_refinement(
 
 
 def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) -> Columns:
-    """Return the columns of finer poses."""
+    """Return the columns of finer poses for `queries.csv`."""
     headings = poses.theta if np.isfinite(poses.theta).any() else None
     columns = estimate_columns(ESTIMATES[refinement.method], poses.xy, queries, headings)
     if refinement.method == "interpolate":
@@ -293,10 +294,11 @@ def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedP
     """Filter poses by comparison along the queries of each sequence; return the columns and the filter's parameters.
 
     Args:
-        step: distance the map's drives go between two queries; if the queries go farther, theirs is used.
+        step: distance the robot moves between two queries, learned from the map; the median step of the query poses if
+            that is larger.
         kidnapping: as for `PoseFilter`.
         queries: n queries.
-        poses: their poses.
+        poses: poses of the queries (n), estimated by comparison.
     """
     gone = [np.hypot(*np.diff(poses.xy[rows], axis=0).T) for rows in queries.rows_by("sequence").values()]
     usual = float(np.median(steps)) if len(steps := np.concatenate([np.empty(0), *gone])) else 0.0
@@ -314,9 +316,9 @@ def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedP
 def learned_errors(
     settings: Estimates, known: VisualMap, validation: Validation, skipped: dict[str, str]
 ) -> tuple[ErrorModel, dict[str, Any]]:
-    """Return the error model of a map, learned on the validation frames, and what it was learned from.
+    """Return the error model of a map, learned on the validation frames, and a summary of the data used.
 
-    If there are too few frames to learn the threshold for foreign queries, that is recorded in `skipped`.
+    If there are too few frames to learn the threshold for foreign queries, `skipped` gets the reason.
 
     Raises:
         DataError: too few validation frames.

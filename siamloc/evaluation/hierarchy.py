@@ -185,9 +185,9 @@ def evaluate_hierarchical(
 
     The table "queries" is that of `evaluate_absolute` with further columns: `node` of the estimate and `true_node`,
     that of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one string, the best first;
-    `coarse_correct`, whether the true node was tried (a frame in no node is always searched, so a query whose true
-    frame is in none counts as correct); `frames_compared` and `comparisons`, which also counts the comparisons with the
-    coarse layer; `error_perfect_coarse` and `error_absolute`, the errors of a search for the same query in the true
+    `coarse_correct`, whether the true node was tried (frames in no node are always searched, so a query whose true
+    frame is in no node counts as correct); `frames_compared` and `comparisons`, which also counts the comparisons with
+    the coarse layer; `error_perfect_coarse` and `error_absolute`, the errors of a search for the same query in the true
     node alone and in the whole map. The table "map" has the `node` of each frame, the table "nodes" a row for each
     node.
 

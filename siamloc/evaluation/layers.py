@@ -153,10 +153,10 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
 
     Returns:
         frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
-        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); both for the frames that
-        have a position, NaN if there are none; `purity` per room and overall, with the number of frames; `closures`
-        with precision, recall, F1 and their denominators, NaN unless all frames have a position; `ms_per_frame` as
-        mean, median and p95, NaN if not measured; `reasons` with their counts, if any.
+        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); silhouette and inertia
+        are computed over the frames that have a position, NaN if there are none; `purity` per room and overall, with
+        the number of frames; `closures` with precision, recall, F1 and their denominators, NaN unless all frames have a
+        position; `ms_per_frame` as mean, median and p95, NaN if not measured; `reasons` with their counts, if any.
     """
     from analytic import measures
 
@@ -194,7 +194,7 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
 def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor, gap: int) -> NDArray[np.int64]:
     """Return the frame with which each frame closes a loop (n,), -1 for none.
 
-    It is the most similar frame of the same node that is at least `gap` frames earlier.
+    A frame closes a loop with the most similar frame of its node that is at least `gap` frames earlier.
     """
     found = np.full(len(known), -1, dtype=np.int64)
     for node in range(int(labels.max()) + 1):

@@ -15,10 +15,10 @@ _CLEAR = 3.0  # times the spacing of the map, and times the scatter of the offse
 
 
 def implausible_offsets(known: FrameTable, queries: FrameTable, matches: NDArray[np.int64]) -> Iterator[str]:
-    """Find drives that are displaced from the map: successive queries are found aside, all by the same vector.
+    """Find drives whose queries match map frames at some distance, successive queries in the same direction.
 
-    A wrong match displaces a query in a direction of its own; positions in another frame of reference displace all
-    queries near each other alike.
+    Such a drive has positions with another origin than the map's, or odometry that drifts. Wrong matches look
+    different: each lies in another direction from its query.
 
     Args:
         known: the map's frames (m), all with positions.

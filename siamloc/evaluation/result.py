@@ -74,7 +74,7 @@ class Result:
 
     @property
     def measures(self) -> dict[str, Any]:
-        """Measures of the first part; those over all queries are at the top level: `measures["error"]["mean"]`.
+        """Measures of the first part; measures over all queries are at the top level: `measures["error"]["mean"]`.
 
         The groups follow under "lighting" and "room": `measures["lighting"]["night"]["error"]`.
         """

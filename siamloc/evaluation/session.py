@@ -26,11 +26,11 @@ Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | str | 
 
 @dataclass
 class Search:
-    """Frames to find in a map, and the results so far.
+    """A search in a map for frames that arrive batch by batch, with the results of the batches so far.
 
     Attributes:
-        known: map frames that have what the task needs.
-        rows: rows of the frames that have what the task needs (n,), in order.
+        known: the map, with only those frames that have the positions or rooms that the task needs.
+        rows: rows of the frames to search for (n,), increasing: those with the positions or rooms that the task needs.
         k: number of neighbours to find.
         refinement: how poses finer than the map are made; None to make none.
         with_distances: whether the distances to all map frames are kept, n x m float64; infinite where excluded.
@@ -51,7 +51,7 @@ class Search:
     _refined: list[RefinedPoses] = field(default_factory=list)
 
     def take_in(self, queries: Description) -> None:
-        """Search for the next frames."""
+        """Search the map for the next batch of frames, and add the results."""
         start = sum(map(len, self._found))
         barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
         with self.clock.of("search", len(queries)):
@@ -67,17 +67,17 @@ class Search:
 
     @property
     def retrieval(self) -> Retrieval:
-        """The nearest map frames of all frames."""
+        """The nearest map frames of each frame that was searched for."""
         return Retrieval.concatenate(self._found)
 
     @property
     def refined(self) -> RefinedPoses:
-        """Poses finer than the map."""
+        """Poses finer than the map, for each frame that was searched for."""
         return RefinedPoses.concatenate(self._refined)
 
     @property
     def distances(self) -> NDArray[np.float64]:
-        """Distances to all map frames (n, m)."""
+        """Distances from the frames that were searched for to all map frames (n, m)."""
         return np.concatenate(self._apart)
 
     @property
@@ -145,7 +145,7 @@ class Session:
         return f"Session({self.name}: {len(self.queries)} queries in {self.known!r}, {self.protocol.kind})"
 
     def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
-        """Return which map frames (n, m) each query is not compared with under the protocol; None for none."""
+        """Return the mask (n, m) of map frames that the protocol excludes for each query; None if it excludes none."""
         return self.protocol.excluded(queries, known)
 
     def refuse_exclusion(self, task: str) -> None:
@@ -161,7 +161,7 @@ class Session:
             )
 
     def map_by(self, other: Descriptor) -> VisualMap:
-        """Return a map of the same frames with another descriptor."""
+        """Return a map of the same frames, described by another descriptor."""
         if other is self.known.descriptor:
             return self.known
         return maps.build(other, self.images, self.known.frames)
@@ -184,7 +184,7 @@ class Session:
         what: str,
         clock: Stopwatch | None = None,
     ) -> NDArray[np.float32] | None:
-        """Describe frames and search for them; return the position parts, or None if they are too large to keep."""
+        """Describe frames and run several searches on them; return the position parts, None if too large to keep."""
         start, vectors = 0, []
         for part in self.parts_of(by, frames, what, clock):
             for search in searches.values():
@@ -198,10 +198,10 @@ class Session:
         return vectors[0] if vectors else None
 
     def lacking(self, has: NDArray[np.bool_], what: str) -> str:
-        """Return a text on how many frames lack something; empty if none does.
+        """Return a text with the number of frames that lack a property, such as a position; empty if all have it.
 
         Raises:
-            DataError: some frames lack it, others do not, and the images' `on_error` is "raise".
+            DataError: some frames lack the property, others have it, and the images' `on_error` is "raise".
         """
         if has.all():
             return ""
@@ -213,11 +213,12 @@ class Session:
     def comparable(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
         """Return which map frames (m,) and queries (n,) can be judged, and whether they are judged by room.
 
-        They are judged by position, or by room if the map or the queries have no positions at all. The number of frames
-        without them is recorded in `skipped`.
+        Queries are judged by position, or by room if the map or the queries have no positions at all. `skipped` gets
+        the number of frames without a position or a room.
 
         Raises:
-            DataError: neither is known, or some frames lack them and `on_error` is "raise".
+            DataError: the map and the queries share neither positions nor rooms, or some frames lack them and
+                `on_error` is "raise".
         """
         tables = {"map frames": self.known.frames, "queries": self.queries}
         by_room = any(not frames.has_position.any() for frames in tables.values())

@@ -26,7 +26,7 @@ def text_of(
 
     Args:
         name: name of the method.
-        parts: its measures by kind, as in `Result.parts`.
+        parts: measures of the method by kind, as in `Result.parts`.
         baselines: measures of the other methods, by name.
         skipped: what could not be measured, with the reason.
         located: number of queries that were located without a score.

@@ -90,8 +90,8 @@ class CoarseLayer:
 
         Args:
             known: a map of n frames.
-            labels: (n,) node of each, 0 ... k - 1, or UNASSIGNED.
-            names: (k,); the numbers if None.
+            labels: (n,) node of each frame, 0 ... k - 1, or UNASSIGNED.
+            names: (k,) names of the nodes; their numbers if None.
             made: how the layer was built.
 
         Raises:
@@ -171,7 +171,7 @@ class CoarseLayer:
 
         Args:
             content: the path, or the content of the file.
-            path: what to call it in error messages.
+            path: name of the file in error messages.
 
         Raises:
             FormatError: as for `load`.
@@ -191,7 +191,7 @@ _CLASSES = ("class_weight", "class_bias")
 
 
 def naming(known: VisualMap, layer: CoarseLayer) -> RoomClassifier | None:
-    """Return the classifier that names a layer's nodes by a map's descriptors; None if none knows all of them."""
+    """Return the map's classifier, limited to the nodes of a layer; None unless it knows the names of all nodes."""
     rooms = getattr(known.describes, "rooms", None)
     if not isinstance(rooms, RoomClassifier) or not set(layer.names.tolist()) <= set(rooms.names.tolist()):
         return None

@@ -141,12 +141,12 @@ def _timed(clock: Stopwatch, by: Descriptor, batch: NDArray[np.uint8]) -> Descri
 
 
 def descriptor_from(by: Descriptor | nn.Module | str, *, circular: bool, device: str | None = "auto") -> Descriptor:
-    """Return a descriptor: one given as such, a wrapped network, or one with its default parameters by its name.
+    """Return the descriptor for a descriptor (as it is), a network (wrapped) or a name (with default parameters).
 
     Args:
         by: a descriptor, a network, a name in `analytic.DESCRIPTORS`, or "pretrained" for the network that ships with
             siamloc.
-        circular: whether the columns of the images are a full turn; used for a name.
+        circular: whether the columns of the images are a full turn; ignored unless `by` is a name.
         device: where a network computes.
 
     Raises:

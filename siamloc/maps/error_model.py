@@ -30,10 +30,11 @@ _AGREEMENT, _UNTOLD = 0.02, 1e6  # smallest agreement used, and the deviation of
 
 
 def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Return the distance of the best match over that of the first match beyond the radius from it (n,), in [0, 1].
+    """Return the ratio of two descriptor distances (n,), in [0, 1]: to the best match, and to the best match elsewhere.
 
-    Near 1, another place looks just as much like the query. If all neighbours lie within the radius, the farthest known
-    descriptor distance replaces the one that was not found: the score is then too high rather than too low.
+    A match is elsewhere if it lies beyond the radius from the best match. Near 1, another place looks just as much like
+    the query. If all neighbours lie within the radius, the largest descriptor distance among them replaces the missing
+    one: the score is then too high rather than too low.
     """
     apart = _from_best(found, map_xy)
     known = np.isfinite(found.distances)
@@ -55,7 +56,7 @@ def spread_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -
 
 
 def pose_score(poses: RefinedPoses) -> NDArray[np.float64]:
-    """Return the error that refined poses predict of themselves (n,): log of the covariance's deviation over agreement.
+    """Return the logarithm of the uncertainty of refined poses (n,): the standard deviation over the agreement.
 
     If nothing could be compared, the score is larger than any other. Because of the logarithm, a few such poses do not
     dominate the mean of a group.
@@ -155,7 +156,8 @@ class ErrorModel(Learned):
         Args:
             found: search results of n validation queries.
             map_xy: (m, 2) positions of the map's frames.
-            errors: (n,) of the kind of estimates whose errors the model will predict, not negative.
+            errors: (n,) errors of the estimates for these queries, not negative; the model predicts errors of such
+                estimates.
             score: a name in `SCORES`.
             radius: distance beyond which a match is another place.
             neighbours: number of matches that the score uses; fewer if the map, or the search result, has fewer.
@@ -174,7 +176,7 @@ class ErrorModel(Learned):
 
         Args:
             poses: poses of n validation queries.
-            errors: (n,) of their positions, not negative.
+            errors: (n,) errors of the poses' positions, not negative.
 
         Raises:
             DataError: fewer than 10 queries, or not one error for each.
@@ -265,7 +267,7 @@ class ErrorModel(Learned):
         return expected, self.lost(expected) | self.foreign(found, map_xy, poses)
 
     def foreign(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.bool_]:
-        """Return which queries (n,) show nothing that is on the map; none of them if that was not learned.
+        """Return which queries (n,) show nothing that is on the map; no query if no threshold was learned for it.
 
         Arguments and errors as for `judged`.
         """
@@ -286,8 +288,8 @@ class ErrorModel(Learned):
         with it, that was taken near it with a probability of at least 95 % (`RefinedPoses.match`). For other queries,
         places outside the map are imitated by removing the map's own places from it: strangeness is the model's score
         plus the best match's descriptor distance, in units of its usual value elsewhere, and the threshold lies about
-        halfway between correct answers and those elsewhere. Either threshold lies above all correct answers except the
-        strangest 1 %.
+        halfway between the strangeness of correct answers and of answers elsewhere. Either threshold lies above all
+        correct answers except the strangest 1 %.
 
         Args:
             right: search results of validation queries that were located well.

@@ -76,7 +76,7 @@ class HeadingPart:
 
     @property
     def own(self) -> bool:
-        """Whether it comes from the map's own descriptor, in one pass with the position part."""
+        """Whether the orientation parts come from the map's own descriptor, in one pass with the position parts."""
         return self.identity.get("name") == NetworkHeading.name
 
     @property
@@ -172,11 +172,11 @@ class WithHeading(Descriptor):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Names and parameters of both."""
+        """Names and parameters of the position descriptor and of the heading descriptor, as plain values."""
         return {**self.position.identity, "heading": self.heading.identity}
 
     def describe(self, batch: ArrayLike) -> Description:
-        """Describe images; the position part is that of one descriptor, the orientation part that of the other."""
+        """Describe images: position parts from one descriptor, orientation parts from the other."""
         return Description(self.position.describe(batch).position, self.heading.describe(batch).orientation)
 
     def pairwise(

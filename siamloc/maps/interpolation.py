@@ -19,8 +19,9 @@ class Poses:
 
     Attributes:
         xy: (n, 2) positions.
-        theta: (n,) headings in rad, in (-pi, pi]; None if no headings were given, NaN where those used are unknown.
-        used: (n,) number of map frames behind each pose.
+        theta: (n,) headings in rad, in (-pi, pi]; None if no headings were given, NaN where the headings of the map
+            frames used are unknown.
+        used: (n,) number of map frames averaged into each pose.
     """
 
     xy: NDArray[np.float64]

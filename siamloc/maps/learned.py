@@ -28,7 +28,7 @@ class Learned:
     map_digest: str
 
     def learned_on(self, known: VisualMap) -> bool:
-        """Whether this was learned on the frames of a map that have a position."""
+        """Whether the values were learned on the frames of a map that have a position."""
         return bool(known.frames.has_position.any()) and self.map_digest == known.placed().digest
 
     def as_dict(self) -> dict[str, Any]:
@@ -41,7 +41,7 @@ class Learned:
 
         Args:
             values: plain values, as read from JSON.
-            source: what to call them in an error message.
+            source: name of the values' origin, such as a path, for error messages.
 
         Raises:
             FormatError: values of another kind, or of another version.

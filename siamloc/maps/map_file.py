@@ -66,11 +66,11 @@ def write_map(
 
 
 def read_map(content: Path | bytes, path: str | Path) -> tuple[dict[str, Any], tuple[Any, Any]]:
-    """Read what `write_map` wrote: the fields of a `VisualMap` by name, and the frames and width that it announces.
+    """Read a map file: return the fields of a `VisualMap` by name, and the number of frames and width in the header.
 
     Args:
         content: the path, or the content of the file.
-        path: what to call it in error messages.
+        path: name of the file in error messages.
 
     Raises:
         FormatError: a file that is truncated, altered, not a map, or of another version.

@@ -53,13 +53,13 @@ def match(
 
 @typed
 def headings(known: VisualMap, queries: Description, found: Retrieval, count: int = 1) -> NDArray[np.float64]:
-    """Estimate the heading of each query from each of the first map frames found for it.
+    """Estimate the heading of each query from each of its `count` nearest map frames.
 
     Args:
         known: a map of m frames, whose headings and orientation parts are used; see `siamloc.maps.build(heading=...)`.
         queries: n descriptions by `known.describer`.
-        found: their nearest map frames, at least one.
-        count: number of these map frames to use.
+        found: the nearest map frames of each query, at least `count`.
+        count: number of map frames to use for each query.
 
     Returns:
         (n, count) in rad, in (-pi, pi]; NaN if the map frame has no heading, or if there is no orientation part to

@@ -70,13 +70,13 @@ class RefinedPoses:
         return len(self.xy)
 
     def squared(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return squared distances (n,) of true positions (n, 2), weighted by the information; NaN without any."""
+        """Return squared distances (n,) from true positions (n, 2), weighted by the information; NaN if it is zero."""
         apart = np.asarray(xy, dtype=np.float64) - self.xy
         told = self.information.any(axis=(1, 2))
         return np.where(told, np.einsum("ni,nij,nj->n", apart, self.information, apart), np.nan)
 
     def inside(self, xy: ArrayLike, share: float = 0.9) -> NDArray[np.float64]:
-        """Return which true positions (n, 2) are in the ellipse that should contain a share of them: 1, 0 or NaN."""
+        """Return which true positions (n, 2) lie in the ellipse with the probability `share` (n,): 1, 0 or NaN."""
         squared = self.squared(xy)
         return np.where(np.isnan(squared), np.nan, squared <= _limit(share))
 
@@ -84,7 +84,8 @@ class RefinedPoses:
         """Learn how much wider the ellipses must be, from true positions (n, 2) of a drive used for nothing else.
 
         Returns:
-            The factor on squared distances for `widened` with which that share of the positions lies inside.
+            The factor on squared distances, for `widened`, with which `share` of the true positions lie in the
+            ellipses.
 
         Raises:
             DataError: fewer than 10 positions.
@@ -173,15 +174,15 @@ def refine(
 ) -> RefinedPoses:
     """Estimate poses by comparing each query with its k most similar map frames.
 
-    Each map frame answers where the query was taken, with what certainty, and whether it was taken nearby at all. With
-    the probability of the match, an answer is correct and follows its t-distribution; otherwise it is a stray one,
-    which may lie anywhere. The result is the most likely pose: answers that agree refine it, and those that do not are
-    left out. Map frames in another building than the nearest one are left out, too.
+    Each map frame answers where the query was taken, with what certainty, and whether it was taken nearby at all. An
+    answer is correct with the probability of the match, and then follows its t-distribution; otherwise it may lie
+    anywhere. The result is the most likely pose: answers that agree refine the pose, and answers that disagree are left
+    out. Map frames in another building than the nearest one are left out, too.
 
     Args:
         known: a map of m frames with positions, headings and orientation parts.
         queries: n descriptions with orientation parts, by `known.describer`.
-        found: their nearest map frames.
+        found: the nearest map frames of each query.
         compares: a comparison function; the `compare` method of the map's descriptor if None.
         k: number of map frames to compare, at least 1.
 

@@ -33,10 +33,10 @@ class Track:
 
     Attributes:
         frame: (n,) the most probable map frame, the smallest row of equally probable ones.
-        probability: (n,) of that frame.
+        probability: (n,) probability of the most probable frame.
         spread: (n,) root mean square distance of the belief from that frame, in units of x and y.
         node: (n,) the most probable node, -1 for no node; None if the filter has no nodes.
-        node_probability: (n,) of that node; None if the filter has no nodes.
+        node_probability: (n,) probability of the most probable node; None if the filter has no nodes.
         xy: (n, 2) position between map frames: the mean of the belief within a radius of the most probable frame; None
             if no radius was given.
     """
@@ -96,7 +96,7 @@ class SequenceFilter:
         """Update the belief with one query and return it (m,).
 
         Args:
-            distances: (m,) from its descriptor to those of the map; infinite where it must not be compared.
+            distances: (m,) from the query's descriptor to the map's; infinite for map frames that are excluded.
 
         Raises:
             DataError: not one distance for each map frame, or none that is finite.

@@ -114,7 +114,8 @@ class VisualMap:
         """The descriptor that describes queries as the map's frames were described.
 
         Raises:
-            ConfigError: the map does not hold it: load a network from its run, and create a custom descriptor yourself.
+            ConfigError: the map holds no descriptor: load a network from its run, or create a custom descriptor
+                yourself.
         """
         if self.describes is not None:
             return self.describes
@@ -149,7 +150,7 @@ class VisualMap:
 
     @cached_property
     def aligned_index(self) -> AlignedIndex:
-        """The frames, prepared once for comparison at every turn, where `aligned`."""
+        """The frames of a map that is `aligned`, prepared once for comparison with queries at every turn."""
         return AlignedIndex(self.descriptor, self.description, self.distance)
 
     @cached_property
@@ -285,7 +286,8 @@ class VisualMap:
             preprocessing: `images.preprocessing.parameters()` of a library.
 
         Raises:
-            ConfigError: they are not; the message lists the keys that differ, with both values.
+            ConfigError: the panoramas are made in another way; the message lists the keys that differ, with both
+                values.
         """
         if "images" in self.identity:
             self.check_describer({**self.identity, "images": preprocessing})
@@ -294,7 +296,7 @@ class VisualMap:
         """Check that queries were described by the descriptor that described the map.
 
         Raises:
-            ConfigError: they were not; the message lists the keys that differ, with both values.
+            ConfigError: another descriptor; the message lists the keys that differ, with both values.
         """
         ours, theirs = _flat(self.identity), _flat(plain(dict(identity)))
         keys = [key for key in {**ours, **theirs} if ours.get(key, _ABSENT) != theirs.get(key, _ABSENT)]
@@ -345,7 +347,7 @@ class VisualMap:
 
         Args:
             content: the path, or the content of the file.
-            path: what to call it in error messages.
+            path: name of the file in error messages.
 
         Raises:
             FormatError: as for `load`.

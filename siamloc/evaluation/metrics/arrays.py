@@ -9,7 +9,7 @@ from siamloc.errors import DataError
 
 
 def column_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Return values as float64 (n,).
+    """Check the values of a measure, one for each query, and return them as float64 (n,).
 
     Raises:
         DataError: another shape, or a value that is not finite.
@@ -23,7 +23,7 @@ def column_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
 
 
 def positions_of(xy: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Return positions as float64 (n, 2).
+    """Check positions and return them as float64 (n, 2).
 
     Raises:
         DataError: another shape, or a position that is not finite.
@@ -41,7 +41,7 @@ def positions_of(xy: ArrayLike, what: str) -> NDArray[np.float64]:
 
 
 def map_positions(xy: ArrayLike) -> NDArray[np.float64]:
-    """Return the positions of a map's frames as float64 (m, 2), m at least 1.
+    """Check the positions of a map's frames and return them as float64 (m, 2), m at least 1.
 
     Raises:
         DataError: another shape, a position that is not finite, or no positions.

@@ -18,9 +18,9 @@ class PairAccuracy:
     """Shares of pairs judged correctly; NaN for a part without pairs.
 
     Attributes:
-        same: of the pairs from one room.
-        different: of the pairs from two rooms.
-        overall: of all pairs.
+        same: share of the pairs from one room that are judged to be from one room.
+        different: share of the pairs from two rooms that are judged to be from two rooms.
+        overall: share of all pairs that are judged correctly.
         n_same: number of pairs from one room.
         n_different: number of pairs from two rooms.
     """
@@ -37,10 +37,10 @@ class PairCurve:
     """Shares of pairs judged correctly at several thresholds; NaN for a part without pairs.
 
     Attributes:
-        thresholds: of the dissimilarity (t,).
-        same: of the pairs from one room (t,).
-        different: of the pairs from two rooms (t,).
-        overall: of all pairs (t,).
+        thresholds: dissimilarities (t,) below which a pair is judged to be from one room.
+        same: share of the pairs from one room that are judged correctly, at each threshold (t,).
+        different: share of the pairs from two rooms that are judged correctly (t,).
+        overall: share of all pairs that are judged correctly (t,).
         auc: area under the curve of one-room pairs found against two-room pairs mistaken for one room. This is the
             share of couples of a one-room and a two-room pair in which the one-room pair is less dissimilar; ties count
             half.
