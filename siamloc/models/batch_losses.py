@@ -24,9 +24,9 @@ class SoftContrastiveLoss(ScheduledLoss):
         p_ij = exp(-|x_i - x_j|^2 / 2 sigma^2) / sum_k,    q_ij = exp(d_i . d_j / temperature) / sum_k.
 
     This is InfoNCE with a target that fades with the distance instead of ending at a radius. With rooms, p_ij is the
-    weighted mean of this target, without the images of other rooms, and of one that is equal for all images of the room
-    of i, and 0 for others. For the latter, q_ij is a softmax without the images whose room is unknown. Images without
-    a neighbour or another image of their room in the batch do not count.
+    weighted mean of this target, without the images of other rooms, and of a target that is equal for all images of the
+    room of i, and 0 for others. For this second target, q_ij is a softmax without the images whose room is unknown.
+    Images without a neighbour or another image of their room in the batch do not count.
 
     Args:
         settings: see `siamloc.models.registry.SoftContrastive`.
@@ -56,7 +56,7 @@ class SoftContrastiveLoss(ScheduledLoss):
 
         Args:
             descriptors: (N, D), of unit length.
-            origins: of the N images; those without a position have no neighbours.
+            origins: of the N images; images without a position have no neighbours.
 
         Raises:
             DataError: other shapes.

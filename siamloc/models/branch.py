@@ -27,8 +27,8 @@ class Branch(nn.Module):
     The images are normalized first. "channels" uses the mean and standard deviation of ImageNet unless the loaded
     weights say otherwise; branches without ImageNet weights use the same numbers, which bring indoor images close to
     zero mean and unit variance, as He initialization assumes. "image" normalizes each image by its own mean and
-    deviation, so that neither exposure nor contrast matters, and the other two the surroundings of each pixel, see
-    `siamloc.models.normalization`.
+    deviation, so that neither exposure nor contrast matters. "local" and "local_brightness" normalize the surroundings
+    of each pixel, see `siamloc.models.normalization`.
 
     The torchvision networks keep their own stride: their output is not pooled or scaled to a fixed grid. At 128 x 512
     VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU, as in its paper. The simple branches keep
@@ -68,7 +68,7 @@ class Branch(nn.Module):
         return self.features(self.normalized(panorama))
 
     def both(self, panorama: Tensor, level: int) -> tuple[Tensor, Tensor]:
-        """Return the output of the first `level` layers and the features, in one pass."""
+        """Return the output of the first `level` layers and the output of all layers, the features, in one pass."""
         first = self.features[:level](self.normalized(panorama))
         return first, self.features[level:](first)
 
@@ -134,7 +134,7 @@ def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
 
 @lru_cache(maxsize=32)
 def layers_by_stage(name: str, circular: bool) -> list[int]:
-    """Count the layers of a branch at each resolution; those without weights count with the weights before them."""
+    """Count the layers of a branch at each resolution; a layer without weights counts with the weights before it."""
     features, counts, before = torch.empty(1, 3, 256, 256, device="meta"), [0], None
     with torch.no_grad():
         for layer in _weightless(name, circular):

@@ -37,7 +37,7 @@ class Canonical(nn.Module):
         self.register_buffer("waves", torch.empty(period, period, dtype=torch.int64), persistent=False)
 
     def reset(self) -> None:
-        """Fill in one period of a cosine, starting at each of its columns, in whole numbers."""
+        """Fill in the waves: one period of a cosine, shifted by each number of columns, in whole numbers."""
         column = torch.arange(self.period)
         angle = ((column[:, None] - column) % self.period).double() * (2 * torch.pi / self.period)
         with torch.no_grad():
@@ -46,7 +46,7 @@ class Canonical(nn.Module):
     def forward(self, panorama: Tensor) -> tuple[Tensor, Tensor]:
         """Return panoramas (B, 3, H, W) in their canonical direction, and the columns (B,) by which each was turned.
 
-        Their column c was column c + turned before.
+        Column c of a returned panorama is column c + turned of the given one.
         """
         levels = (panorama * 255).round().double()  # sums of whole numbers are the same in any order
         signal = levels.sum(dim=(1, 2)).unflatten(1, (-1, self.period)).sum(dim=1)
@@ -59,7 +59,7 @@ class Canonical(nn.Module):
 def shifts(columns: int, steps: Tensor) -> Tensor:
     """Return the matrices (S, n, n) that shift periodic signals of n columns by fractions of a column.
 
-    signal @ matrix has at column c the value of the signal, as the sum of its n harmonics, at c - step.
+    Column c of `signal @ matrix` is the value at c - step of the signal, interpolated by its harmonics.
     """
     column = torch.arange(columns, dtype=torch.float64)
     apart = column - column[:, None] - steps.double()[:, None, None]

@@ -31,8 +31,8 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
         network: a custom module to load the weights into; if None, the network is rebuilt with `build`.
 
     Raises:
-        ConfigError: a folder without a checkpoint, another `which`, a custom module that is not given, or a weights
-            file that is cut short.
+        ConfigError: a folder without a checkpoint, an unknown `which`, a checkpoint of a custom module without
+            `network`, or a weights file that is cut short.
         FormatError: the file is missing, incomplete, altered, not such a checkpoint, or of another architecture.
 
     Example:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 
 class CircularConv2d(nn.Conv2d):
-    """A convolution whose columns wrap around; rows are padded with zeros as before."""
+    """A convolution whose columns wrap around; rows are padded with zeros."""
 
     def _conv_forward(self, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
         input = _wrapped(input, self.kernel_size[1], self.stride[1], int(self.padding[1]), self.dilation[1])
@@ -34,7 +34,7 @@ def circular(module: nn.Module) -> nn.Module:
     """Make all convolutions and pools of a module wrap around the azimuth, in place; names and weights stay.
 
     Returns:
-        The module, or its replacement if it is such a layer itself.
+        The module, or the circular layer in its place if the module is itself a convolution or a pool.
 
     Example:
         >>> from torch import nn

@@ -116,11 +116,11 @@ class NetworkDescriptor(BetweenColumns):
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32], chunk: int = 8 * CHUNK
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Estimate where images were taken relative to others, from the orientation parts of both.
+        """Estimate where queries were taken relative to map frames, from the orientation parts of the two images.
 
         Args:
-            queries: (n, K, F).
-            known: (n, K, F).
+            queries: orientation parts of the queries (n, K, F).
+            known: orientation parts of the map frames (n, K, F), one for each query.
             chunk: pairs per pass.
 
         Returns:

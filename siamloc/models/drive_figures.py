@@ -25,7 +25,8 @@ class DriveFigures:
     """Gather the descriptors of map frames and queries, and compute the errors of the queries.
 
     Args:
-        radius: a query is found if its map frame is this near, in the unit of the positions.
+        radius: of the recall: a query counts if the map frame with the nearest descriptor is at most this far away, in
+            the unit of the positions.
 
     Example:
         >>> figures = DriveFigures(radius=0.5)
@@ -71,7 +72,7 @@ class DriveFigures:
         relative: RelativePose | None = None,
         naming: Callable[[Tensor, Tensor], Tensor] | None = None,
     ) -> dict[str, Tensor]:
-        """Search the queries in the map, compute the figures, and clear everything added.
+        """Search the queries in the map, compute the figures, and forget all frames.
 
         Args:
             relative: the module that compares the orientation parts.

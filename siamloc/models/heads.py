@@ -201,15 +201,16 @@ class Magnitudes(Head):
     """The Fourier magnitudes of each row of each channel along the azimuth, in sums with random signs, of unit length.
 
     The head has no weights. A final layer, such as that of `fourier`, fits the buildings that it was trained in;
-    elsewhere its input distinguishes places better ([Chen 2020] drop theirs, too). The mean over the azimuth,
-    frequency 0, is left out: it changes most with the light. The others are taken to the power 0.7, so that a few
-    strong ones do not dominate ([Perronnin 2010]). Each is then added to one of D sums with a random sign, which nearly
-    preserves the distances between descriptors at a fraction of the size ([Charikar 2002]).
+    elsewhere the input of the layer distinguishes places better ([Chen 2020] drop their final layers, too). The mean
+    over the azimuth, frequency 0, is left out: it changes most with the light. The other magnitudes are taken to the
+    power 0.7, so that a few strong magnitudes do not dominate ([Perronnin 2010]). Each magnitude is then added to one
+    of D sums with a random sign, which nearly preserves the distances between descriptors at a fraction of the size
+    ([Charikar 2002]).
 
     Args:
         name: of the head.
         shape: (C, h, w) of the features, which have C * h * (w // 2) magnitudes.
-        outputs: length D of a descriptor, at most that many.
+        outputs: length D of a descriptor, at most the number of magnitudes.
 
     Raises:
         ConfigError: features of one column, or more outputs than magnitudes.

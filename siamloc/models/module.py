@@ -84,11 +84,11 @@ class NetworkModule(LightningModule):
         return self.network(panorama)
 
     def computed(self, part: Callable[..., Any], *inputs: Tensor) -> Any:
-        """Call the network or a part of it in a step, in training compiled if steps are compiled."""
+        """Call the network, or a part of it, for a step; in training its compiled form, if steps are compiled."""
         return self.compiled(part, *inputs) if self.training and self.compiled is not None else part(*inputs)
 
     def log_step(self, loss: Tensor) -> None:
-        """Log the loss of a training step; the progress bar reads it at once, so show it there only on the CPU."""
+        """Log the loss of a training step; on a CPU also show it in the progress bar, for which a GPU would wait."""
         if self._trainer is not None:
             shown = loss.device.type == "cpu"
             self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=shown, batch_size=1)
@@ -208,14 +208,14 @@ class NetworkModule(LightningModule):
             raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return the sums since the epoch began, for a checkpoint within it."""
+        """Return the sums behind the figures of the current epoch, for a checkpoint in the middle of the epoch."""
         return {}
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Continue with the sums of a checkpoint."""
+        """Continue an epoch with the sums that `epoch_sums` returned for a checkpoint."""
 
     def diverged(self, sign: str) -> ConfigError:
-        """Return the error for a training that diverged, with the sign of it."""
+        """Return the error for a training that diverged; `sign` is the text that says how this was noticed."""
         rate = self.optimizer.learning_rate
         advice = f"train again with a smaller optimizer.learning_rate than {rate:g}"
         return ConfigError(f"the training diverged: {sign}; {advice}")

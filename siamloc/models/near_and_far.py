@@ -31,8 +31,8 @@ class NearAndFarLoss(ScheduledLoss):
     compares two anchor images, so that nothing is lost.
 
     Pairs and triplets are chosen and compared in main memory, in many small steps, which would take longer on a GPU.
-    So a training step on a GPU waits for it four times: for the descriptors, for them again in `active`, and for the
-    gradients in both directions.
+    So a training step on a GPU waits four times for a copy: of the descriptors, of the descriptors again in `active`,
+    and of the gradients in both directions.
     """
 
     unit_length: ClassVar[bool] = True
@@ -172,7 +172,8 @@ class MultiSimilarityLoss(_PairLoss):
     """Weigh each pair by how it compares with the other pairs of its image ([Wang 2019]).
 
     The mean over the images i of log(1 + sum_p exp(-alpha (s_p - base))) / alpha
-    + log(1 + sum_n exp(beta (s_n - base))) / beta, for distances with the opposite signs.
+    + log(1 + sum_n exp(beta (s_n - base))) / beta, with the similarities s to the positives p and the negatives n of i.
+    For distances the signs are reversed.
 
     Args:
         settings: see `siamloc.models.registry.MultiSimilarity`.

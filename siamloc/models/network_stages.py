@@ -13,8 +13,8 @@ from siamloc.errors import ConfigError
 def stages(network: nn.Module) -> list[list[str]]:
     """List the names of a network's weights by stage, from the image to the descriptor.
 
-    A network of `siamloc.models.build` has a stage for each resolution of its branch: a new one starts with the layer
-    that reduces rows and columns, or after a pool that does; the last stage is the head. A custom module gives its
+    A network of `siamloc.models.build` has a stage for each resolution of its branch: a stage starts with a layer that
+    reduces rows and columns, or after a pool that reduces them; the last stage is the head. A custom module gives its
     stages in a property `stages`, a list with a module or a list of modules for each.
 
     Raises:
@@ -73,11 +73,11 @@ class FrozenStages:
         self._parts.requires_grad_(False)
 
     def rest(self) -> None:
-        """Switch them to evaluation mode: batch normalization keeps its statistics, and dropout is off."""
+        """Switch the frozen stages to evaluation mode: batch normalization keeps its statistics, and dropout is off."""
         self._parts.eval()
 
     def thaw(self) -> None:
-        """Restore gradients and modes."""
+        """Restore the gradients and the modes that the frozen stages had."""
         for weight, trained in self._weights:
             weight.requires_grad_(trained)
         for part, training in self._modes:

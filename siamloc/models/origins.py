@@ -31,16 +31,16 @@ class Origins:
     theta: Tensor | None = None
 
     def distances(self) -> Tensor:
-        """Return the distances (N, N): infinite between buildings, NaN where a position is unknown."""
+        """Return the distances between images (N, N): infinite between buildings, NaN where a position is unknown."""
         apart = torch.linalg.vector_norm(self.xy[:, None] - self.xy[None], dim=2)
         return torch.where(self.building[:, None] == self.building[None], apart, math.inf)
 
     def same_room(self) -> Tensor:
-        """Return (N, N) bool: True where both show the same known room."""
+        """Return (N, N) bool: True where two images show the same known room."""
         return (self.room[:, None] == self.room[None]) & (self.room >= 0)[:, None]
 
     def other_room(self) -> Tensor:
-        """Return (N, N) bool: True where the rooms are known and differ."""
+        """Return (N, N) bool: True where two images show different known rooms."""
         return (self.room[:, None] != self.room[None]) & (self.room >= 0)[:, None] & (self.room >= 0)[None]
 
 

@@ -23,7 +23,7 @@ def checked_descriptors(descriptors: Any, images: int) -> Tensor:
     """Check the output of a network for a number of images, and return it.
 
     Raises:
-        DataError: it is not one descriptor per image.
+        DataError: the output is not one descriptor per image.
     """
     if not isinstance(descriptors, Tensor) or descriptors.ndim != 2 or len(descriptors) != images:
         raise DataError(
@@ -36,7 +36,7 @@ def checked_loss(loss: Any, kind: object, training: bool) -> Tensor:
     """Check the output of a loss, and return it as a scalar.
 
     Raises:
-        DataError: it is not one number, or in training a number without a gradient.
+        DataError: the output is not one number, or in training a number without a gradient.
     """
     if not isinstance(loss, Tensor) or loss.numel() != 1:
         raise DataError(f"the loss {name_of(kind)} must give one number, got {shown(loss)}")

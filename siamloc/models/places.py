@@ -127,11 +127,11 @@ class PlaceModule(NetworkModule):
             self.log_epoch("train", {name: each.nanmean() for name, each in figures.items()})
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return the figures of the steps."""
+        """Return the figures of each step of the current epoch (steps,), by name, for a checkpoint."""
         return {name: torch.stack(each) for name, each in self._figures.items()}
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Continue with the figures of a checkpoint."""
+        """Continue an epoch with the figures that `epoch_sums` returned for a checkpoint."""
         self._figures = {name: list(each) for name, each in sums.items()}
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:

@@ -338,7 +338,7 @@ def branch_spec(name: str) -> BranchSpec:
 
 
 def whole_model(model: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the record of a network, completed with what was not given; a custom module's as it is."""
+    """Return the arguments of `build` for a network, with defaults filled in; a custom module's record unchanged."""
     if "branch" not in model:
         return dict(model)
     usual = {

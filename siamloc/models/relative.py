@@ -112,8 +112,8 @@ class RelativePose(nn.Module):
 
         Args:
             query: orientation parts (B, K, F).
-            known: orientation parts of as many map frames (B, K, F).
-            steps: number of columns by which each query is turned first (B,); found by correlation if None.
+            known: orientation parts of the map frames (B, K, F), one for each query.
+            steps: number of columns by which each query is turned first (B,); determined by correlation if None.
         """
         if steps is None:
             steps = self.steps(query, known)
@@ -154,10 +154,10 @@ class RelativePose(nn.Module):
 def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Choose pairs of a batch to learn from.
 
-    Each image is compared with some of its nearest ones, near and farther, with the most similar one at another place,
-    and with the most similar one out of reach: these are the ones that a search finds by mistake. The number of pairs P
-    follows from N alone, so that no step waits for its device; where an image lacks such a partner, the pair does not
-    count.
+    Each image is compared with some of the nearest images, near and farther ones, with the most similar image of
+    another place, and with the most similar image out of reach: such images are what a search returns by mistake. The
+    number of pairs P follows from N alone, so that no step waits for its device; where an image has no partner of a
+    kind, the pair does not count.
 
     Args:
         origins: of the images (N); pairs of those without a heading or a position do not count.

@@ -17,7 +17,7 @@ class NamedRooms:
 
     Attributes:
         room: (n,) the most probable room of each image.
-        probabilities: (n, r) of all rooms; each row sums to 1.
+        probabilities: (n, r) probability of each room; each row sums to 1.
         names: (r,) the rooms.
     """
 
@@ -93,10 +93,10 @@ class RoomClassifier:
         return NamedRooms(self.names[scores.argmax(axis=1)], shares / shares.sum(axis=1, keepdims=True), self.names)
 
     def of(self, names: Sequence[str]) -> RoomClassifier:
-        """Return the layer for only some of its rooms, in the given order: it then always names one of these.
+        """Return a classifier for only some of the rooms, in the given order; it never names any other room.
 
         Raises:
-            DataError: a room that it does not know.
+            DataError: a room that the classifier does not know.
         """
         number = {name: row for row, name in enumerate(self.names.tolist())}
         if unknown := [name for name in names if name not in number]:

@@ -44,7 +44,8 @@ class SiameseModule(NetworkModule):
 
     Logged at the end of an epoch: the figures of `PairStatistics`, as `train/...` and `val/...`; and in each training
     step its loss, as `loss_step`. If the validation also has batches of map frames and queries, as for a `PlaceModule`,
-    `val/error` and the other figures that it logs of them. A TensorBoard logger also gets an image of the first pairs.
+    the module also logs `val/error` and the other figures of a `PlaceModule`. A TensorBoard logger also gets an image
+    of the first pairs.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -102,15 +103,15 @@ class SiameseModule(NetworkModule):
         self._log_epoch("train", self.train_statistics)
 
     def on_validation_epoch_end(self) -> None:
-        """Log the validation statistics, and the errors of its queries."""
+        """Log the statistics of the validation pairs, and the errors of the queries of the validation drive."""
         self._log_epoch("val", self.val_statistics, self.drive_figures())
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return the sums of the statistics."""
+        """Return the sums behind the statistics of the current epoch, for a checkpoint."""
         return self.train_statistics.sums()
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Continue with the statistics of a checkpoint."""
+        """Continue an epoch with the sums that `epoch_sums` returned for a checkpoint."""
         self.train_statistics.load_sums(sums)
 
     def _step(self, batch: Mapping[str, Tensor], batch_index: int, stage: str, statistics: PairStatistics) -> Tensor:
@@ -153,7 +154,7 @@ def pair_picture(
 
     Args:
         first: (B, 3, H, W), uint8, or floating point in [0, 1].
-        second: the same.
+        second: (B, 3, H, W), the second image of each pair, like `first`.
         label: (B,), dissimilarity in [0, 1].
         distance: (B,), distance of the descriptors.
 

@@ -57,7 +57,7 @@ class PairStatistics(Metric):
             self.add_state(name, torch.zeros(1, dtype=torch.float64), dist_reduce_fx="sum")
 
     def update(self, descriptors: Tensor, distance: Tensor, loss: Tensor, same: Tensor, label: Tensor) -> None:
-        """Add a batch of B pairs.
+        """Add a batch of B pairs to the sums.
 
         Args:
             descriptors: (2 B, D).
@@ -85,7 +85,7 @@ class PairStatistics(Metric):
         return {name: getattr(self, name).clone() for name in self._defaults}
 
     def load_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Continue with the result of `sums`."""
+        """Continue with the sums that `sums` returned."""
         for name, value in sums.items():
             setattr(self, name, value.clone())
         self._update_count = max(self._update_count, 1)  # `compute` warns if there was no update

@@ -78,12 +78,12 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
 def fill(network: nn.Module, weights: Weights, what: str) -> None:
     """Load weights into a network, in place: into all of it, or only into its branch if they are from torchvision.
 
-    Weights of a training also go into the whole network; if the head was another one or saw features of another size,
-    they go only into the branch, with a note that says why.
+    Weights of a training also go into the whole network; if they belong to another head, or to features of another
+    size, only the branch is loaded, and a printed note says why.
 
     Args:
         network: branch and head, from `siamloc.models.build`.
-        weights: of the whole network, or of another one with this branch.
+        weights: weights of this network, or of another network with the same branch.
         what: description of the network.
 
     Raises:
