@@ -142,7 +142,7 @@ def test_rooms_by_a_network_and_frames_by_another_descriptor(manifest, tmp_path,
 
 
 def test_a_layer_is_built_once_and_anew_for_another_map(manifest, tmp_path, capsys):
-    given = [*HIERARCHICAL, "build=spectral", "build.nodes=4"]
+    given = [*HIERARCHICAL, "build=spectral", "build.nodes=4", "overwrite=true"]
     built = []
     for more in ([], [], ["seed=1"], ["seed=1", "descriptor.bins=16"], ["seed=1", "protocol.map.sequences=[third]"]):
         evaluate(manifest, tmp_path, "hog", *given, *more)

@@ -178,7 +178,7 @@ def test_what_python_made_works_in_the_commands(manifest, images, tmp_path, caps
     run_command("evaluate", f"run={run}", *queries)
     found = json.loads((run / "evaluation" / "network" / "results.json").read_text())
     assert found["denominators"]["map_frames"] == 12
-    assert main(["evaluate", f"run={run}", *queries, "protocol.map.every=3"]) == 2
+    assert main(["evaluate", f"run={run}", *queries, "protocol.map.every=3", "overwrite=true"]) == 2
     assert "run `siamloc map` again" in capsys.readouterr().err
 
     siamloc.runtime.export(network, every_second, run / "bundle")
@@ -199,6 +199,6 @@ def test_excluded_map_frames_reach_the_evaluation(manifest, images, tmp_path):
     held = json.loads((tmp_path / "evaluation" / "hog" / "results.json").read_text())["measures"]["absolute"]
     assert held["overall"]["error"] == result.measures["error"]
     assert held["overall"]["floor"]["mean"] > 0, "no query finds itself"
-    run_command(*words, f"run={tmp_path}", "protocol.apart_metres=2")
+    run_command(*words, f"run={tmp_path}", "protocol.apart_metres=2", "overwrite=true")
     apart = json.loads((tmp_path / "evaluation" / "hog" / "results.json").read_text())["measures"]["absolute"]
     assert apart["overall"]["floor"]["mean"] > held["overall"]["floor"]["mean"]
