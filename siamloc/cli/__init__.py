@@ -10,9 +10,11 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 
 from siamloc import __version__
 from siamloc.cli.help import COMMANDS, command_help, job_of, overview
+from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, SiamlocError, hint, lacking
 from siamloc.interrupts import follows_from
 
@@ -64,9 +66,13 @@ def _dispatch(words: list[str]) -> int:
     if "-h" in overrides or "--help" in overrides:
         print(command_help(command))
         return 0
+    kind = job_of(command)
+    if not kind.BY_HYDRA:  # the robot has none
+        kind.of(values_of(overrides, kind)).run(partial(print, flush=True))
+        return 0
     from siamloc.cli.compose import run
 
-    if key := job_of(command).ALONE:
+    if key := kind.ALONE:
         alone = [word for word in overrides if not word.startswith("-") and "=" not in word]
         if len(alone) > 1:
             raise ConfigError(f"siamloc {command} takes one {key}, got {' '.join(alone)}: run it once for each")

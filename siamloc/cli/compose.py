@@ -45,9 +45,6 @@ def run(command: str, words: list[str]) -> None:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
     """
     kind = job_of(command)
-    if not kind.BY_HYDRA:
-        kind.of(values_of(words, kind)).run(_print)
-        return
     _check_words(words)
     given = words = [_network_of_a_run(word) for word in words]
     words = _sweep(command, words) if {"-m", "--multirun"} & set(words) else words

@@ -131,9 +131,11 @@ def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         ConfigError: an unknown option, or another value in place of a group.
     """
-    from siamloc.jobs.options import values_of
-
     whole = merged({}, values)
+    if not kind.GROUPS:
+        return whole
+    from siamloc.jobs.options import values_of  # the robot has no YAML
+
     for group, usual in kind.GROUPS.items():
         *above, last = group.split("/")
         part = whole

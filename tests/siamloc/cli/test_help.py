@@ -25,6 +25,20 @@ def test_a_mistyped_command_is_answered_with_the_nearest(capsys):
     assert "did you mean 'train'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [["localize", "--help"], ["localize", "bundle=nowhere", "images=[a.png]"]])
+def test_the_robot_needs_nothing_that_composes_settings(words):
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys(["torch", "hydra", "omegaconf", "yaml", "lightning"]))
+from siamloc.cli import main
+sys.exit(main({words}))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == (0 if "--help" in words else 2)
+    assert "this needs" not in done.stderr
+    assert "there is no image a.png" in done.stderr or "images=[a.jpeg,folder]" in done.stdout
+
+
 def test_help_is_quick_and_the_module_runs():
     start = time.perf_counter()
     shown = subprocess.run([sys.executable, "-m", "siamloc", "--help"], capture_output=True, text=True, check=True)
