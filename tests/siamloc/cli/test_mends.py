@@ -101,7 +101,7 @@ def test_runs_of_version_0_1_are_refused(tmp_path, capsys, name, content):
     for command in ("map", "evaluate", "export"):
         assert main([command, f"run={tmp_path}"]) == 2
         error = capsys.readouterr().err
-        assert "run.json was" in error
+        assert "run.json" in error
         assert error.count("\n") == 1
 
 
@@ -111,7 +111,7 @@ def test_bundles_of_version_0_1_are_refused(tmp_path, capsys, version):
     (tmp_path / "photo.png").write_bytes(b"")
     assert main(["localize", f"bundle={tmp_path}", f"images=[{tmp_path / 'photo.png'}]"]) == 2
     error = capsys.readouterr().err
-    assert f"has bundle version {version}" in error
+    assert f"has format version {version}" in error
     assert "export again" in error
 
 
