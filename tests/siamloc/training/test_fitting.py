@@ -17,6 +17,7 @@ import torch
 from torch import nn
 
 import augment
+from foundation import files
 from foundation.files import read_json, write_json
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, read
 from siamloc.errors import ConfigError, DataError, FormatError
@@ -343,9 +344,9 @@ def test_a_folder_that_is_no_run_is_refused(train, tmp_path, name, overwrite):
 
 
 def test_a_process_killed_right_when_it_began_does_not_block_the_folder(tmp_path):
-    (tmp_path / ".run.json.0.tmp.json").write_text("{")
+    (tmp_path / f".run.json.{files._HOST}-999999999-0.tmp.json").write_text("{")
     check_folder(Run(tmp_path), resume=False, overwrite=False)
-    (tmp_path / ".notes.json.0.tmp.json").write_text("{")
+    (tmp_path / ".notes.json").write_text("{")
     with pytest.raises(ConfigError, match="holds other files"):
         check_folder(Run(tmp_path), resume=False, overwrite=False)
 
