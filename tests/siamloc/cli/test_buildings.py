@@ -170,6 +170,7 @@ def refused(capsys, given):
     return lines[0]
 
 
+@pytest.mark.slow
 def test_mistakes_are_one_line(table, maps, tmp_path, capsys):
     north = folders(maps)[0]
     for given, says in (

@@ -14,6 +14,7 @@ COLD = ["data=cold", "data.root=x"]
 SECONDS = 60.0  # for a case: other tests run at the same time
 
 
+@pytest.mark.slow
 def test_every_key_refuses_nonsense():
     """Every 61st case: with the seven kinds of defaults and 21 strange values, each of both is covered."""
     wrong = []
@@ -24,12 +25,14 @@ def test_every_key_refuses_nonsense():
     assert not wrong
 
 
+@pytest.mark.slow
 def test_no_group_takes_a_key_that_it_does_not_know():
     outcomes = [(name, outcome_of(case, True, SECONDS)) for name, case, _ in unknown_cases()]
     assert [(name, one) for name, one in outcomes if one.kind != "refused"] == []
     assert all("unknown" in one.remark or "no " in one.remark for _, one in outcomes)
 
 
+@pytest.mark.slow
 def test_damaged_files_are_told_in_a_sentence():
     wrong = [
         f"{name}: {outcome}"

@@ -10,6 +10,7 @@ from siamloc.jobs import Evaluate, Report, Train
 from siamloc.jobs.options import choices, config_folder, groups, values_of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "override",
     [f"{group}={option}" for group in groups() for option in choices(group)],

@@ -59,6 +59,7 @@ def small_data(experiment, cold, folder):
     return [f"data.manifest={manifest}", *([] if named else ["protocol.train.sequences=[monday]"])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_a_step_of_every_experiment(experiment, cold, tmp_path):
     data = [*small_data(experiment, cold, tmp_path / "data"), f"data.cache={tmp_path / 'cache'}"]

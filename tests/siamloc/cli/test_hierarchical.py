@@ -260,6 +260,7 @@ def test_rooms_that_the_map_lacks_are_named(manifest, tmp_path, capsys):
         assert "protocol.map" in shown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "says"),
     [

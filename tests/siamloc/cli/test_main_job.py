@@ -420,6 +420,7 @@ def test_two_processes_train_on_what_one_would(train_words, tmp_path):
         assert float(a["train/loss"]) == pytest.approx(float(b["train/loss"]), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_joblib_trains_the_jobs_of_a_sweep_side_by_side(train_words, tmp_path, monkeypatch):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="the extra `sweeps` is not installed")
     monkeypatch.chdir(tmp_path)

@@ -27,6 +27,7 @@ def words(manifest, run, *more):
     return [*common, "protocol.map.sequences=[first]", "protocol.query.sequences=[second]", f"run={run}", *more]
 
 
+@pytest.mark.slow
 def test_from_a_map_to_a_located_photograph(manifest, tmp_path, capsys):
     run = tmp_path / "run"
     assert main(["map", *words(manifest, run)]) == 0

@@ -268,6 +268,7 @@ def test_an_analytic_map_becomes_a_bundle_with_layer_pictures_and_precision(flat
     assert len(table(run / "locations.csv")) == 24
 
 
+@pytest.mark.slow
 def test_a_network_that_finds_headings_needs_no_heading_key(flat, tmp_path, capsys):
     run = tmp_path / "run"
     siamloc(

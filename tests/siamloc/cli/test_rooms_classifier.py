@@ -39,6 +39,7 @@ def run(manifest, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_run_resumes_with_its_rooms(manifest, run, tmp_path, capsys):
     assert main(words(manifest, tmp_path / "run", "epochs=2")) == 0
     assert main(["train", f"run={tmp_path / 'run'}", "resume=true", "epochs=3", "trainer.accelerator=cpu"]) == 0

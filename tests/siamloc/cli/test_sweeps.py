@@ -124,6 +124,7 @@ def test_a_map_that_was_made_for_one_setting_stands_in_no_sweeps_way(words):
     }
 
 
+@pytest.mark.slow
 def test_map_evaluate_and_report_take_the_folder_of_a_sweep(trained, capsys):
     done("map", f"run={trained}")
     assert capsys.readouterr().out.count("next: ") == 2

@@ -39,6 +39,7 @@ def test_fourier_is_the_magnitude_of_the_transform_along_the_azimuth():
         assert np.allclose(head(features).numpy(), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("branch", BRANCHES)
 @pytest.mark.parametrize("head", ["gem", "bands", "fourier", "magnitudes"])
 def test_turning_the_robot_by_a_column_of_the_features_leaves_the_descriptor(branch, head):

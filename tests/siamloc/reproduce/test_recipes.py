@@ -57,6 +57,7 @@ def out(tmp_path_factory):
     return tmp_path_factory.mktemp("reproduced")
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)  # a hundred experiments
 def test_every_recipe_runs_and_is_written(root, out):
     results = []

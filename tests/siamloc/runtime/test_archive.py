@@ -98,6 +98,7 @@ def test_the_folder_put_into_an_archive_by_hand_is_one_too(folder, tmp_path):
     assert same(answers(made), answers(folder))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("precision", ["float32", "float16"])
 def test_an_image_has_one_answer_alone_again_in_a_batch_and_from_four_threads(world, tmp_path, precision, threads):

@@ -185,6 +185,7 @@ def test_damaged_pictures_are_refused(world, network, tmp_path):
             runtime.Bundle.open(bundle).thumbnail(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("precision", "size", "change"), [("float16", 1.001, 1e-5), ("int8", 0.45, 0.4)])
 @pytest.mark.parametrize(
     ("branch", "head", "circular"), [("vgg11", "fc500_500_5", False), ("panoresnet", "fourier", True)]
@@ -237,6 +238,7 @@ def test_auto_takes_the_smallest_that_loses_little(world, network, tmp_path):
     runtime.Localizer(bundle.path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value"),
     [

@@ -108,6 +108,7 @@ def test_a_network_of_ones_own_is_exported_whole(tmp_path):
     assert report["identity"]["class"].endswith("Own")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(128, 512), (37, 131), (4, 16), (5, 17)])
 def test_the_simple_branches_export_at_any_size(tmp_path, size):
     report = export_onnx(build("simple2", "fc500_100_10", size), tmp_path / "network.onnx", size)

@@ -71,6 +71,7 @@ def bundle(network, known, tmp_path_factory):
     return bundled(tmp_path_factory.mktemp("robot") / "bundle", network, known, method="relative", widening=2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["relative", "interpolate"])
 def test_the_robot_refines_as_the_evaluation_does(network, known, bundle, tmp_path, method):
     relative = method == "relative"
@@ -171,6 +172,7 @@ def test_the_summary_says_that_poses_are_finer(bundle, network, known, tmp_path)
     assert read_json(bundle / "bundle.json")["refinement"]["parity"]["max_relative_difference"] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_map_without_some_positions_is_refined_by_the_others(network, known, tmp_path):
     x = known.frames.x.copy()
     x[::3] = np.nan
