@@ -24,7 +24,7 @@ from siamloc.jobs.inherit import map_file, map_known
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.opening import RunJob, files_in
 from siamloc.jobs.options import choices, values_of
-from siamloc.jobs.sweep import of_layer, of_results, own_folder, swept, with_swept
+from siamloc.jobs.sweep import of_layer, of_results, own_folder, sweep_suffix, swept, with_swept
 from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, Task
 from siamloc.maps import Built, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
@@ -72,7 +72,7 @@ class Evaluate(RunJob):
         task=buildings task.maps=[runs/a,runs/b]
                                           which building a query is in, given the maps of several
         out=FOLDER                        where results are written; in the run if not given
-        overwrite=true                    replace results of other frames
+        overwrite=true                    replace results of other frames, or those in out=FOLDER
         -m descriptor.bins=8,16 distance=euclidean,correlation
                                           a sweep: each result in its own folder, such as
                                           evaluation/hog-euclidean/descriptor.bins-8; `siamloc compare` compares them
@@ -98,7 +98,8 @@ class Evaluate(RunJob):
         """Measure the task, and write the results."""
         run = self.here
         shared = run.evaluation(self.name) if self.out is None else Path(self.out)
-        folder = own_folder(shared, self.titles, of_results)
+        # Elsewhere than in the run, no part of the path says which run or descriptor the results are of.
+        folder = own_folder(shared, self.titles, of_results) if self.out is None else shared / sweep_suffix()
         self._check_folder(folder)
         result = self._measure(say)
         if folder != shared:
@@ -136,9 +137,11 @@ class Evaluate(RunJob):
         return f"robustness-{self.label}" if isinstance(task, RobustnessTask) else self.label
 
     def _check_folder(self, folder: Path) -> None:
-        """Refuse to replace results of other frames unless requested."""
+        """Refuse to replace results of other frames, or any results in the folder `out`, unless requested."""
         if self.overwrite or not (folder / "results.json").is_file():
             return
+        if self.out is not None:
+            raise ConfigError(f"{folder} holds results already: choose another out=, or replace them by overwrite=true")
         before = read_results(folder)["config"].get("protocol")
         if before is not None and Protocol.of(before) != self.protocol:
             raise ConfigError(

@@ -221,5 +221,10 @@ def test_results_of_other_queries_are_not_replaced_in_silence(manifest, tmp_path
     assert main([*other, f"out={tmp_path / 'half'}"]) == 0
     assert path.read_bytes() == before
     assert (tmp_path / "half/results.json").is_file()
+    assert main([*given, f"out={tmp_path / 'half'}"]) == 2
+    assert "holds results already: choose another out=" in capsys.readouterr().err
+    swept = [word for word in given if not word.startswith("descriptor")]
+    assert main([*swept, "-m", "descriptor=thumbnail,hog", f"out={tmp_path / 'both'}"]) == 0
+    assert len(list((tmp_path / "both").glob("*/results.json"))) == 2
     assert main([*other, "overwrite=true"]) == 0
     assert path.read_bytes() != before
